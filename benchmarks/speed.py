@@ -429,7 +429,7 @@ def fits(given: argparse.Namespace) -> bool:
 # --- diagnosis and runs -----------------------------------------------------------------------------
 
 FIRST_S, AGAIN_S = 60.0, 1.0
-RUNS_S, RUNS_MB = 60.0, 1000.0
+RUNS_S, RUNS_MB = 30.0, 700.0
 RHO: Final = 2.3
 
 

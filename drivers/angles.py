@@ -9,16 +9,16 @@ from typing import Final, Literal, NamedTuple
 EXAMPLE: Final = "45 00 10 or 45°00′10″ or 45.0028"
 
 ROUNDING_RAD: Final = 1e-10
-"""Keeps a reading exactly at the tolerance from being refused for the last bit of a float."""
+"""Tolerance for floating-point rounding, so that a reading exactly at the limit is accepted."""
 
 _MARKS: Final = (("°", "°º˚:"), ("′", "′'’´`:"), ("″", '″"”“'))
-"""For each place (degrees, minutes, seconds) its mark and the substitutes on keyboards."""
+"""The mark after degrees, minutes and seconds, each with its substitutes on keyboards."""
 
 _PART: Final = re.compile(r"(?P<number>[0-9]+(?P<decimals>\.[0-9]+)?)(?P<mark>\s*[^\s0-9.]*)\s*")
 
 
 class Slip(NamedTuple):
-    """A common slip in reading a scale: its error as written and in degrees, and its description."""
+    """A common mistake in reading a scale: its size as text and in degrees, and its description."""
 
     size: str
     degrees: float
@@ -35,16 +35,16 @@ SLIPS: Final = (
 
 
 def wrapped_rad(angle_rad: float) -> float:
-    """Return the same place of the circle in (-π, π], rad."""
+    """Return the equivalent angle in (-π, π], rad."""
     wrapped = math.remainder(angle_rad, math.tau)
     return math.pi if wrapped == -math.pi else wrapped
 
 
 def parse_angle(text: str) -> float:
-    """Return the angle in rad that a person typed, such as `45 00 10`, `45°00'10"`, `45:00:10`, `45,0028`.
+    """Return a typed angle in rad: `45 00 10`, `45°00'10"`, `45:00:10`, `45,0028`.
 
-    Only the last of the parts may have decimals, with a dot or a comma; minutes and seconds stay below 60
-    and the angle within one turn. Raises `ValueError` with one sentence and an example.
+    Only the last part may have decimals, with a dot or a comma. Minutes and seconds must be below 60, the angle
+    below 361°. Raises `ValueError` with a sentence that gives an example.
     """
     stripped = text.strip().replace("−", "-").replace("''", "″").replace("′′", "″")
     sign, body = (stripped[0], stripped[1:].lstrip()) if stripped[:1] in {"-", "+"} else ("+", stripped)
@@ -63,7 +63,7 @@ def parse_angle(text: str) -> float:
 
 
 def _parts(body: str) -> tuple[float, ...] | None:
-    """Return one to three numbers with fitting marks, or None where the text is anything else."""
+    """Return the one to three numbers (degrees, minutes, seconds) of a typed angle, None if it is malformed."""
     numbers: list[float] = []
     position = 0
     while position < len(body):
@@ -84,10 +84,10 @@ def _parts(body: str) -> tuple[float, ...] | None:
 
 
 def read_angle(text: str, target_rad: float, tolerance_rad: float) -> float:
-    """Return the angle that a person read from a scale and typed, rad, on the turn on which `target_rad` lies.
+    """Return the scale reading that a person typed, rad, shifted by whole turns to lie near `target_rad`.
 
-    Raises `ValueError` with the trouble in a sentence: nothing, no angle, or one that is further than
-    `tolerance_rad` from the target, then by how much and, where one explains it, by which slip.
+    Raises `ValueError` with a sentence for the person if the text is empty, is not an angle, or is more than
+    `tolerance_rad` from the target; the sentence then names the common mistake that explains it, if any.
     """
     if not text.strip():
         raise ValueError("Nothing was typed: read the scale and type what it shows.")
@@ -98,7 +98,7 @@ def read_angle(text: str, target_rad: float, tolerance_rad: float) -> float:
     difference_rad = wrapped_rad(read_rad - target_rad)
     if abs(difference_rad) > tolerance_rad + ROUNDING_RAD:
         raise ValueError(_disagreement(read_rad, target_rad, difference_rad, tolerance_rad))
-    # The scale ends at 360°: 0°00′03″ read for a target of 360° is 360°00′03″.
+    # The scale wraps at 360°: 0°00′03″ read for a target of 360° means 360°00′03″.
     turns = round((target_rad + difference_rad - read_rad) / math.tau)
     return read_rad + turns * math.tau
 
@@ -127,12 +127,22 @@ def format_dms(angle_rad: float, decimals: int = 0) -> str:
     return f"{sign}{degrees}°{minutes:02d}′{seconds:02d}{tail}″"
 
 
-def classic_slip(read_rad: float, target_rad: float, tolerance_rad: float) -> str | None:
-    """Return in words the classic slip that explains `read_rad` where `target_rad` was set, or None.
+def scale_text(angle_rad: float) -> str:
+    """Return an angle as the scale shows it, with as many decimals of a second (at most 3) as it needs."""
+    shown_rad = angle_rad if 0.0 <= angle_rad <= math.tau else angle_rad % math.tau
+    for decimals in range(3):
+        text = format_dms(shown_rad, decimals)
+        if abs(parse_angle(text) - shown_rad) < ROUNDING_RAD:
+            return text
+    return format_dms(shown_rad, 3)
 
-    A slip explains a reading that lies within `tolerance_rad` of where the slip would put it, and there much
-    rather than at the target: a line of
-    the scale one off (10°, 1°, 10′, 1′), the opposite side, 360° - x, two digits swapped.
+
+def classic_slip(read_rad: float, target_rad: float, tolerance_rad: float) -> str | None:
+    """Return in words the common mistake that turns `target_rad` into `read_rad`, or None.
+
+    The mistakes are: a scale line one off (10°, 1°, 10′, 1′), the opposite side of the circle, 360° - x, two
+    digits swapped. Except for swapped digits, the predicted reading must be within `tolerance_rad` of `read_rad`,
+    and at least three times as close to it as the target is.
     """
     difference = wrapped_rad(read_rad - target_rad)
     if abs(difference) <= tolerance_rad:
@@ -142,14 +152,14 @@ def classic_slip(read_rad: float, target_rad: float, tolerance_rad: float) -> st
     ]
     candidates.append((abs(wrapped_rad(read_rad + target_rad)), "360° - x was read instead of x"))
     miss, words = min(candidates, key=lambda candidate: candidate[0])
-    # a miss of 31″ lies within 30″ of a whole minute, too, but is no slip of one
+    # an error of 31″ is also within 30″ of a whole minute, yet is no misread minute line
     if miss <= min(tolerance_rad, abs(difference) / 3):
         return words
     return "two digits are swapped" if _digits_swapped(read_rad, target_rad) else None
 
 
 def _digits_swapped(read_rad: float, target_rad: float) -> bool:
-    """Return whether one part (degrees, minutes) has two neighbouring digits swapped and the other agrees."""
+    """Return whether degrees or minutes have two neighbouring digits swapped while the other part agrees."""
     read, target = (
         re.findall(r"[0-9]+", format_dms(angle)) for angle in (read_rad % math.tau, target_rad % math.tau)
     )
@@ -180,9 +190,9 @@ def typed_temperature(text: str) -> float:
 
 
 def typed_bubble(text: str, division_rad: float, most_divisions: float) -> float:
-    """Return by how much a bubble is off the middle, rad, typed in divisions or with `arcsec`.
+    """Return the offset of a bubble, rad, typed in divisions (`-1.5`) or in arcseconds (`3 arcsec`).
 
-    Raises `ValueError` for what is no number, or off the vial's scale of ± `most_divisions`.
+    Raises `ValueError` if the text is not a number or is off the vial's scale of ± `most_divisions`.
     """
     typed = _plain(text).lower()
     match = _DIVISIONS.fullmatch(typed.removesuffix("divisions").strip())
@@ -197,7 +207,7 @@ def typed_bubble(text: str, division_rad: float, most_divisions: float) -> float
 
 
 def typed_supply(text: str, unit: SupplyUnit) -> float:
-    """Return what a person read from a power supply, in `unit`. Raises `ValueError`."""
+    """Return a typed voltage or current (`15.0`, `15.0 V`). Raises `ValueError`, with an example in `unit`."""
     match = _SUPPLY.fullmatch(_plain(text))
     if match is None:
         raise ValueError(f"That was not a number such as 15.0 {unit}.")

@@ -1,4 +1,4 @@
-"""The base of chambers with a controller: limits checked before anything is sent, checks of each reading."""
+"""Base class of chambers with a controller: limits are checked before sending, and each reading is checked."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ NUMBER: Final = r"[+-]?\d{1,5}(?:\.\d{1,6})?"
 """The pattern of a temperature in replies of controllers."""
 
 _PLAUSIBLE_K: Final = 30.0
-"""Margin of the sensor's reading outside the limits, for a chamber at room temperature."""
+"""A plausible reading lies at most this far outside the limits: room temperature may lie outside, too."""
 
 
 @dataclass(frozen=True, slots=True)
 class ChamberLimits:
-    """The temperatures that may be demanded, and how far the air may be from the demand at a reading.
+    """The permitted set points, and how far the air may be from the set point at a reading.
 
-    Without `band_c` a reading is taken at any temperature. Raises `ValueError` for what cannot be.
+    With `band_c` None, readings are accepted at any temperature. Raises `ValueError` for inconsistent values.
     """
 
     minimum_c: float
@@ -33,7 +33,7 @@ class ChamberLimits:
     band_c: float | None = None
 
     def __post_init__(self) -> None:
-        """Refuse limits in the wrong order and a band without width."""
+        """Raise `ValueError` for limits in the wrong order and for a band that is not positive."""
         if not self.minimum_c < self.maximum_c:
             raise ValueError(
                 f"the chamber's minimum {self.minimum_c:g} °C is not below its maximum {self.maximum_c:g} °C"
@@ -42,7 +42,7 @@ class ChamberLimits:
             raise ValueError(f"the chamber's band must be positive, not {self.band_c:g} °C")
 
     def check(self, name: str, target_c: float) -> None:
-        """Raise `LimitExceeded` for a demand outside the limits."""
+        """Raise `LimitExceeded` for a set point outside the limits; `name` is the chamber's."""
         if not (math.isfinite(target_c) and self.minimum_c <= target_c <= self.maximum_c):
             raise LimitExceeded(
                 name,
@@ -51,7 +51,7 @@ class ChamberLimits:
             )
 
     def plausible(self, name: str, temperature_c: float) -> float:
-        """Return a temperature of the sensor. Raises `BadReading` when the chamber cannot have it."""
+        """Return the sensor's temperature unchanged. Raises `BadReading` if it is implausible."""
         low_c, high_c = self.minimum_c - _PLAUSIBLE_K, self.maximum_c + _PLAUSIBLE_K
         if low_c <= temperature_c <= high_c:
             return temperature_c
@@ -62,9 +62,9 @@ class ChamberLimits:
         )
 
     def in_band(self, name: str, temperature_c: float, target_c: float | None) -> float:
-        """Return the air's temperature. Raises `InstrumentRefused` when it is out of band.
+        """Return the air's temperature unchanged. Raises `InstrumentRefused` if it is out of the band.
 
-        `target_c` is what was demanded, None when nothing was.
+        `target_c` is the set point, None if there is none. Raises `BadReading` for an implausible temperature.
         """
         self.plausible(name, temperature_c)
         if target_c is None or self.band_c is None or abs(temperature_c - target_c) <= self.band_c:
@@ -77,9 +77,9 @@ class ChamberLimits:
 
 
 def refuse_other_set_point(name: str, shown_c: float, target_c: float, resolution_c: float) -> None:
-    """Raise `InstrumentRefused` when the set point read back is not the one demanded.
+    """Raise `InstrumentRefused` if the set point read back, `shown_c`, is not `target_c`.
 
-    It may differ by half the controller's resolution and a little more, for the rounding.
+    It may differ by half the controller's resolution; the excess over 0.5 is for floating-point rounding.
     """
     if abs(shown_c - target_c) > 0.51 * resolution_c:
         raise InstrumentRefused(
@@ -90,10 +90,10 @@ def refuse_other_set_point(name: str, shown_c: float, target_c: float, resolutio
 
 
 class ControlledChamber(ABC):
-    """The base of the chambers with a controller, a `ThermalChamber`; `temperature` is that of its air.
+    """The base class of chambers with a controller: a `ThermalChamber` whose `temperature` is that of the air.
 
-    A make says how its controller is proved, what is demanded and read back, and how it is stopped. `identity`
-    is the pattern of its name; `write_gap_s` how long it wants to be left alone after a command without reply.
+    A subclass verifies its controller, sets, reads, starts and stops it. `identity` is the pattern of the
+    controller's name, `write_gap_s` the pause that it needs after a command without reply.
     """
 
     asks_person = False
@@ -118,7 +118,7 @@ class ControlledChamber(ABC):
         self._target_c: float | None = None
 
     def open(self) -> Identity:
-        """Connect and prove the identity; the chamber goes on as it is.
+        """Connect and verify the identity; the chamber's state is unchanged.
 
         Raises `InstrumentLost`, `BadReading`, `InstrumentRefused`.
         """
@@ -126,13 +126,13 @@ class ControlledChamber(ABC):
         return self._identity
 
     def close(self) -> None:
-        """Release the connection; the chamber holds its temperature. Never raises, may be called twice."""
+        """Disconnect; the chamber keeps its set point. Never raises, may be called twice."""
         self._session.close()
 
     def make_safe(self) -> str:
-        """Stop conditioning, as at the end of a run; nothing is left for a person to do.
+        """Stop conditioning, as at the end of a run; return an empty string, as nothing is left for a person to do.
 
-        Raises as `set_temperature`.
+        Raises `InstrumentRefused`, `InstrumentLost`, `BadReading`.
         """
         self._target_c = None
         self._stop()
@@ -140,11 +140,11 @@ class ControlledChamber(ABC):
         return ""
 
     def set_temperature(self, target_c: float, key: str) -> None:
-        """Demand a temperature, read it back, and have it conditioned.
+        """Send the set point, read it back, and start conditioning.
 
         Raises `LimitExceeded` for the limits of the bench file before anything is sent, and for those of the
-        controller before anything is set; `InstrumentRefused` for a chamber that is not ready or a demand not
-        taken; `InstrumentLost`, `BadReading`.
+        controller before anything is set; `InstrumentRefused` if the chamber is not ready or the set point is not
+        applied; `InstrumentLost`, `BadReading`.
         """
         self._limits.check(self.name, target_c)
         self._refuse_unready(target_c)
@@ -157,8 +157,8 @@ class ControlledChamber(ABC):
     def temperature(self, key: str, *, settling: bool = False) -> float:
         """Return the temperature of the air, °C.
 
-        Raises `InstrumentRefused` for what the controller reports, for a state or set point that somebody
-        changed, for air out of band; `BadReading`, `InstrumentLost`.
+        Raises `InstrumentRefused` for faults that the controller reports, for a state or set point that somebody
+        changed, and for air out of the band, unless `settling`; also `BadReading`, `InstrumentLost`.
         """
         air_c = self._air_c(self._target_c)
         return self._limits.in_band(self.name, air_c, None if settling else self._target_c)
@@ -166,7 +166,7 @@ class ControlledChamber(ABC):
     def _refuse_other_set_point(self, shown_c: float, target_c: float) -> None:
         refuse_other_set_point(self.name, shown_c, target_c, self.resolution_c)
 
-    # --- what a make says ---------------------------------------------------------------------------
+    # --- implemented by each make -------------------------------------------------------------------
 
     @abstractmethod
     def _prove(self) -> None:
@@ -174,7 +174,7 @@ class ControlledChamber(ABC):
 
     @abstractmethod
     def _refuse_unready(self, target_c: float) -> None:
-        """Raise an error for alarms, programs or own limits that keep the chamber from a demand."""
+        """Raise an error if alarms, a running program or the controller's limits forbid this set point."""
 
     @abstractmethod
     def _demand(self, target_c: float) -> None:
@@ -186,12 +186,12 @@ class ControlledChamber(ABC):
 
     @abstractmethod
     def _start(self) -> None:
-        """Start conditioning to the set point, and prove it."""
+        """Start conditioning to the set point, and verify that it started."""
 
     @abstractmethod
     def _stop(self) -> None:
-        """Stop conditioning, and prove it."""
+        """Stop conditioning, and verify that it stopped."""
 
     @abstractmethod
     def _air_c(self, target_c: float | None) -> float:
-        """Return the temperature of the air, °C; with a demand prove first that it still stands."""
+        """Return the temperature of the air, °C; given a set point, first verify that it is still in force."""

@@ -1,4 +1,4 @@
-"""Time, injected: the only module of the drivers and the application that asks the system for it."""
+"""Injected clocks: the only module of the drivers and the application that reads the system time."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from datetime import UTC, datetime
 from typing import Final, Protocol
 
 HASTY_S: Final = 1.0
-"""Long enough for an instrument that is there: its reply is waited for no longer in haste."""
+"""Longest wait for a reply in haste, s: enough for an instrument that is present."""
 
 
 class Clock(Protocol):
     """Bench time in seconds; its zero is arbitrary and it never runs backwards.
 
-    A real bench has `SystemClock`; a simulated one a virtual clock on which hours pass at once.
+    A real bench uses `SystemClock`; a simulated bench uses a virtual clock on which hours pass at once.
     """
 
     def now_s(self) -> float:
@@ -36,16 +36,16 @@ class SystemClock:
 
 
 def utc_now() -> datetime:
-    """Return the civil time, for the record only; nothing is timed with it."""
+    """Return the current UTC time, for the record only; durations are never measured with it."""
     return datetime.now(tz=UTC)
 
 
 class Haste:
-    """Whether waiting is to be cut short; what was to be sent is sent all the same."""
+    """A shared flag, `asked`, that shortens the wait for replies; commands are still sent."""
 
     def __init__(self) -> None:
         self.asked = False
 
     def limited_s(self, timeout_s: float) -> float:
-        """Return the time to wait, s: `timeout_s`, or less in haste."""
+        """Return the time to wait, s: `timeout_s`, but at most `HASTY_S` if `asked` is true."""
         return min(timeout_s, HASTY_S) if self.asked else timeout_s

@@ -1,6 +1,6 @@
-"""The interfaces of instruments for the application, and the errors of instruments and persons.
+"""The protocols through which the application uses instruments, and the errors that drivers raise.
 
-Small one-verb protocols: the application knows these and never a concrete driver. What a person is asked is in
+The application depends on these small protocols, never on a concrete driver. Prompts to a person are in
 `drivers.person`.
 Angles are radians, voltages volts, currents amperes, temperatures degrees Celsius, times seconds.
 """
@@ -16,10 +16,10 @@ from typing import Final, Literal, Protocol, runtime_checkable
 
 
 class BenchError(Exception):
-    """Something went wrong that a person can do something about.
+    """A failure that a person can remedy.
 
-    `instrument` is the name on the bench ("voltmeter.x"), `cause` what happened, `remedy` what to do.
-    The text is one sentence with all three.
+    `instrument` is its name on the bench ("voltmeter.x"), `cause` what happened, `remedy` what to do.
+    The message combines all three in one sentence.
     """
 
     def __init__(self, instrument: str, cause: str, remedy: str) -> None:
@@ -30,23 +30,23 @@ class BenchError(Exception):
 
 
 class InstrumentLost(BenchError):
-    """The instrument does not answer: absent, refused, cut off, or silent past its timeout."""
+    """The instrument does not respond: it is absent, refuses the connection, was cut off, or timed out."""
 
 
 class InstrumentRefused(BenchError):
-    """The instrument answered, and said no: wrong identity, an error in its queue, a setting not taken."""
+    """The instrument responds but does not comply: wrong identity, a queued error, a setting not applied."""
 
 
 class BadReading(BenchError):
-    """An answer that is not a reading: overload, a cut or garbled reply."""
+    """A reply that is not a valid reading: an overload, a truncated or garbled reply."""
 
 
 class LimitExceeded(BenchError):
-    """A demand outside the limits of the instrument or of the unit under test."""
+    """A requested value outside the limits of the instrument or of the unit under test."""
 
 
 class WentAstray(BenchError):
-    """A head that did not go where it was sent. It was stopped, and is not to be sent again before it is mended."""
+    """The head moved in the wrong direction or left its limits. It was stopped; repair it before the next move."""
 
 
 class NotConnected(BenchError):
@@ -62,7 +62,7 @@ class NotConnected(BenchError):
 
 
 class NoAnswer(BenchError):
-    """The person (or the script that stands for one) gave no answer to a prompt."""
+    """The person, or the script in their place, gave no answer to a prompt."""
 
 
 # --- instruments ------------------------------------------------------------------------------------
@@ -75,12 +75,12 @@ Direction = Literal[1, -1]
 
 
 NO_SERIAL: Final = frozenset({"", "0", "-"})
-"""Answers of instruments without a serial number: every 34401A answers 0."""
+"""Serial-number fields that mean "no serial number": every 34401A reports 0."""
 
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """Who an instrument says it is, for the record: `{"maker": "HEWLETT-PACKARD", "model": "34401A", …}`."""
+    """The identity that an instrument reports, for the record: maker "HEWLETT-PACKARD", model "34401A", …"""
 
     maker: str
     model: str
@@ -92,18 +92,18 @@ class Identity:
 
 
 class Instrument(Protocol):
-    """Anything on the bench that is opened, identified, and left safe."""
+    """An instrument on the bench: it is opened, identified, and left safe when closed."""
 
     name: str
 
     def open(self) -> Identity:
-        """Connect, prove the identity and return it. Raises `InstrumentLost` or `InstrumentRefused`."""
+        """Connect, verify the identity and return it. Raises `InstrumentLost` or `InstrumentRefused`."""
 
     def close(self) -> str | None:
-        """Leave the instrument safe and in local, and let it go. Never raises, may be called twice.
+        """Make the instrument safe, return it to local control and disconnect. Never raises, may be called twice.
 
-        Each command that makes it safe is tried, whatever became of those before (`drivers.making_safe`).
-        Returns what a person must still do where one failed, nothing where all is safe.
+        Each command is tried even if earlier ones failed (`drivers.making_safe`).
+        Returns what a person must still do if a command failed; else None or an empty string.
         """
 
 
@@ -112,9 +112,9 @@ class SelfTesting(Protocol):
     """An instrument that can test itself."""
 
     def self_test(self) -> str:
-        """Have the instrument test itself; return what it finds wrong, empty for nothing.
+        """Run the instrument's self-test; return the faults found, an empty string for none.
 
-        What was set before is to be set anew. Raises `InstrumentLost`, `BadReading`.
+        The test loses the settings: configure the instrument again. Raises `InstrumentLost`, `BadReading`.
         """
 
 
@@ -129,9 +129,9 @@ class VoltmeterSettings:
 
 @dataclass(frozen=True, slots=True)
 class VoltmeterLimits:
-    """What a model can do: ranges in volts, integration in power-line cycles, samples in one reading.
+    """The settings that a model supports: ranges in volts, integration in power-line cycles, samples per reading.
 
-    Its facts state them once: what a bench file and a procedure may ask is held against the same ones.
+    The module in `drivers.facts` is their only source; bench files and procedures are checked against them.
     """
 
     ranges_v: tuple[float, ...]
@@ -141,15 +141,15 @@ class VoltmeterLimits:
 
     @classmethod
     def of(cls, facts: ModuleType) -> VoltmeterLimits:
-        """Return the limits of a reading of one channel; the `facts` are those of a voltmeter."""
+        """Return the limits for reading one channel, from a voltmeter's module in `drivers.facts`."""
         return cls(facts.RANGES_V, facts.NPLC, facts.MEMORY_READINGS, facts.LEAST_SAMPLES)
 
     def of_channels(self, count: int) -> VoltmeterLimits:
-        """Return the limits of a reading of so many channels, whose samples share the memory."""
+        """Return the limits for reading `count` channels, whose samples share the memory."""
         return replace(self, most_samples=self.most_samples // count)
 
     def transgressions(self, settings: VoltmeterSettings) -> list[str]:
-        """Return the settings that the model cannot do, one phrase for each."""
+        """Return one phrase for each setting that the model does not support."""
         wrong = []
         if settings.range_v not in self.ranges_v:
             wrong.append(f"a range of {settings.range_v:g} V (it has {_listed(self.ranges_v)} V)")
@@ -169,29 +169,29 @@ def _listed(values: tuple[float, ...]) -> str:
 class Voltmeter(Instrument, Protocol):
     """One or more signals in volts, sampled on command.
 
-    `start` and `fetch` are apart so that several meters are started before the first is waited for:
+    `start` and `fetch` are separate so that all meters can be started before the first is awaited:
     the three signals are then sampled together.
     """
 
     channels: tuple[Channel, ...]
-    """The signals that this instrument carries, in the order in which it scans them."""
+    """The signals that this instrument measures, in the order in which it scans them."""
 
     def configure(self, settings: VoltmeterSettings) -> None:
-        """Apply the settings and prove that they were taken. Raises `InstrumentRefused`, `InstrumentLost`."""
+        """Apply the settings and verify them by reading back. Raises `InstrumentRefused`, `InstrumentLost`."""
 
     def start(self) -> None:
-        """Begin one reading of `samples` samples."""
+        """Start one reading with the configured number of samples; return without waiting for it."""
 
     def fetch(self) -> dict[Channel, tuple[float, ...]]:
         """Wait for the reading and return the samples in volts, `{"x": (1.2, 1.2)}`.
 
-        Raises `BadReading` for an overload or anything that is not a number, `InstrumentLost`.
+        Raises `BadReading` for an overload or a reply that is not a number, and `InstrumentLost`.
         """
 
 
 @dataclass(frozen=True, slots=True)
 class HeadPosition:
-    """The position of the head by its own scale, and the side of its approach."""
+    """The angle read from the head's own scale, and the direction in which it was approached."""
 
     angle_rad: float
     direction: Direction
@@ -199,47 +199,47 @@ class HeadPosition:
 
 @runtime_checkable
 class DividingHead(Instrument, Protocol):
-    """A shaft that is turned to an angle from a stated side."""
+    """A dividing head: it turns its shaft to an angle, approached in a given direction."""
 
     def move(self, target_rad: float, direction: Direction, key: str) -> HeadPosition:
         """Turn to `target_rad`, arriving with rising (+1) or falling (-1) angle; return the angle read back.
 
-        `key` names the step that asks. Raises `LimitExceeded`, `InstrumentLost`, `NoAnswer`.
+        `key` names the calling step. Raises `LimitExceeded`, `InstrumentLost`, `NoAnswer`.
         """
 
 
 @runtime_checkable
 class ThermalChamber(Instrument, Protocol):
-    """A chamber that holds a temperature."""
+    """A chamber that controls the temperature of the block."""
 
     asks_person: bool
-    """Whether `temperature` costs a person an answer: then it is asked at each mounting only."""
+    """Whether a person must read the temperature; `temperature` is then called once per mounting only."""
 
     def set_temperature(self, target_c: float, key: str) -> None:
-        """Demand a temperature, °C. Raises `LimitExceeded` before anything is sent, `InstrumentLost`."""
+        """Set the temperature, °C. Raises `LimitExceeded` before anything is sent, and `InstrumentLost`."""
 
     def make_safe(self) -> str:
-        """Go to the safe setting; return what a person must still do, empty for nothing.
+        """Put the chamber into its safe state; return what a person must still do, an empty string for nothing.
 
-        Raises `BenchError` where the chamber does not obey; it is called on every way out of a run.
+        Called however a run ends. Raises `BenchError` if the chamber does not comply.
         """
 
     def temperature(self, key: str, *, settling: bool = False) -> float:
-        """Return the temperature at the block (or of the air, where that is all there is), °C.
+        """Return the temperature at the block, or else of the air, °C.
 
-        While it is `settling` it may still be far from what was demanded; else that is an error where the
-        bench file states a band. Raises `InstrumentRefused`, `InstrumentLost`, `BadReading`.
+        Raises `InstrumentRefused` if the temperature is outside the band that the bench file may state around
+        the set point, unless `settling` is true; also `InstrumentLost`, `BadReading`.
         """
 
 
 LevelAxis = Literal["along", "across"]
-"""Along the shaft, positive where the end is the higher one that is away from whoever looks at the end of the
-shaft; across it, positive where the end to the right is."""
+"""Axes of the level for an observer who faces the end of the shaft: "along" the shaft is positive when the far
+end is higher, "across" the shaft when the right end is higher."""
 
 
 @dataclass(frozen=True, slots=True)
 class Inclination:
-    """An inclination shown by a level, its own zero included, rad; signs as in `LevelAxis`."""
+    """An inclination read from a level, rad, including the level's zero error; signs as in `LevelAxis`."""
 
     along_rad: float
     across_rad: float
@@ -247,10 +247,10 @@ class Inclination:
 
 @dataclass(frozen=True, slots=True)
 class LevelSizes:
-    """How exact a level is: standard uncertainties of one reading (rad), of its scale, and of what it leaks.
+    """Standard uncertainties of a level: one reading (rad), the scale (relative) and the cross-sensitivity.
 
-    `cross` is the part of the inclination about the other axis that a reading may hold: axes that are not where
-    they should be, a half turn that is none.
+    `cross` is the fraction of the inclination along the other axis that may leak into a reading, through
+    misaligned axes or an inexact half turn.
     """
 
     reading_rad: float
@@ -260,55 +260,55 @@ class LevelSizes:
 
 @runtime_checkable
 class Level(Instrument, Protocol):
-    """A level of two axes on the platform; its own zero is not known."""
+    """A two-axis level on the platform; its zero error is unknown."""
 
     asks_person: bool
-    """Whether a person reads it, and is told by it how to place it; else a person is only to place it."""
+    """Whether a person reads the level, in prompts that also say how to place it; else a person only places it."""
 
     @property
     def sizes(self) -> LevelSizes:
         """The standard uncertainties of the level."""
 
     def inclination(self, key: str, *, turned: bool) -> Inclination:
-        """Return what it shows at rest in its first position, or `turned` half a turn from it, with its own signs.
+        """Return the reading at rest in the first position, or `turned` by half a turn, with the level's own signs.
 
-        Raises `BadReading` for what is out of its range, `InstrumentRefused`, `InstrumentLost`, `NoAnswer`.
+        Raises `BadReading` if the level is out of range, `InstrumentRefused`, `InstrumentLost`, `NoAnswer`.
         """
 
 
 @runtime_checkable
 class Thermometer(Instrument, Protocol):
-    """A thermometer at the block, of its own: not that of the chamber's controller."""
+    """A separate thermometer at the block, not the sensor of the chamber's controller."""
 
     asks_person: bool
-    """Whether a reading costs a person an answer: then it is read at each mounting only."""
+    """Whether a person must read the thermometer; it is then read once per mounting only."""
 
     sensor: str
-    """The sensor and its place, as in the record: "Pt100, four wires, channel 104"."""
+    """The sensor and its place, as recorded: "Pt100, four wires, channel 104"."""
 
     def block_c(self, key: str) -> float:
-        """Return the temperature that it shows, °C; `key` names the step that asks.
+        """Return the temperature of the block, °C; `key` names the calling step.
 
-        Raises `BadReading` for an open sensor or what no block has, `InstrumentRefused`, `InstrumentLost`,
-        `NoAnswer`.
+        Raises `BadReading` for an open sensor or an implausible temperature, `InstrumentRefused`,
+        `InstrumentLost`, `NoAnswer`.
         """
 
 
 # --- power supplies ---------------------------------------------------------------------------------
-# A voltage has the sign of its output: a negative one is set to -12 V, its protection to -13 V. A current is what
-# the output gives, never negative.
+# A voltage has the sign of its output: a negative output is set to -12 V, its protection to -13 V. A current is
+# never negative.
 
 _HALF_STEP: Final = 0.51
-"""A setting read back may differ by half a step and a little more, for the rounding."""
+"""A setting read back may differ by half a step; the excess over 0.5 allows for floating-point rounding."""
 
 
 class SetOtherwise(InstrumentRefused):
-    """A supply was found switched on and set otherwise than demanded; it was left so: a person is to be asked."""
+    """An output was found on with other settings than requested. Nothing was changed: ask a person."""
 
 
 @dataclass(frozen=True, slots=True)
 class OutputSettings:
-    """What an output is set to: V, current limit in A, over-voltage protection in V (None: it is set to none)."""
+    """The settings of an output: voltage (V), current limit (A), over-voltage protection (V; None for none)."""
 
     voltage_v: float
     current_limit_a: float
@@ -323,8 +323,8 @@ class OutputSettings:
 class OutputState:
     """The state of an output: on or off, its settings, and its measured voltage (V) and current (A).
 
-    `tripped`: a protection of its own has switched it off, and keeps it so until somebody clears it.
-    `limiting`: it is on and gives the current of its limit, not the voltage that it is set to.
+    `tripped`: a protection has switched the output off and keeps it off until cleared.
+    `limiting`: the output is on and in constant current, at its limit, below the voltage set.
     """
 
     on: bool
@@ -339,7 +339,7 @@ class OutputState:
 class OutputLimits:
     """The limits of an output: lowest and highest voltage (V) and current limit (A), and the steps of both.
 
-    `over_voltage_v` are lowest and highest setting of its over-voltage protection, None where it has none.
+    `over_voltage_v` is the lowest and highest setting of the over-voltage protection, None if there is none.
     """
 
     voltage_v: tuple[float, float]
@@ -350,7 +350,7 @@ class OutputLimits:
     over_voltage_step_v: float = 0.1
 
     def transgressions(self, settings: OutputSettings) -> list[str]:
-        """Return the settings that the output cannot do, one phrase for each."""
+        """Return one phrase for each setting that the output does not support."""
         wrong = []
         if not _inside(settings.voltage_v, self.voltage_v):
             wrong.append(f"{settings.voltage_v:g} V (it has {_span(self.voltage_v)} V)")
@@ -371,9 +371,9 @@ class OutputLimits:
         return wrong
 
     def differences(self, shown: OutputSettings, wanted: OutputSettings) -> list[str]:
-        """Return in what the settings shown are not those wanted, one phrase each; half a step does not count.
+        """Return one phrase for each setting that differs from the one wanted by more than half a step.
 
-        Where no protection is wanted, one that is set is no difference: it can but switch off.
+        If no protection is wanted, any protection is accepted: it can only switch the output off.
         """
         pairs = [
             ("the voltage", shown.voltage_v, wanted.voltage_v, self.voltage_step_v, "V"),
@@ -408,9 +408,9 @@ def _span(span: tuple[float, float]) -> str:
 
 @dataclass(frozen=True, slots=True)
 class SupplyLimits:
-    """The limits of a supply: its outputs by name. `together`: one switch is for all of its outputs.
+    """The limits of a supply's outputs, by name. `together`: a single switch controls all outputs.
 
-    Its facts state them once: what a bench file may ask is held against the same ones.
+    The module in `drivers.facts` is their only source; bench files are checked against them.
     """
 
     outputs: Mapping[str, OutputLimits] = field(default_factory=dict)
@@ -418,16 +418,16 @@ class SupplyLimits:
 
     @classmethod
     def of(cls, facts: ModuleType, model: str | None = None) -> SupplyLimits:
-        """Return the limits of a model, of the only one where the `facts` have one; they are those of a supply.
+        """Return the limits of `model`, by default the first in `facts`, a supply's module in `drivers.facts`.
 
-        Raises `KeyError` for a model that they do not know.
+        Raises `KeyError` for an unknown model.
         """
         outputs = next(iter(facts.OUTPUTS.values())) if model is None else facts.OUTPUTS[model]
         limits = {name: OutputLimits(**stated) for name, stated in outputs.items()}
         return cls(limits, facts.SWITCHED_TOGETHER)
 
     def transgressions(self, settings: Mapping[str, OutputSettings]) -> list[str]:
-        """Return the settings that the supply cannot do, one phrase for each, with its output."""
+        """Return one phrase, naming the output, for each setting that the supply does not support."""
         wrong = []
         for name, wanted in settings.items():
             if name not in self.outputs:
@@ -443,38 +443,38 @@ class SupplyLimits:
 class PowerSupply(Instrument, Protocol):
     """A power supply of the unit under test, with one or more outputs.
 
-    It goes on as it is when it is opened and when it is closed: a unit that is switched on stays so.
+    Opening and closing it leave its outputs unchanged: a unit that is switched on stays on.
     """
 
     outputs: tuple[str, ...]
-    """Its outputs by the names that the make gives them."""
+    """The manufacturer's names of the outputs."""
 
     asks_person: bool
-    """Whether `state` costs a person answers: then it is asked at each mounting only."""
+    """Whether a person must read the supply; `state` is then called once per mounting only."""
 
     def state(self, key: str) -> dict[str, OutputState]:
-        """Return the present state of every output, as the supply reports it; nothing is changed.
+        """Return the state of every output as reported by the supply; nothing is changed.
 
-        Raises `InstrumentLost`, `BadReading`, `InstrumentRefused` (errors that it reports), `NoAnswer`.
+        Raises `InstrumentLost`, `BadReading`, `InstrumentRefused` (for errors reported), `NoAnswer`.
         """
 
     def set_up(self, settings: Mapping[str, OutputSettings], key: str) -> None:
-        """Set outputs, protections first, and read everything back. None is switched.
+        """Set outputs, protections first, and read everything back. No output is switched.
 
-        An output that is on must be set so already. Raises `LimitExceeded` before anything is sent,
-        `SetOtherwise` with what is set before anything is changed, `InstrumentRefused` for a setting not taken
-        or a protection that has tripped, `InstrumentLost`, `BadReading`, `NoAnswer`.
+        An output that is on must already have these settings. Raises `LimitExceeded` before anything is sent,
+        `SetOtherwise` with the differences before anything is changed, `InstrumentRefused` for a setting not
+        applied or a tripped protection, `InstrumentLost`, `BadReading`, `NoAnswer`.
         """
 
     def switch(self, output: str, on: bool, key: str) -> None:
-        """Switch an output on or off and read it back; with it all others, where the supply has one switch.
+        """Switch an output (all outputs, if they share one switch) on or off and read its state back.
 
-        Raises `InstrumentRefused` for one that was never set up, was not taken, or has tripped since;
+        Raises `InstrumentRefused` if the output was not set up, did not switch or has tripped;
         `InstrumentLost`, `BadReading`, `NoAnswer`.
         """
 
     def switch_all_off(self) -> str:
-        """Switch every output off and read it back; return what a person must still do, empty for nothing.
+        """Switch every output off and verify; return what a person must still do, an empty string for nothing.
 
-        Raises `BenchError` where the supply does not obey; it may be called on every way out of a run.
+        May be called however a run ends. Raises `BenchError` if the supply does not comply.
         """

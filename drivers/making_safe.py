@@ -1,4 +1,4 @@
-"""Commands that make the bench safe: each is attempted separately; a failure is reported with its manual remedy."""
+"""Commands that make the bench safe: each is attempted, and a failure is reported with its manual remedy."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from typing import Final
 from drivers.interfaces import BenchError, Instrument, InstrumentLost, InstrumentRefused
 
 SEE_IT_STANDS: Final = "see that it stands, and press its emergency stop where it does not"
-"""What a person does about a head whose stop failed."""
+"""The manual remedy for a head whose stop failed."""
 STAYS_REMOTE: Final = "its front panel stays in remote: press its local key"
-"""What a person does about an instrument that was not given back."""
+"""The manual remedy for an instrument that did not return to local control."""
 
 
 class Attempts:
-    """Attempts to make something safe, none of which keeps the next from being made.
+    """A series of attempts to make the bench safe; a failed attempt does not prevent the next.
 
-    What interrupts one, such as Ctrl-C, is raised by `end` after the others were made.
+    An interruption such as Ctrl-C is held back and raised by `end`, after the other attempts.
     """
 
     def __init__(self) -> None:
@@ -24,9 +24,9 @@ class Attempts:
         self._failures: list[BaseException] = []
 
     def make(self, by_hand: str, action: Callable[[], object]) -> bool:
-        """Carry out an action and return whether it succeeded; `by_hand` is what a person must do where it failed.
+        """Carry out an action and return whether it succeeded; `by_hand` tells a person what to do if it failed.
 
-        An action that returns text says what it leaves for a person to do, as `Instrument.close` does.
+        If the action returns text, as `Instrument.close` may, the text is a further task for a person.
         """
         try:
             left = action()
@@ -39,14 +39,17 @@ class Attempts:
         return True
 
     def end(self) -> str:
-        """Return what a person must still do, empty for nothing. Raises what interrupted an attempt."""
+        """Return what a person must still do, an empty string for nothing. Raises a held-back interruption."""
         for error in self._failures:
             if not isinstance(error, Exception):
                 raise error
         return "; ".join(self._told)
 
     def refuse_failed(self, name: str, what: str, remedy: str) -> None:
-        """Raise one error with the cause of every attempt that failed: `InstrumentLost` where all were lost."""
+        """Raise one error with the causes of all failed attempts, if any, for the instrument `name`.
+
+        It is `InstrumentLost` if every attempt failed with that error, else `InstrumentRefused`.
+        """
         if self.end():
             lost = all(isinstance(error, InstrumentLost) for error in self._failures)
             causes = " | ".join(why_failed(error) for error in self._failures)
@@ -54,14 +57,14 @@ class Attempts:
 
 
 def let_go(instrument: Instrument) -> str:
-    """Close an instrument; return what a person must still do, empty for nothing."""
+    """Close an instrument; return what a person must still do, an empty string for nothing."""
     attempts = Attempts()
     attempts.make("could not be let go: see that it stands and switch it off and on", instrument.close)
     return attempts.end()
 
 
 def why_failed(error: BaseException) -> str:
-    """Return the cause of a failure; a driver's own mistake by its name."""
+    """Return the cause of a failure in words; any error but a `BenchError` is reported as a driver's failure."""
     if isinstance(error, BenchError):
         return error.cause
     return f"its driver failed with {type(error).__name__}: {error}"

@@ -1,4 +1,4 @@
-"""The base of motorised heads: limits, approach, supervision of a movement, arrival in a window."""
+"""Base class of motorised heads: limits, direction of approach, supervision of a move, settling at the target."""
 
 from __future__ import annotations
 
@@ -27,19 +27,18 @@ if TYPE_CHECKING:
 
 
 NOISE_RAD: Final = math.radians(0.05)
-"""The scale may fall back by this much during a movement: by noise, and by play at the start."""
+"""The angle may run back by this much during a move, from noise and from backlash at the start."""
 STALLED_S: Final = 5.0
-"""A head that takes its load along has gone on by then."""
+"""Time without progress after which a head counts as stalled."""
 _LEAST_OF_SPEED: Final = 0.05
-"""A head slower than this fraction of its speed counts as stalled."""
+"""Slower than this fraction of the nominal speed is no progress."""
 
 
 @dataclass
 class TravelWatch:
-    """One movement from `start_rad` to `target_rad` of the head `name`, begun at `begun_s` of the clock.
+    """Supervision of one move of the head `name`, from `start_rad` to `target_rad`, begun at clock time `begun_s`.
 
-    Near its target, by half of what it backs off, a head may swing through it; there it may also stand: whether
-    it comes to rest within the tolerance is decided elsewhere.
+    Within half the back-off of its target the head may overshoot or stop: `Mover` decides whether it has settled.
     """
 
     name: str
@@ -49,14 +48,14 @@ class TravelWatch:
     begun_s: float
 
     def __post_init__(self) -> None:
-        """Begin with the whole way before it."""
+        """Start with the whole distance remaining."""
         self._left_rad = abs(self.target_rad - self.start_rad)
         self._progress_rad, self._progress_s = self._left_rad, self.begun_s
         self._near_rad = 0.5 * self.travel.backoff_rad
         self._was_near = self._left_rad <= self._near_rad
 
     def take(self, angle_rad: float, now_s: float) -> None:
-        """Look at a sample of the scale. Raises `WentAstray`, and `InstrumentRefused` for a head that stalled."""
+        """Check one reading of the angle. Raises `WentAstray`, and `InstrumentRefused` if the head stalled."""
         if not self.travel.contains(angle_rad, self.travel.tolerance_rad):
             raise self._astray(angle_rad, f"outside its limits, {self.travel.text}")
         left_rad = abs(self.target_rad - angle_rad)
@@ -90,13 +89,14 @@ class TravelWatch:
 
 
 _ROUNDING_RAD: Final = 1e-9
-"""Keeps an angle exactly at a limit from being refused for the last bit of a float."""
+"""Tolerance for floating-point rounding, so that an angle exactly at a limit is accepted."""
 _PATIENCE: Final = 2.0
+"""A move may take this multiple of its nominal time, plus `_PATIENCE_S` and the settling time."""
 _PATIENCE_S: Final = 10.0
 
 
 class Axis(Protocol):
-    """The interface of a controller for one axis; all angles are of the head's scale, rad."""
+    """The interface of a controller for one axis; all angles are on the head's scale, rad."""
 
     def prepare(self) -> None:
         """Make the axis ready to move: powered, homed, in its positioning mode."""
@@ -108,20 +108,20 @@ class Axis(Protocol):
         """Begin to move to an angle."""
 
     def moving(self) -> bool:
-        """Whether the axis moves. Raises `InstrumentRefused` for what keeps it from arriving."""
+        """Return whether the axis is moving. Raises `InstrumentRefused` for a fault that keeps it from arriving."""
 
     def stop(self) -> None:
-        """Stop the motion where it is. Raises `BenchError` where that is not confirmed."""
+        """Stop the axis at once. Raises `BenchError` if the stop is not confirmed."""
 
 
 @dataclass(frozen=True, slots=True)
 class Travel:
-    """The limits of a head's movements and the criterion of arrival.
+    """The limits of a head's moves and the criterion of arrival.
 
-    It stays within [`minimum_rad`, `maximum_rad`], also on the way. It arrives from at least `backoff_rad`
-    away on the demanded side. It is in position when for `settle_s` every sample, one each `poll_s`, lies
-    within `tolerance_rad`. `speed_rad_s` is its speed: a movement may take twice the time that it needs
-    for the way, and 10 s. Raises `ValueError` for what cannot be.
+    The head stays within [`minimum_rad`, `maximum_rad`] at all times. Its final approach covers at least
+    `backoff_rad` in the requested direction. It has arrived when every sample, one per `poll_s`, has stayed within
+    `tolerance_rad` of the target for `settle_s`. A move may take twice its time at `speed_rad_s`, plus `settle_s`
+    and 10 s. Raises `ValueError` for inconsistent values.
     """
 
     minimum_rad: float
@@ -133,7 +133,7 @@ class Travel:
     poll_s: float = 0.25
 
     def __post_init__(self) -> None:
-        """Refuse limits in the wrong order and sizes that are not positive."""
+        """Raise `ValueError` for limits in the wrong order and for sizes that are not positive."""
         if not self.minimum_rad < self.maximum_rad:
             raise ValueError(
                 f"the lowest angle {format_dms(self.minimum_rad)} of the head is not below the highest "
@@ -146,21 +146,21 @@ class Travel:
             raise ValueError("the head must back off by more than its tolerance")
 
     def contains(self, angle_rad: float, margin_rad: float = _ROUNDING_RAD) -> bool:
-        """Whether an angle lies within the limits, or no more than `margin_rad` outside."""
+        """Return whether an angle lies within the limits, or at most `margin_rad` outside."""
         return self.minimum_rad - margin_rad <= angle_rad <= self.maximum_rad + margin_rad
 
     @property
     def text(self) -> str:
-        """The limits as text for a person."""
+        """The limits as text, such as `-10°00′00″ to 370°00′00″`."""
         return f"{format_dms(self.minimum_rad)} to {format_dms(self.maximum_rad)}"
 
     def time_limit_s(self, way_rad: float) -> float:
-        """Return how long a movement may take, s."""
+        """Return the longest time allowed for a move by `way_rad`, s."""
         return _PATIENCE * abs(way_rad) / self.speed_rad_s + self.settle_s + _PATIENCE_S
 
 
 class Mover:
-    """Moves one axis as a `Travel` allows."""
+    """Moves one axis within the limits of a `Travel`."""
 
     def __init__(self, name: str, axis: Axis, travel: Travel, clock: Clock) -> None:
         self._name = name
@@ -169,9 +169,10 @@ class Mover:
         self._clock = clock
 
     def check(self, target_rad: float, direction: Direction) -> None:
-        """Raise `LimitExceeded` for a target, or the way to it, outside the limits; nothing is sent.
+        """Raise `LimitExceeded` if the target or the start of its approach is outside the limits.
 
-        The head always comes from at least `backoff_rad` away, so that place must be within them, too.
+        The final approach starts at least `backoff_rad` away, so this angle must be within the limits, too.
+        Nothing is sent.
         """
         if not math.isfinite(target_rad) or not self._travel.contains(target_rad):
             shown = format_dms(target_rad) if math.isfinite(target_rad) else f"{target_rad}"
@@ -191,10 +192,10 @@ class Mover:
             )
 
     def move(self, target_rad: float, direction: Direction) -> HeadPosition:
-        """Bring the head to `target_rad` from the demanded side; return the angle read back.
+        """Move the head to `target_rad` in the requested direction; return the angle read back.
 
-        Whatever goes wrong, Ctrl-C included, the motion is stopped. Raises `LimitExceeded`,
-        `WentAstray`, `InstrumentRefused` when it does not arrive, and what the axis raises.
+        Any exception, including Ctrl-C, stops the motion. Raises `LimitExceeded`, `WentAstray`,
+        `InstrumentRefused` if the head does not arrive, and the errors of the axis.
         """
         self.check(target_rad, direction)
         try:
@@ -215,7 +216,7 @@ class Mover:
             raise
 
     def wait_while(self, busy: Callable[[], bool], limit_s: float) -> None:
-        """Wait until the axis is no longer busy. Raises `InstrumentRefused` after `limit_s`."""
+        """Wait until `busy` returns False. Raises `InstrumentRefused` after `limit_s`, s."""
         deadline_s = self._clock.now_s() + limit_s
         while busy():
             if self._clock.now_s() > deadline_s:
@@ -238,9 +239,9 @@ class Mover:
             )
 
     def _go(self, start_rad: float, target_rad: float, settle_s: float) -> float:
-        """Move, wait for the window, return the last angle read.
+        """Move, wait until the angle has stayed within tolerance for `settle_s`, and return the last angle read.
 
-        Raises `WentAstray` at the first sample that shows it, `InstrumentRefused` when it stalls or is too late.
+        Raises `WentAstray`, and `InstrumentRefused` if the head stalls or does not arrive in time.
         """
         limit_s = self._travel.time_limit_s(target_rad - start_rad)
         begun_s = self._clock.now_s()
@@ -282,10 +283,10 @@ class Mover:
 
 
 class MotorisedHead(ABC):
-    """The base of the heads with a controller, a `DividingHead` whose `Axis` the make gives.
+    """The base class of heads with a controller: a `DividingHead` whose subclass implements the `Axis`.
 
-    A make says how its controller is proved and what the verbs of an axis are; `write_gap_s` is how long it
-    wants to be left alone after a command without reply. How its lines end is the session's.
+    A subclass also verifies its controller (`_prove`). `write_gap_s` is the pause that the controller needs after
+    a command without reply. The session knows the line termination.
     """
 
     def __init__(
@@ -306,7 +307,7 @@ class MotorisedHead(ABC):
         self._identity = identity
 
     def open(self) -> Identity:
-        """Connect and prove the controller; nothing moves.
+        """Connect and verify the controller; nothing moves.
 
         Raises `InstrumentLost`, `BadReading`, `InstrumentRefused`.
         """
@@ -314,7 +315,7 @@ class MotorisedHead(ABC):
         return self._identity
 
     def close(self) -> str:
-        """Stop and let the head go; return what a person must still do. Never raises, may be called twice."""
+        """Stop the head and disconnect; return what a person must still do. Never raises, may be called twice."""
         attempts = Attempts()
         if self._session.opened:
             attempts.make(SEE_IT_STANDS, self.stop)
@@ -323,22 +324,22 @@ class MotorisedHead(ABC):
         return attempts.end()
 
     def move(self, target_rad: float, direction: Direction, key: str) -> HeadPosition:
-        """Turn to `target_rad` from the demanded side; return the angle read back.
+        """Turn to `target_rad` in the requested direction; return the angle read back.
 
-        Raises `LimitExceeded` before anything is sent, `WentAstray` for a head that leaves its limits or its way,
-        `InstrumentRefused` for what the controller reports or refuses or a head that stalls or does not arrive,
+        Raises `LimitExceeded` before anything is sent; `WentAstray` if the head leaves its limits or moves away
+        from its target; `InstrumentRefused` if it stalls, does not arrive, or the controller reports an error;
         `InstrumentLost`, `BadReading`. The motion is stopped then.
         """
         return self._mover.move(target_rad, direction)
 
-    # --- what a make says ---------------------------------------------------------------------------
+    # --- implemented by each make -------------------------------------------------------------------
 
     @abstractmethod
     def _prove(self) -> None:
-        """Identify the controller, prove its settings and set `_identity`. Raises `InstrumentRefused`."""
+        """Identify the controller, verify its settings and set `_identity`. Raises `InstrumentRefused`."""
 
     def _release(self, attempts: Attempts) -> None:  # noqa: B027 - most need nothing more
-        """Leave the head safe, which was told to stop just now; each command is an attempt of its own."""
+        """Make the stopped head safe before the connection closes, one attempt per command."""
 
     @abstractmethod
     def prepare(self) -> None:
@@ -354,8 +355,8 @@ class MotorisedHead(ABC):
 
     @abstractmethod
     def moving(self) -> bool:
-        """Whether the axis moves. Raises `InstrumentRefused` for what keeps it from arriving."""
+        """Return whether the axis is moving. Raises `InstrumentRefused` for a fault that keeps it from arriving."""
 
     @abstractmethod
     def stop(self) -> None:
-        """Stop the motion where it is. Raises `BenchError` where that is not confirmed."""
+        """Stop the axis at once. Raises `BenchError` if the stop is not confirmed."""

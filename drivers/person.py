@@ -1,17 +1,21 @@
-"""Prompts to a person as values, to be shown in a terminal or on a page, or answered by a program."""
+"""Prompts to a person as values, for display in a terminal or on a page, or for a program to answer."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Final, Literal, NotRequired, Protocol, TypedDict, TypeVar, runtime_checkable
+from typing import TYPE_CHECKING, Final, Literal, NotRequired, Protocol, TypedDict, TypeVar, runtime_checkable
 
 from drivers.interfaces import Direction, LevelAxis
 
+if TYPE_CHECKING:
+    from drivers.clock import Clock
+
 
 class PromptKind(StrEnum):
-    """What sort of answer a prompt wants."""
+    """The kind of answer that a prompt expects."""
 
     CONFIRM = "confirm"
     CHOOSE = "choose"
@@ -20,7 +24,7 @@ class PromptKind(StrEnum):
 
 
 class MountBlock(TypedDict):
-    """Mount the block in an installation; `series` numbers the visits to it from 1."""
+    """Mount the block in `installation`; `series` numbers the mountings in this installation, from 1."""
 
     do: Literal["mount"]
     installation: str
@@ -28,23 +32,28 @@ class MountBlock(TypedDict):
 
 
 class TurnHead(TypedDict):
-    """Turn the head and read its scale; where it is stated, what is read may be `tolerance_rad` off the target."""
+    """Turn the head and read its scale; the reading may differ from the target by `tolerance_rad`, if given."""
 
     do: Literal["turn"]
     target_rad: float
     direction: Direction
     tolerance_rad: NotRequired[float]
+    read_by: NotRequired[Literal["encoder"]]
+    """An encoder reads the angle: the head is to come to it from `backoff_rad` away."""
+    backoff_rad: NotRequired[float]
+    hands_free: NotRequired[bool]
+    """The encoder answers in the person's place, once the head stands at the target."""
 
 
 class SetChamber(TypedDict):
-    """Set the chamber."""
+    """Set the chamber to `target_c`, °C."""
 
     do: Literal["set_temperature"]
     target_c: float
 
 
 class SwitchInputs(TypedDict):
-    """Switch the inputs of all voltmeters."""
+    """Switch the inputs of all voltmeters to `source`; `reference_v` is the voltage of a reference."""
 
     do: Literal["select_input"]
     source: Literal["signal", "short", "reference"]
@@ -67,7 +76,7 @@ class SwitchSupply(TypedDict):
 
 
 class ReadSupply(TypedDict):
-    """Read the display of the power supply: whether an output is on, what it is set to (V, A), what it gives."""
+    """Read from the supply's display whether an output is on, a setting, or the measured voltage or current."""
 
     do: Literal["read_supply"]
     output: str
@@ -90,7 +99,10 @@ class PlaceLevel(TypedDict):
 
 
 class ReadLevel(TypedDict):
-    """Put a level on the platform along the shaft or across it, and read its bubble, on ± `most_divisions`."""
+    """Put a level on the platform, along the shaft or across it, and read its bubble.
+
+    One division is `division_rad`; the scale ends at ± `most_divisions`. `turned`: turn the level by half a turn.
+    """
 
     do: Literal["read_level"]
     axis: LevelAxis
@@ -100,7 +112,7 @@ class ReadLevel(TypedDict):
 
 
 class LevelPlatform(TypedDict):
-    """Level the platform, before the block is mounted in an installation for the `series`-th time."""
+    """Level the platform before the block is mounted in `installation`, for visit number `series`."""
 
     do: Literal["level_platform"]
     installation: str
@@ -108,7 +120,7 @@ class LevelPlatform(TypedDict):
 
 
 class Say(TypedDict):
-    """Read the chamber's thermometer, answer, see that the way is clear, or wait: nothing is changed."""
+    """A task that changes nothing: read the chamber's thermometer, answer, wait, or see that the way is clear."""
 
     do: Literal["read_temperature", "answer", "ask", "wait", "stand_clear"]
 
@@ -127,16 +139,16 @@ Action = (
     | LevelPlatform
     | Say
 )
-"""The task of a prompt, for a program in place of a person."""
+"""The task of a prompt in machine-readable form, for a program that answers in place of a person."""
 
 
 @dataclass(frozen=True, slots=True)
 class Prompt:
-    """A question as a value: it can be shown in a terminal, on a page, or answered by a script.
+    """A question as a value: it can be shown in a terminal or on a page, or answered by a script.
 
-    `id` names the step and the attempt that ask ("12/turn#1"); an answer to another id is stale.
-    `default` is what an empty answer means; a prompt without one cannot be answered in a dry run
-    except by the scripted operator.
+    `id` names the step and the attempt ("12/turn#1"); an answer to another id is stale.
+    `default` is the meaning of an empty answer. In a dry run, only the scripted operator can answer a prompt
+    without a default.
     """
 
     id: str
@@ -153,38 +165,92 @@ class Prompt:
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """What the person said to the prompt of that `id`; the text as typed."""
+    """The answer to the prompt with the id `prompt_id`; `text` as typed."""
 
     prompt_id: str
     text: str
 
 
 class Person(Protocol):
-    """The interface to the person who is asked: a terminal, a panel, a scripted operator."""
+    """The interface to the person who answers prompts: a terminal, a panel, a scripted operator."""
 
     def ask(self, prompt: Prompt) -> Answer:
-        """Put the prompt and wait for the answer.
-
-        Raises `NoAnswer` when there is nobody (left) to answer.
-        """
+        """Show the prompt and wait for the answer. Raises `NoAnswer` if nobody can answer."""
 
 
 @runtime_checkable
 class WatchingPerson(Protocol):
-    """A `Person` with whom something can be watched while a question waits.
+    """A `Person` that calls `meanwhile` while a question waits for its answer.
 
-    Where `meanwhile` is set it is called again and again until the answer is there, at least every 10 s of bench
-    time, in the thread that asks; what it raises is raised by `ask`.
+    If set, `meanwhile` is called at least every 10 s of bench time, in the thread that called `ask`.
+    `ask` propagates its exceptions.
     """
 
     meanwhile: Callable[[], None] | None
 
     def ask(self, prompt: Prompt) -> Answer:
-        """Put the prompt and wait for the answer, as a `Person`."""
+        """Show the prompt and wait for the answer, as `Person.ask`."""
+
+
+class AnsweredByInstrument(Exception):
+    """A question needs no person any more: `meanwhile` raises it, and `ask` passes it on.
+
+    `by` is who answers ("encoder"), `text` the answer. A `problem` is a sentence why it is none yet.
+    """
+
+    def __init__(self, by: str, text: str, problem: str = "") -> None:
+        super().__init__(text)
+        self.by = by
+        self.text = text
+        self.problem = problem
+
+
+@runtime_checkable
+class _LooksAsTold(Protocol):
+    """A `WatchingPerson` that calls `meanwhile` every `slice_s`, s."""
+
+    slice_s: float
+
+
+@contextmanager
+def watching(person: Person, look: Callable[[], None], every_s: float, clock: Clock) -> Iterator[None]:
+    """Have `look` called while a question to `person` waits, beside what is watched then already.
+
+    It is called every `every_s`, s, where the person can be told so, and never where nothing can be watched.
+    """
+    if not isinstance(person, WatchingPerson):
+        yield
+        return
+    before, told = person.meanwhile, person if isinstance(person, _LooksAsTold) else None
+    before_s = 0.0 if told is None else told.slice_s
+    due_s = clock.now_s()
+
+    def both() -> None:
+        nonlocal due_s
+        if before is not None and clock.now_s() >= due_s:
+            due_s = clock.now_s() + before_s
+            before()
+        look()
+
+    person.meanwhile = both
+    if told is not None:
+        told.slice_s = every_s
+    try:
+        yield
+    finally:
+        person.meanwhile = before
+        if told is not None:
+            told.slice_s = before_s
 
 
 ATTEMPTS: Final = 5
-"""The most attempts of a question."""
+"""How often a question is asked at most."""
+
+APPROACH: Final[dict[Direction, str]] = {
+    1: "approach with the angle rising, from below",
+    -1: "approach with the angle falling, from above",
+}
+"""The side of an approach, as a person is told it."""
 
 _Read = TypeVar("_Read")
 
@@ -196,11 +262,11 @@ def ask_until(
     read: Callable[[str], _Read],
     attempts: int = ATTEMPTS,
 ) -> _Read:
-    """Put a question until its answer can be read; return what `read` makes of it.
+    """Ask a question until `read` accepts the answer; return the value from `read`.
 
-    `question` makes the prompt of its id and of a sentence on what was wrong with the answer before, empty at
-    first; `read` raises `ValueError` with that sentence. Raises `ValueError` with the last one after all
-    `attempts`, `NoAnswer` when there is nobody to ask.
+    `question(id, trouble)` makes the prompt; `trouble` says what was wrong with the last answer, at first "".
+    `read` takes the answer's text and raises `ValueError` with such a sentence. After `attempts` answers the last
+    sentence is raised as `ValueError`; `NoAnswer` is raised if nobody can answer.
     """
     trouble = ""
     for attempt in range(1, attempts + 1):

@@ -1,8 +1,8 @@
-"""The base of the SCPI voltmeters: identify, set and prove, start, fetch into strict readings.
+"""Base class of the SCPI voltmeters: identify, configure and verify, start, fetch strictly parsed readings.
 
-A driver of a model says which identities it takes, which settings it sends and how they read back, and where it
-speaks otherwise than the 34401A's line its words for triggering, readings, errors and remote control; all that
-concerns the wire, a lost connection or a lost power supply stands here once.
+A model's driver states the identities that it accepts, its settings and how they read back. It overrides the
+34401A's commands for triggering, readings, errors and remote control where its own differ. This module handles
+communication, lost connections and power cuts for all models.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ Interface = Literal["lan", "gpib", "rs232"]
 _NUMBER: Final = r"[+-]?\d+(?:\.\d+)?(?:E[+-]?\d+)?"
 IDENTITY: Final = r"([^,]+),([^,]+),([^,]*),([^,]*)"
 _NONE: Final = -1
-"""The number of no connection."""
+"""A number that no connection has."""
 
 # bits of the standard event register, *ESR?
 _POWER_ON: Final = 128
@@ -48,9 +48,9 @@ _PATIENCE: Final = 1.5
 
 @dataclass(frozen=True, slots=True)
 class ProvenSetting:
-    """A command (None: it was set by one before), the question that proves it, and what is to come back.
+    """A command (None if an earlier command made the setting), the query that verifies it, and the expected reply.
 
-    Several values are those of several channels, answered with commas between them.
+    A tuple in `wanted` holds one value per channel; the reply separates them by commas.
     """
 
     command: str | None
@@ -59,38 +59,40 @@ class ProvenSetting:
 
 
 class ScpiVoltmeter(ABC):
-    """The base of the SCPI voltmeters, a `Voltmeter` in all but the model's own commands.
+    """The base class of the SCPI voltmeters: a `Voltmeter` except for the model's own commands.
 
-    `interface` is what the meter is set to, whatever carries it: over RS-232 it must first be told to be
-    remote. `clock` tells how long an RS-232 meter was left alone: after some ten minutes it may have
-    dropped back to local. `line_hz` is the mains frequency, which sets how long a reading takes.
+    `interface` is the one selected at the meter, even behind an adapter; over RS-232 the meter must first be set
+    to remote. `clock` measures how long an RS-232 meter was idle: after some ten minutes it may have
+    dropped back to local. `line_hz` is the mains frequency, which determines how long a reading takes.
     """
 
-    # What a make states of itself; what it leaves out is as of a 34401A.
+    # Overridden by each model; the defaults are those of a 34401A.
     makers: str = line.MAKERS
-    """Pattern of its makers' names."""
+    """Pattern of the makers' names in the identity."""
     models: tuple[str, ...] = ()
     """The names of the accepted models in the identity."""
+    not_live: str = ""
+    """Why it must not be read lightly between readings; empty where it may."""
     called: str = ""
-    """What it is, for whoever has connected another: "a 34401A"."""
+    """The expected meter in the error for a wrong instrument: "a 34401A"."""
     hint: str = ""
-    """What may have to be set for it to be found, where there is such a thing."""
+    """A setting of the meter to check if it is not found, if any."""
     start_command: str = "INIT"
     fetch_query: str = "FETC?"
     reading: str = line.READING
-    """Pattern of one reading as it is sent, with an example and its length, that of its separator too."""
+    """Pattern of one reading as sent; below, an example and the length in characters with the separator."""
     reading_example: str = line.READING_EXAMPLE
     reading_characters: int = line.READING_CHARACTERS
     overload_v: float = line.OVERLOAD_V
     sample_overhead_s: float = line.SAMPLE_OVERHEAD_S
-    """Overhead of a sample beside its two integrations, s."""
+    """Overhead of a sample in addition to its two integrations, s."""
     error_query: str = "SYST:ERR?"
     error_reply: str = r'([+-]?\d+),"([^"]*)"'
-    """Pattern of an entry of the error queue: its number first, 0 for none."""
+    """Pattern of an entry of the error queue: the number first, 0 for no error."""
     errors_kept: int = line.ERRORS_KEPT
     remote_command: str = "SYST:REM"
     local_command: str = "SYST:LOC"
-    """What an RS-232 meter is told; empty where it has no such command."""
+    """Command that returns an RS-232 meter to local; empty if it has none. `remote_command` is the opposite."""
     self_test_s: float = line.SELF_TEST_S
     stays_remote_s: float = line.STAYS_REMOTE_S
 
@@ -112,11 +114,11 @@ class ScpiVoltmeter(ABC):
         self._line_hz = line_hz
         self._settings: VoltmeterSettings | None = None
         self._connection: int | None = None  # the connection over which the settings were proved
-        self._identified: int | None = None  # the one over which the identity was, None before `open`
+        self._identified: int | None = None  # the connection of the last proved identity, None before `open`
         self._started = False
         self._spoke_s = -math.inf
 
-    # --- what a model says --------------------------------------------------------------------------
+    # --- implemented or overridden by each model ----------------------------------------------------
 
     @property
     @abstractmethod
@@ -125,10 +127,10 @@ class ScpiVoltmeter(ABC):
 
     @abstractmethod
     def _setup(self, settings: VoltmeterSettings) -> Sequence[ProvenSetting]:
-        """Return what is sent to take such readings, in order."""
+        """Return the commands for these settings with their verifying queries, in order."""
 
     def _accept(self, identity: Identity, reply: str) -> None:
-        """Raise `InstrumentRefused` unless the identity, as in the reply, is of this driver's models."""
+        """Raise `InstrumentRefused` with the `reply` to *IDN? unless this driver supports the identity."""
         if identity.model in self.models and re.fullmatch(self.makers, identity.maker, re.IGNORECASE):
             return
         raise InstrumentRefused(
@@ -138,19 +140,20 @@ class ScpiVoltmeter(ABC):
         )
 
     def reading_time_s(self, settings: VoltmeterSettings, character_time_s: float = 0.0) -> float:
-        """Return the time from the start until the last character of the readings has come, s.
+        """Return the time from the start until the last character of the readings has arrived, s.
 
-        Autozero takes a second integration for each sample; `character_time_s` is that of a slow line.
+        Autozero adds a second integration to each sample. `character_time_s` is the time per character on a
+        serial line.
         """
         sample_s = 2.0 * settings.nplc / self._line_hz + self.sample_overhead_s
         return settings.samples * len(self.channels) * (sample_s + self.reading_characters * character_time_s)
 
-    # --- the verbs of a voltmeter -------------------------------------------------------------------
+    # --- methods of `Voltmeter` ---------------------------------------------------------------------
 
     def open(self) -> Identity:
-        """Connect, prove the identity by pattern (the serial number is 0 or not), empty the error queue.
+        """Connect, verify and return the identity, and clear the error queue.
 
-        Raises `InstrumentLost`, `BadReading`, `InstrumentRefused` for another instrument.
+        Raises `InstrumentLost`, `BadReading`, and `InstrumentRefused` for another instrument.
         """
         self._identified = _NONE
         self._connection = None
@@ -166,9 +169,9 @@ class ScpiVoltmeter(ABC):
         return identity
 
     def configure(self, settings: VoltmeterSettings) -> None:
-        """Send the settings, read each back and ask for errors; over a new connection prove the identity first.
+        """Send the settings, read each back and query errors; over a new connection verify the identity first.
 
-        Raises `LimitExceeded` before anything is sent, `InstrumentRefused` with all that differs,
+        Raises `LimitExceeded` before anything is sent, `InstrumentRefused` with all differences,
         `InstrumentLost`, `BadReading`.
         """
         if wrong := self.limits.transgressions(settings):
@@ -176,7 +179,7 @@ class ScpiVoltmeter(ABC):
         self._connection = None
         opened = self._identified is not None
         if opened and self._identified != self._session.connection:
-            self.open()  # which also forgets the errors and events of what failed before
+            self.open()  # also clears errors and events left by the failed connection
         elif self._started:
             self._discard()
         self._be_remote()
@@ -189,11 +192,11 @@ class ScpiVoltmeter(ABC):
         self._connection = self._session.connection
 
     def start(self) -> None:
-        """Begin a reading; over a connection that was made anew, prove identity and settings first.
+        """Start a reading; over a new connection verify identity and settings first.
 
-        One that was begun and never fetched (because another meter failed) is waited for: a meter that
-        still measures ignores a new start.
-        Raises what `open` and `configure` raise, `InstrumentRefused` when nothing was configured yet.
+        A reading that was started but never fetched (because another meter failed) is awaited and discarded
+        first: a meter that is still measuring ignores a new start.
+        Raises the errors of `open` and `configure`, and `InstrumentRefused` before the first `configure`.
         """
         if self._settings is None:
             raise InstrumentRefused(
@@ -212,8 +215,8 @@ class ScpiVoltmeter(ABC):
     def fetch(self) -> dict[Channel, tuple[float, ...]]:
         """Wait for the reading; return its samples in volts, `{"x": (1.2, …)}`.
 
-        Raises `BadReading` for an overload, another form or number of samples, or a reading that was not
-        started over this connection; `InstrumentLost`, also when the meter was switched off meanwhile;
+        Raises `BadReading` for an overload, a wrong format or number of samples, or a reading that was not
+        started over this connection; `InstrumentLost`, also if the meter lost power since it was configured;
         `InstrumentRefused` for errors that the meter reports.
         """
         settings = self._settings
@@ -224,7 +227,7 @@ class ScpiVoltmeter(ABC):
         reply = self._fetch(settings)
         self._refuse_interruption()
         values = tuple(float(text) for text in reply.rstrip(",").split(","))
-        # A scan reads all channels once: their samples stand interleaved.
+        # A scan reads every channel once, so the samples of the channels are interleaved.
         signals = {
             channel: values[index :: len(self.channels)] for index, channel in enumerate(self.channels)
         }
@@ -233,17 +236,17 @@ class ScpiVoltmeter(ABC):
         return signals
 
     def disturbed(self) -> None:
-        """Take note that somebody else used the meter: it is proved and set up again before the next reading."""
+        """Note that somebody else used the meter, so that it is verified and configured before the next reading."""
         self._connection = None
         self._started = False
 
     def self_test(self) -> str:
-        """Have the meter test itself (*TST?, some 10 s on a 34401A); return the errors found, "" for none.
+        """Run the self-test (*TST?, some 10 s on a 34401A); return the errors found, "" for none.
 
         A signal at the input may disturb the test. Raises `InstrumentLost`, `BadReading`.
         """
         self._be_remote()
-        self._connection = None  # the settings are not relied on after a test
+        self._connection = None  # the settings may be lost in a test: configure again
         self._started = False
         reply = self._session.query(
             "*TST?",
@@ -256,7 +259,7 @@ class ScpiVoltmeter(ABC):
         return "" if int(reply) == 0 else ", ".join([f"*TST? answers {reply}", *errors])
 
     def _fetch(self, settings: VoltmeterSettings) -> str:
-        """Wait for the reading that was started; return it as it was sent."""
+        """Wait for the reading that was started; return the raw reply."""
         self._started = False
         readings = settings.samples * len(self.channels)
         character_s = self._session.serial.character_time_s if self._interface == "rs232" else 0.0
@@ -274,7 +277,7 @@ class ScpiVoltmeter(ABC):
             self._fetch(self._settings)
 
     def close(self) -> str:
-        """Leave the meter in local and let it go; return what a person must still do. Never raises."""
+        """Return the meter to local and disconnect; return what a person must still do. Never raises."""
         attempts = Attempts()
         if self._interface == "rs232" and self.local_command and self._session.connection is not None:
             attempts.make(STAYS_REMOTE, partial(self._session.write, self.local_command))
@@ -286,15 +289,15 @@ class ScpiVoltmeter(ABC):
     # --- settings, errors ---------------------------------------------------------------------------
 
     def _be_remote(self) -> None:
-        """Over RS-232 the meter takes commands only in remote; by any other interface it is so by itself."""
+        """Set an RS-232 meter to remote, which it needs to accept commands; other interfaces do so themselves."""
         if self._interface == "rs232" and self.remote_command:
             self._session.write(self.remote_command)
         self._spoke_s = self._clock.now_s()
 
     def _set(self, setting: ProvenSetting) -> list[str]:
-        """Send a command, if any, and return how what is read back differs, as none or one phrase.
+        """Send a command, if any, and query the setting; return a phrase on the difference, or an empty list.
 
-        Asking after each command also keeps an RS-232 meter's input buffer of 100 characters from filling.
+        A query after each command also keeps an RS-232 meter's 100-character input buffer from overflowing.
         """
         if setting.command is not None:
             self._session.write(setting.command)
@@ -345,9 +348,9 @@ class ScpiVoltmeter(ABC):
             )
 
     def _refuse_interruption(self) -> None:
-        """Refuse a reading that came from a meter which lost its settings, or reports errors.
+        """Raise `InstrumentLost` if the meter lost power since configured, `InstrumentRefused` if it has errors.
 
-        On GPIB and RS-232 the connection outlives the meter's power: only its event register tells.
+        On GPIB and RS-232 the connection survives a power cut of the meter: only the event register shows it.
         """
         reply = self._session.query("*ESR?", pattern=r"[+-]?\d{1,3}", expected="a register of 0 to 255")
         events = int(reply)

@@ -1,4 +1,4 @@
-"""The base of supplies with a wire: limits first, every setting proved, outputs that are on unchanged."""
+"""Base class of remote-controlled supplies: limits checked first, settings read back, live outputs not changed."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ NUMBER: Final = r"[+-]?\d{1,3}(?:\.\d{1,8})?(?:E[+-]\d{1,3})?"
 """The pattern of a voltage or current in replies of supplies."""
 
 SWITCHING_S: Final = 0.5
-"""Pause after switching, s: the in-rush of the unit ends, an output without load discharges."""
+"""Pause after switching, s: the unit's in-rush current decays, an output without load discharges."""
 
 _ERRORS_ASKED: Final = 32
 """The most errors to read from a queue: more than any queue holds."""
 
 
 class WiredSupply(ABC):
-    """The base of the supplies with a wire, a `PowerSupply`.
+    """The base class of remote-controlled supplies, a `PowerSupply`.
 
-    A make says how it is proved, how its outputs are read, set and switched. `limits` are those of the model.
+    A subclass verifies the identity and reads, sets and switches the outputs. `limits` are those of the model.
     """
 
     asks_person = False
@@ -52,7 +52,7 @@ class WiredSupply(ABC):
         self._set: dict[str, OutputSettings] = {}
 
     def open(self) -> Identity:
-        """Connect and prove the identity; the outputs stay as they are.
+        """Connect and verify the identity; the outputs stay as they are.
 
         Raises `InstrumentLost`, `BadReading`, `InstrumentRefused`.
         """
@@ -60,9 +60,9 @@ class WiredSupply(ABC):
         return self._identity
 
     def close(self) -> str:
-        """Give the front panel back and let the supply go; its outputs stay as they are. Never raises.
+        """Return the front panel to local control and disconnect; the outputs stay as they are. Never raises.
 
-        Returns what a person must still do.
+        Returns what a person must still do, an empty string for nothing.
         """
         attempts = Attempts()
         if self._session.opened and self._wire.connection is not None:
@@ -71,15 +71,15 @@ class WiredSupply(ABC):
         return attempts.end()
 
     def state(self, key: str) -> dict[str, OutputState]:
-        """Return how every output is now. Raises `InstrumentLost`, `BadReading`, `InstrumentRefused`."""
+        """Return the state of every output. Raises `InstrumentLost`, `BadReading`, `InstrumentRefused`."""
         return self._states()
 
     def set_up(self, settings: Mapping[str, OutputSettings], key: str) -> None:
         """Set outputs that are off, protections first, and read everything back.
 
-        Raises `LimitExceeded` before anything is sent; `SetOtherwise` for outputs that are on and set otherwise,
-        before anything is changed; `InstrumentRefused` for a protection that has tripped, what keeps the supply
-        from being set, a setting not taken; `InstrumentLost`, `BadReading`.
+        Raises `LimitExceeded` before anything is sent; `SetOtherwise`, before anything is changed, if an output is
+        on with other settings; `InstrumentRefused` for a tripped protection, a supply that is not ready, or a
+        setting not applied; `InstrumentLost`, `BadReading`.
         """
         if wrong := self._limits.transgressions(settings):
             raise LimitExceeded(
@@ -103,10 +103,10 @@ class WiredSupply(ABC):
         self._set = dict(settings)
 
     def switch(self, output: str, on: bool, key: str) -> None:
-        """Switch an output, with it all others where the supply has one switch; read it and its settings back.
+        """Switch an output (all outputs, if they share one switch) and read the states back.
 
-        Raises `InstrumentRefused` for what was not set up, is set otherwise by now, was not taken or has tripped,
-        and for another output that was switched with it; `InstrumentLost`, `BadReading`.
+        Raises `InstrumentRefused` if the output was not set up, no longer has its settings, did not switch or has
+        tripped, or if another output with a switch of its own changed, too; `InstrumentLost`, `BadReading`.
         """
         before = self._states()
         if on:
@@ -133,9 +133,9 @@ class WiredSupply(ABC):
         self._refuse_troubles(errors)
 
     def switch_all_off(self) -> str:
-        """Switch every output off and read it back; nothing is left for a person to do.
+        """Switch every output off and read it back; return an empty string, as nothing is left for a person to do.
 
-        Raises `InstrumentRefused` for one that stays on, `InstrumentLost`, `BadReading`.
+        Raises `InstrumentRefused` if an output stays on, `InstrumentLost`, `BadReading`.
         """
         self._switch_all_off()
         if on := [output for output, state in self._states().items() if state.on]:
@@ -144,7 +144,7 @@ class WiredSupply(ABC):
             )
         return ""
 
-    # --- what is refused ----------------------------------------------------------------------------
+    # --- refusals -----------------------------------------------------------------------------------
 
     def _refuse_tripped(
         self, states: Mapping[str, OutputState], outputs: Sequence[str] | Mapping[str, object]
@@ -157,7 +157,7 @@ class WiredSupply(ABC):
             )
 
     def _refuse_not_set_up(self, output: str, states: Mapping[str, OutputState]) -> None:
-        """Raise `InstrumentRefused` for an output with other settings than set up, as after a power cut."""
+        """Raise `InstrumentRefused` if the output was never set up, or lost its settings as after a power cut."""
         if output not in self._set:
             raise InstrumentRefused(
                 self.name, f"its output {output} was not set up", "set it up before it is switched on"
@@ -191,7 +191,7 @@ class WiredSupply(ABC):
         for difference in self._limits.outputs[output].differences(shown, wanted):
             yield f"on its output {output} {difference}"
 
-    # --- what a make says ---------------------------------------------------------------------------
+    # --- implemented by each make -------------------------------------------------------------------
 
     @abstractmethod
     def _prove(self) -> None:
@@ -204,7 +204,7 @@ class WiredSupply(ABC):
     def _refuse_unready(  # noqa: B027 - most have nothing of the kind
         self, states: Mapping[str, OutputState], settings: Mapping[str, OutputSettings]
     ) -> None:
-        """Raise what keeps the supply from being set so, such as outputs that follow each other."""
+        """Raise an error if the supply's mode forbids these settings, such as outputs that track each other."""
 
     @abstractmethod
     def _apply(self, output: str, wanted: OutputSettings) -> None:
@@ -219,16 +219,19 @@ class WiredSupply(ABC):
         """Send the command that switches all outputs off."""
 
     def _errors(self) -> list[str]:
-        """Return the errors that the supply reports, and forget them there."""
+        """Return the errors that the supply reports, and clear them in the supply."""
         return []
 
     def _go_to_local(self) -> None:  # noqa: B027 - most need no command
-        """Give the front panel back, where that takes a command."""
+        """Return the front panel to local control, if that takes a command."""
 
     # --- for makes ----------------------------------------------------------------------------------
 
     def _identify(self, makers: str, models: Sequence[str], called: str) -> None:
-        """Ask *IDN? and set the identity. Raises `InstrumentRefused` for another instrument."""
+        """Query *IDN? and set the identity. Raises `InstrumentRefused` for another instrument.
+
+        `makers` is the pattern of the maker's name; `called` names the expected supply in the error.
+        """
         reply = self._session.ask("*IDN?", r"([^,]+),([^,]+),([^,]*),([^,]*)", "an identity of four fields")
         maker, model, serial, firmware = (part.strip() for part in reply.split(","))
         if model not in models or re.fullmatch(makers, maker, re.IGNORECASE) is None:

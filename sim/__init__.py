@@ -1,1 +1,1 @@
-"""The simulated bench: one physical world, and instruments that look at it over real wires."""
+"""The simulated bench: one physical world, and instruments that observe it, served over real wires."""

@@ -1,6 +1,7 @@
 """A simulated rate table with an ACUTROL controller, on the head of the world.
 
-A command's words may be shortened (`:M:P 1`); each is answered with eight characters and OK, ERR or a number.
+The words of a command may be abbreviated (`:M:P 1`). Each reply is an eight-character prefix with OK, ERR or a
+number.
 Source: the public ACUTROL client of the maker's robotics group, and its GPIB twin.
 """
 
@@ -27,18 +28,17 @@ _WORDS: Final = {
     "read": ("position", "rate"),
 }
 _FAR_RAD: Final = 1e4
-"""Where a table at a constant rate is sent: so far that nobody waits for it to arrive."""
+"""The target of a table at a constant rate: so far away that it is never reached."""
 
 
 class _Refused(Exception):
-    """A command that is answered with ERR."""
+    """A refused command, answered with ERR."""
 
 
 class AcutrolTable(PlainDialect):
-    """One axis. The interlock must be closed before it takes a mode, and its position mode moves it at once.
+    """One axis. A mode requires a closed interlock; the position mode starts to move at once.
 
-    `speed_deg_s` is the rate limit of the position mode; a demand that was sent before holds when the mode
-    is entered.
+    `speed_deg_s` is the rate limit of the position mode. A demand sent before its mode is entered is kept for it.
     """
 
     def __init__(self, world: World, *, speed_deg_s: float = 10.0, axis: int = 1) -> None:
@@ -49,10 +49,10 @@ class AcutrolTable(PlainDialect):
         self._mode = "off"
         self._demand_deg = {"position": 0.0, "rate": 0.0, "acceleration": 0.0}
 
-    # --- what the wire and the bench do -------------------------------------------------------------
+    # --- called by the wire and the bench -----------------------------------------------------------
 
     def handle(self, message: bytes, interrupted: Callable[[], bool]) -> bytes | None:
-        """Answer one line; of several commands joined by `;` the last answer is sent."""
+        """Answer one line; for several commands joined by `;` the reply is the last answer."""
         answer = ""
         for part in message.decode("ascii", "replace").split(";"):
             try:
@@ -63,7 +63,7 @@ class AcutrolTable(PlainDialect):
         return f"{_PREFIX}{answer}".encode("ascii")
 
     def power_cycle(self) -> None:
-        """Switch off and on, or press the emergency stop: the interlock opens and the table stands."""
+        """Switch off and on, or press the emergency stop: the interlock opens and the table stops."""
         self._world.stop_head()
         self._interlock, self._mode = "open", "off"
         self._demand_deg = dict.fromkeys(self._demand_deg, 0.0)
@@ -116,7 +116,7 @@ class AcutrolTable(PlainDialect):
             self._follow()
 
     def _follow(self) -> None:
-        """Turn as the demand of the present mode wants it."""
+        """Start the motion for the demand of the present mode."""
         if self._mode == "position":
             self._world.move_head(math.radians(self._demand_deg["position"]), self._speed_rad_s)
             return
@@ -126,7 +126,7 @@ class AcutrolTable(PlainDialect):
             self._world.move_head(math.copysign(_FAR_RAD, rate_rad_s), abs(rate_rad_s))
 
     def _set_interlock(self, verb: str) -> None:
-        """Open, reset, close: it closes only when it was reset since it opened."""
+        """Carry out open, reset or close; closing is refused unless the interlock was reset since it opened."""
         if verb == "close" and self._interlock == "open":
             raise _Refused
         if verb == "open":
@@ -136,7 +136,7 @@ class AcutrolTable(PlainDialect):
 
 
 def _full(word: str, known: tuple[str, ...]) -> str:
-    """Return the word that this one shortens."""
+    """Return the first known word that `word` abbreviates. Raises `_Refused` if there is none."""
     for full in known:
         if full.startswith(word.lower()):
             return full

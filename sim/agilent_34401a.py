@@ -1,8 +1,8 @@
 """A simulated HP/Agilent 34401A multimeter on one channel of the world.
 
-It answers what drivers and other people's clients ask. Every function can be set, read back and measured, with
-readings as of a meter that has nothing but a DC voltage at its terminals. Of the math operations it has the
-average, which leaves readings as they are; it has no calibration, and nothing gives an external trigger.
+It accepts the commands of drivers and other clients. Every function can be set, queried and measured; readings are
+those of a meter with only a DC voltage at its terminals. Of the math operations it has only the average, which
+does not change readings. Calibration and the external trigger are not simulated.
 Source: 34401A User's Guide (34401-90004), chapters 3-5; chapter 8, specifications.
 """
 
@@ -91,10 +91,10 @@ def _default_settings(function: Function) -> FunctionSettings:
 
 
 class Configuration:
-    """Everything about what is measured and how; `on_change` is called after a command changed it.
+    """The measurement settings of the meter; `on_change` is called after a command changed them.
 
-    Numbers that are not in a list are set to the accepted one that still does what was asked: the range
-    and the integration above, the detector's bandwidth below, a resolution at least as fine.
+    A number between accepted values is replaced by the accepted value that still meets the request: the next
+    higher range or integration time, the next lower detector bandwidth, a resolution at least as fine.
     """
 
     def __init__(self, on_change: Callable[[], None]) -> None:
@@ -102,7 +102,7 @@ class Configuration:
         self.preset()
 
     def preset(self) -> None:
-        """Set what *RST sets."""
+        """Set the defaults of *RST."""
         self.function = FUNCTIONS["VOLT"]
         self.by_function = {name: _default_settings(function) for name, function in FUNCTIONS.items()}
         self.autozero = True
@@ -111,19 +111,19 @@ class Configuration:
 
     @property
     def settings(self) -> FunctionSettings:
-        """The settings of the function that is selected; the ratio is measured with those of DC volts."""
+        """The settings of the selected function; the ratio uses those of DC volts."""
         return self.by_function[self.function.settings_of or self.function.name]
 
     @property
     def nplc(self) -> float:
-        """Integration of the selected function in power-line cycles (its gate time where it counts)."""
+        """The integration time of the selected function in power-line cycles, or its gate time in s."""
         return self.function.integration[self.settings.resolution]
 
     def configure(self, function: Function, range_value: Value = DEF, resolution: Value = DEF) -> None:
-        """CONFigure: select a function with range and resolution, and preset the rest.
+        """CONFigure: select a function with range and resolution, and preset the other settings.
 
-        Raises `ScpiError` -222 for a range that there is not, 532 for too fine a resolution, -221 for a
-        number as resolution where the range is left to autorange; nothing is changed then.
+        Raises `ScpiError` -222 for an invalid range, 532 for too fine a resolution, -221 for a numeric resolution
+        with autorange; the settings then stay unchanged.
         """
         fresh = _default_settings(function)
         if function.expected:
@@ -154,7 +154,7 @@ class Configuration:
         return quoted(f"{function.name} {full_scale:+.6E},{full_scale * settings.resolution:+.6E}")
 
     def commands(self) -> list[Command]:
-        """Return the lines of the command table that set and read the configuration."""
+        """Return the commands and queries of the configuration."""
         bandwidths = (_BANDWIDTHS_HZ[0], _BANDWIDTHS_HZ[-1])
         lines = [
             Command("CONFigure?", self.description),
@@ -172,11 +172,11 @@ class Configuration:
         return lines
 
     def autozero_lines(self, notation: str) -> list[Command]:
-        """Return command and query of autozero; ONCE takes one zero reading and then leaves it off."""
+        """Return the command and the query of autozero; ONCE takes one zero reading and switches autozero off."""
         return switch_lines(notation, lambda: self, "autozero", ("ONCE",), self._on_change)
 
     def impedance_lines(self, notation: str) -> list[Command]:
-        """Return command and query of the input's high impedance."""
+        """Return the command and the query of the high input impedance."""
         return switch_lines(notation, lambda: self, "high_impedance")
 
     def _range_lines(self, function: Function) -> list[Command]:
@@ -255,11 +255,11 @@ _INFINITE: Final = "9.90000000E+37"
 
 
 class Trigger(MeasuringCycle):
-    """Trigger settings, the measurement under way, and the memory.
+    """The trigger settings, the measurement in progress, and the memory.
 
-    Idle, INITiate or READ?, wait for a trigger, delay, sample. `on_overload` is called for each reading outside
-    the range, `interrupted` tells whether a device clear has come in. A later model has a memory of its own
-    depth, which keeps the latest readings, those of READ? as well.
+    The states are idle, INITiate or READ?, wait for a trigger, delay, sample. `on_overload` is called for each
+    reading outside the range; `interrupted` returns whether a device clear has arrived. A subclass for a later
+    model may have a larger memory that keeps the latest readings, including those of READ? (`keeps_latest`).
     """
 
     memory_depth = facts.MEMORY_READINGS
@@ -281,7 +281,7 @@ class Trigger(MeasuringCycle):
         super().__init__(clock, interrupted)
 
     def preset(self) -> None:
-        """Set what *RST, CONFigure and MEASure set: one immediate trigger, one sample, automatic delay."""
+        """Set the defaults of *RST, CONFigure and MEASure: one immediate trigger, one sample, automatic delay."""
         self.source = "IMM"
         self.stated_delay_s: float | None = None
         self.trigger_count: float = 1
@@ -291,19 +291,19 @@ class Trigger(MeasuringCycle):
         self.averaged: list[float] = []
 
     def abort(self) -> None:
-        """Go to idle and forget what is stored or under way."""
+        """Become idle; discard stored readings and the measurement in progress."""
         super().abort()
         self._times_s = []
 
     def stop_waiting(self) -> None:
-        """Return to idle when waiting for a trigger: the measurement that was asked for is no longer set."""
+        """Return from waiting for a trigger to idle, because a setting of the measurement has changed."""
         if self.state is TriggerState.WAITING:
             self.state = TriggerState.IDLE
 
     def initiate(self) -> None:
         """INITiate: start a measurement into memory.
 
-        Raises `ScpiError` -213 when one is under way, 531 when the memory is too small, 522 as `read`.
+        Raises `ScpiError` -213 if one is in progress, 531 if the memory is too small, 522 as `read`.
         """
         self._require_idle()
         readings = self.trigger_count * self.sample_count
@@ -312,11 +312,11 @@ class Trigger(MeasuringCycle):
         self._begin(keeps=self.stores)
 
     def read(self) -> str | None:
-        """READ?: measure and return the readings, which are not stored.
+        """READ?: measure and return the readings without storing them.
 
-        With an external trigger no reply comes, and the meter waits until a device clear. Raises `ScpiError`
-        -213 when a measurement is under way, -214 when only a command could give the trigger, 522 for more
-        readings than the largest sample count (or endlessly many), which this simulation does not send.
+        With an external trigger there is no reply, and the meter waits until a device clear. Raises `ScpiError`
+        -213 if a measurement is in progress, -214 for the trigger source BUS, 522 for more readings than the
+        largest sample count, which this simulation does not support.
         """
         self._require_idle()
         if self.source == "BUS":
@@ -332,12 +332,12 @@ class Trigger(MeasuringCycle):
 
     @property
     def delay_s(self) -> float:
-        """From a trigger to the beginning of its sample, s."""
+        """The delay from a trigger to the beginning of its sample, s."""
         stated_s = self.stated_delay_s
         return self._converter.settling_s(self._configuration) if stated_s is None else stated_s
 
     def _schedule(self, triggers: int) -> None:
-        """Fix when the samples of the next triggers are taken: each after its delay, in mid-integration."""
+        """Schedule the samples of the next triggers: each after its delay, at the middle of its integration."""
         start_s, delay_s = self._clock.now_s(), self.delay_s
         step_s = delay_s + self._converter.sample_s(self._configuration)
         middle_s = delay_s + self._converter.integration_s(self._configuration) / 2.0
@@ -346,7 +346,7 @@ class Trigger(MeasuringCycle):
         self._measures_until(start_s + samples * step_s, triggers)
 
     def _taken(self) -> Iterator[str]:
-        """Take the samples that are due: the source knows what the signal was at their times."""
+        """Yield the texts of the scheduled samples, from the signal at their times."""
         for time_s in self._times_s:
             value = self._converter.sample(self._configuration, time_s)
             if abs(value) >= facts.OVERLOAD_V:
@@ -357,7 +357,7 @@ class Trigger(MeasuringCycle):
         self._times_s = []
 
     def commands(self) -> list[Command]:
-        """Return the lines of the command table for triggering, memory and average."""
+        """Return the commands and queries for triggering, memory and average."""
         word = (Number(optional=True),)
         return [
             Command("INITiate[:IMMediate]", self.initiate),
@@ -437,7 +437,7 @@ class Trigger(MeasuringCycle):
         self.stores = feed != ""
 
     def _count(self, value: Value) -> int:
-        """Return a count, rounded; MIN and MAX resolved. Raises `ScpiError` -222 outside 1…`most_readings`."""
+        """Return a count, rounded, with MIN and MAX resolved. Raises `ScpiError` -222 outside 1…`most_readings`."""
         if isinstance(value, str):
             return 1 if value == MIN else self.most_readings
         return math.floor(within(math.floor(value + 0.5), 1, self.most_readings))
@@ -452,16 +452,14 @@ class Trigger(MeasuringCycle):
 
 _ERRORS: Final = {531: "Insufficient memory"}
 _OVERLOAD_BITS: Final = {"V": VOLT_OVERLOAD, "A": 2, "OHM": 512}
-"""Bits of the questionable data register, by the unit of what is measured."""
+"""Bits of the questionable data register, by the unit of the measured quantity."""
 _DISPLAY_WIDTH: Final = 12
 
 
 class Agilent34401A(LineMeter):
-    """The meter: settings, trigger system, status; `source` is what it is wired to, `clock` its time.
+    """The meter: settings, trigger system, status; `source` is the signal that it is wired to, `clock` its time.
 
-    `interface` is as of a `LineMeter`. `noise` False gives exact values: no noise, no rounding to the resolution.
-    `accuracy` "90 days" gives it a gain, an offset and a temperature coefficient of its own within that
-    specification.
+    `interface` is as for `LineMeter`, `noise` and `accuracy` are as for `Converter`.
     """
 
     model = facts.MODELS[0]
@@ -494,16 +492,16 @@ class Agilent34401A(LineMeter):
 
     @property
     def cycle(self) -> Trigger:
-        """Its trigger system."""
+        """The trigger system."""
         return self.trigger
 
     @property
     def converters(self) -> tuple[Converter]:
-        """Its one converter."""
+        """The single converter."""
         return (self._converter,)
 
     def reset(self) -> None:
-        """*RST: DC volts, autorange, 10 PLC, one immediate trigger; errors and masks stay."""
+        """*RST: DC volts, autorange, 10 PLC, one immediate trigger; keep errors and masks."""
         self.trigger.abort()
         self.configuration.preset()
         self.trigger.preset()
@@ -514,7 +512,7 @@ class Agilent34401A(LineMeter):
         self.trigger.stop_waiting()
 
     def _overload(self) -> None:
-        """An overload is seen in the registers only: it is not an error of the queue."""
+        """Report an overload in the status registers; it does not enter the error queue."""
         self.status.questionable |= _OVERLOAD_BITS.get(self.configuration.function.unit, VOLT_OVERLOAD)
         self.status.event |= DEVICE_ERROR
 

@@ -1,8 +1,8 @@
-"""A simulated Aim-TTi PL-P or CPX, whose outputs feed the block of the world. Its dialect is not SCPI.
+"""A simulated Aim-TTi PL-P or CPX supply, whose outputs feed the block of the world. Its dialect is not SCPI.
 
-Commands of a message are separated by semicolons, each reply is a line of its own. What is not carried out is told
-by registers alone: *ESR? and EER?. Simulated is what sets, protects, switches and watches its outputs; of the
-over-current trip only its highest setting, at which nothing trips.
+The commands of a message are separated by semicolons; each reply is a line of its own. A refused command shows
+only in the registers *ESR? and EER?. The simulation covers setting, protecting, switching and monitoring the
+outputs. The over-current trip accepts only its highest setting, at which it never trips.
 Sources: as in the facts; PL & PL-P Series Instruction Manual, "Remote commands".
 """
 
@@ -38,7 +38,7 @@ _ADDRESSES: Final = {"ADDRESS": "11", "IPADDR": "127.0.0.1", "NETMASK": "255.255
 
 
 class _Refused(Exception):
-    """A command that is not carried out: the bit of *ESR?, the number for EER?."""
+    """A refused command, with the bit for *ESR? and the error number for EER? (0: none)."""
 
     def __init__(self, bit: int, number: int = 0) -> None:
         super().__init__(number)
@@ -48,7 +48,7 @@ class _Refused(Exception):
 
 @dataclass(frozen=True)
 class _Command:
-    """A command in its parts: `V1O?` is of the name V, the output 1, the kind O, and asks."""
+    """A parsed command: `V1O?` has name V, output 1, kind O, and is a query (`asks`)."""
 
     name: str
     output: str
@@ -70,7 +70,7 @@ class _Command:
 
 
 class AimTti(PlainDialect):
-    """The supply; `model` is one of those in its facts. A message is ended by LF, a reply by CR LF."""
+    """The supply; `model` is a key of `OUTPUTS` in its facts. Messages end in LF, replies in CR LF."""
 
     line_ends = LineEnds((b"\n",), reply=b"\r\n")
 
@@ -103,10 +103,10 @@ class AimTti(PlainDialect):
             **dict.fromkeys(_ADDRESSES, lambda command: _ADDRESSES[command.name]),
         }  # fmt: skip
 
-    # --- what the wire and the bench do -------------------------------------------------------------
+    # --- called by the wire and the bench -----------------------------------------------------------
 
     def handle(self, message: bytes, interrupted: Callable[[], bool]) -> bytes | None:
-        """Carry out a message; without mains nothing is answered."""
+        """Carry out a message; without mains there is no reply."""
         if not self._outputs.has_mains:
             return None
         units = message.decode("ascii", "replace").upper().split(";")
@@ -116,11 +116,11 @@ class AimTti(PlainDialect):
         return "\r\n".join(lines).encode("ascii") if lines else None
 
     def input_overflow(self) -> None:
-        """Take a line that is too long for a command that it does not know."""
+        """Report a line that was too long as a command error."""
         self._event |= facts.COMMAND_ERROR
 
     def press_local(self) -> None:
-        """Press LOCAL on the front panel: the next command makes it remote again."""
+        """Press LOCAL on the front panel; no effect here, because the next command returns to remote."""
 
     def power_cycle(self) -> None:
         """Switch off and on: settings are kept, all outputs are off."""
@@ -165,7 +165,7 @@ class AimTti(PlainDialect):
     # --- an output ----------------------------------------------------------------------------------
 
     def _voltage(self, command: _Command, stage: OutputPhase) -> str | None:
-        """V1 5, V1V 5 (with verify), V1?, V1O?."""
+        """Set or query the voltage of an output: V1 5, V1V 5 (with verify), V1? (setting), V1O? (measured)."""
         if command.asks and command.kind == "O":
             return f"{self._outputs.shown(command.output).voltage_v:.3f}V"
         if command.asks:
@@ -174,7 +174,7 @@ class AimTti(PlainDialect):
         return None
 
     def _current(self, command: _Command, stage: OutputPhase) -> str | None:
-        """I1 0.5, I1?, I1O?."""
+        """Set or query the current limit of an output: I1 0.5, I1? (setting), I1O? (measured)."""
         if command.asks and command.kind == "O":
             return f"{self._outputs.shown(command.output).current_a:.3f}A"
         if command.asks:
@@ -210,7 +210,7 @@ class AimTti(PlainDialect):
         return None
 
     def _limit_events(self, command: _Command, stage: OutputPhase) -> str:
-        """Answer how an output regulates, and what has tripped since that was last asked."""
+        """Return the regulation mode of an output, or its trip if that was not yet reported."""
         if stage.on:
             self._told_trips.discard(command.output)
             limits = self._outputs.shown(command.output).limiting
@@ -221,7 +221,7 @@ class AimTti(PlainDialect):
         return str(facts.OVER_VOLTAGE if stage.tripped == "voltage" else facts.OVER_CURRENT)
 
     def _range(self, command: _Command, stage: OutputPhase) -> str | None:
-        """IRANGE1 1 is the low range, 2 the high one; not while the output is on."""
+        """Set or query the current range: IRANGE1 1 is low, 2 is high; refused while the output is on."""
         if command.asks:
             return "1" if command.output in self._low_range else "2"
         if command.number not in (1.0, 2.0):
@@ -236,7 +236,7 @@ class AimTti(PlainDialect):
         return None
 
     def _step(self, command: _Command, stage: OutputPhase) -> str | None:
-        """DELTAV1 0.1 sets the step of INCV1 and DECV1."""
+        """Set or query the step of INCV1 and DECV1: DELTAV1 0.1 (likewise for current)."""
         what = command.name[-1]
         if command.asks:
             return (
@@ -295,7 +295,7 @@ class AimTti(PlainDialect):
         self._told_trips.clear()
 
     def _lock(self, command: _Command) -> str:
-        """IFLOCK takes the lock and answers 1, as it does when it is asked whether one has it."""
+        """Take the interface lock (IFLOCK) or query it (IFLOCK?); return "1" if the lock is held."""
         self._locked |= not command.asks
         return str(int(self._locked))
 

@@ -1,4 +1,4 @@
-"""A whole simulated bench: instruments on real wires, coupled by one world and one clock."""
+"""A complete simulated bench: instruments on real wires, coupled by one world and one clock."""
 
 from __future__ import annotations
 
@@ -30,10 +30,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class SimulatedMeter:
-    """One voltmeter: what makes it, which channels of the block are at its inputs, what it is like.
+    """One voltmeter: its constructor `make`, the block channels at its inputs, and its options.
 
-    `make` is called with what the meter is wired to, its clock and the `options`; a meter with several inputs
-    has `inputs` by their channels, and is given the wiring of each number; `probes` are wired to it beside.
+    `make` is called with the wiring, the clock and the `options`. The wiring is a channel's terminals or, for a
+    meter with several inputs, a dict by input number. In the second case `inputs` maps channels to input numbers,
+    and `probes` maps further input numbers to sensors.
     """
 
     make: Callable[..., ScpiInstrument]
@@ -42,7 +43,7 @@ class SimulatedMeter:
     probes: Mapping[int, Any] = field(default_factory=dict)
 
     def on(self, world: World, clock: Clock | None = None) -> ScpiInstrument:
-        """Return the meter, wired to its channels of a world; `clock` is its own where it is not the world's."""
+        """Return the meter, wired to its channels of a world; `clock` defaults to the world's clock."""
         wiring: object
         if isinstance(self.inputs, str):
             wiring = world.terminals(self.inputs)
@@ -54,16 +55,16 @@ class SimulatedMeter:
 
 
 class SimulatedBench:
-    """Serves the instruments of a world while its context lasts.
+    """A context manager that serves the instruments of a world.
 
-    `instruments` gives each by its name on the bench, a meter or any dialect over the world; a dialect may
-    say its `model`. Each gets a TCP port of `host`, free ones or `first_port` and those after it, and a
-    pseudo-terminal when `with_terminals` names it or is True. `buses` says which instruments are on the GPIB bus of
-    an adapter instead, `{"adapter": {"voltmeter.x": 22, …}}`: the adapter then has the port, and all of its
-    instruments share it. `faults` are armed for the instruments that they name, or for all that can have them.
-    Within the context `resources` holds the VISA name of each, `dialects` what was given, `faulty` and `wired`
-    the layers around them, `servers` and `terminals` their wires. A virtual clock of the world then waits,
-    before it moves, until every command that is on a wire has been carried out.
+    `instruments` maps each name on the bench to a meter or to any dialect over the world; a dialect may state its
+    `model`. Each instrument gets a TCP port on `host` (any free port, or consecutive ports from `first_port`), and
+    a pseudo-terminal if `with_terminals` names it or is True. `buses` puts instruments on the GPIB bus of an
+    adapter, `{"adapter": {"voltmeter.x": 22, …}}`; they share the adapter's port. Each of the `faults` is armed
+    for the instrument that it names, or for every instrument that can have it. Within the context `resources` maps
+    names to VISA resources, `dialects` to the instruments, `faulty` and `wired` to the layers around them,
+    `servers` and `terminals` to their wires. If the world has a virtual clock, it advances only after every
+    command that is on a wire has been carried out.
     """
 
     def __init__(
@@ -77,7 +78,7 @@ class SimulatedBench:
         buses: Mapping[str, Mapping[str, int]] | None = None,
         faults: Sequence[Fault] = (),
     ) -> None:
-        """Raise `ValueError` for a fault of an instrument that is not there or cannot have it."""
+        """Raise `ValueError` for a fault of an unknown instrument, or of one that cannot have it."""
         self.world = world
         self.traffic = Traffic()
         self.dialects: dict[str, Dialect] = {}
@@ -122,7 +123,7 @@ class SimulatedBench:
         return self.faulty[name]
 
     def _attach(self, adapter: str, members: Mapping[str, Dialect | SimulatedMeter]) -> None:
-        """Put instruments on the bus of an adapter; a meter lives by the clock that the adapter gives it."""
+        """Put instruments on the bus of an adapter; a meter uses the clock that the adapter provides."""
         bus = GpibAdapter(self.world.clock)
         self._add(adapter, bus)
         for name, given in members.items():
@@ -136,7 +137,7 @@ class SimulatedBench:
             bus.let_through(address, self._add(name, bus.attach(address, make)))
 
     def __enter__(self) -> SimulatedBench:
-        """Start all servers. Raises `BenchError` when a port or a terminal is not to be had; then none runs."""
+        """Start all servers, or none: raise `BenchError` if a port or a pseudo-terminal is not available."""
         with ExitStack() as stack:
             for name, (server, _) in self._started.items():
                 with taken_port(name, server):
@@ -161,9 +162,19 @@ class SimulatedBench:
     ) -> None:
         self._stack.close()
 
+    @contextmanager
+    def aside(self) -> Iterator[None]:
+        """Let instruments be read without a trace in the world; see `World.aside`."""
+        with self.world.aside():
+            yield
+            self.traffic.settle()
+        for dialect in self.dialects.values():
+            if isinstance(dialect, GpibAdapter):
+                dialect.return_to_present()
+
     @property
     def resources(self) -> dict[str, str]:
-        """The resource of each port, such as "TCPIP0::127.0.0.1::40123::SOCKET"; for one on a bus, of its place."""
+        """The resource by name, "TCPIP0::127.0.0.1::40123::SOCKET"; on a bus "prologix://127.0.0.1:40123/22"."""
         return {name: self._resource(name) for name in self.dialects}
 
     def _resource(self, name: str) -> str:
@@ -173,9 +184,9 @@ class SimulatedBench:
         return server.resource
 
     def addresses(self) -> list[dict[str, str | None]]:
-        """Return name, model, TCP address and pseudo-terminal (None: it has none) of each instrument.
+        """Return the name, model, TCP address ("tcp") and pseudo-terminal ("pty", or None) of each instrument.
 
-        For one on a GPIB bus these are the adapter's, and "gpib" is its address on the bus.
+        An instrument on a GPIB bus has the adapter's "tcp" and "pty", and its bus address as "gpib".
         """
         return [
             {
@@ -189,9 +200,9 @@ class SimulatedBench:
         ]
 
     def arm(self, fault: Fault) -> None:
-        """Arm a fault for the instrument that it names, or for all that can have it.
+        """Arm a fault for the instrument that it names, or for every instrument that can have it.
 
-        Raises `ValueError` when there is none of that name, it cannot have the fault, or none can.
+        Raises `ValueError` if the instrument is unknown or cannot have the fault, or if no instrument can.
         """
         if not fault.instrument:
             able = [name for name, faulty in self.faulty.items() if faulty.can_have(fault)]
@@ -213,18 +224,18 @@ class SimulatedBench:
             self.faulty[name].add(fault)
 
     def _is_of_another_wire(self, name: str, fault: Fault) -> bool:
-        """Whether a fault is of a wire, which an instrument on a bus does not have."""
+        """Whether this is a wire fault of an instrument on a bus, which has no wire of its own."""
         return name in self._on_bus and fault.kind not in OF_INSTRUMENT
 
 
 def _as_it_is(instrument: ScpiInstrument, clock: Clock) -> ScpiInstrument:
-    """Return an instrument that takes no time for what it does, whatever clock it could live by."""
+    """Return the instrument unchanged and ignore `clock`, for instruments whose commands take no time."""
     return instrument
 
 
 @contextmanager
 def taken_port(name: str, server: TcpServer) -> Iterator[None]:
-    """Turn the `OSError` of a port that cannot be listened on into a `BenchError`."""
+    """Convert the `OSError` or `OverflowError` of a port that cannot be opened into a `BenchError`."""
     try:
         yield
     except OverflowError as error:

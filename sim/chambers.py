@@ -1,4 +1,4 @@
-"""Simulated chambers with a controller, around the block of the world: Espec P300, Thermotron 8800, Watlow F4T."""
+"""Simulated climatic chambers around the block of the world: Espec P300, Thermotron 8800, Watlow F4T."""
 
 from __future__ import annotations
 
@@ -27,11 +27,9 @@ _PROTECT: Final = re.compile(r"KEYPROTECT,(ON|OFF)\Z")
 
 
 class EspecP300(PlainDialect):
-    """The controller; `noise_c` is the standard deviation of its sensor, `name` what it calls itself.
+    """The controller; `noise_c` is the standard deviation of its sensor, °C, `name` its name in TYPE?.
 
-    `alarms` may be set from outside.
-
-    Switched on, it is in standby with 23 °C demanded.
+    After switch-on it is in standby with a set point of 23 °C. `alarms` may be set from outside.
     """
 
     def __init__(
@@ -51,15 +49,15 @@ class EspecP300(PlainDialect):
         self._mode = "STANDBY"
         self.alarms: tuple[int, ...] = ()
 
-    # --- what the wire and the bench do -------------------------------------------------------------
+    # --- called by the wire and the bench -----------------------------------------------------------
 
     def handle(self, message: bytes, interrupted: Callable[[], bool]) -> bytes | None:
-        """Answer one command: there is one reply to each."""
+        """Answer one command; every command has exactly one reply."""
         command = message.decode("ascii", "replace").strip()
         return self._answer(re.sub(r"\s*,\s*", ",", command.upper())).encode("ascii")
 
     def power_cycle(self) -> None:
-        """Switch off and on: it comes back in standby, its set point and limits are kept."""
+        """Switch off and on: it returns to standby and keeps its set point and limits."""
         self._change_mode("STANDBY")
 
     def _answer(self, command: str) -> str:
@@ -89,7 +87,7 @@ class EspecP300(PlainDialect):
 
     @property
     def _operation(self) -> str:
-        """The operation as the queries show it: a program without its number."""
+        """The operating mode in replies: a program is shown without its number."""
         return "RUN" if self._mode.startswith("RUN") else self._mode
 
     def _air_c(self) -> float:
@@ -102,7 +100,7 @@ class EspecP300(PlainDialect):
         return f"{self._air_c():.1f},{self._set['S']:.1f},{self._set['H']:.1f},{self._set['L']:.1f}"
 
     def _demand(self, command: str, text: str) -> str:
-        """Set point, upper and lower limit at once; nothing is taken when one of them is out of range."""
+        """Change the set point and both limits together; refuse the whole command if one is out of range."""
         wanted = {
             **self._set,
             **{key: float(value) for key, value in re.findall(rf"([SHL])({_NUMBER})", text)},
@@ -124,7 +122,7 @@ class EspecP300(PlainDialect):
 
 
 # --- Thermotron 8800 --------------------------------------------------------------------------------
-# It wants to be left alone for a second after a setting: what comes sooner is lost, as on the real one.
+# As on the real controller, messages within a second after a setting are lost.
 # Source: Thermotron 8800 computer interface manual as read in public drivers.
 
 THERMOTRON_IDENTITY: Final = "8800 V3.12"
@@ -133,9 +131,9 @@ _SET_POINT: Final = re.compile(r"SETP1,([+-]?\d+(?:\.\d+)?)\Z")
 
 
 class Thermotron8800(PlainDialect):
-    """The controller; stopped when it is switched on. A set point is acted on at RUNM only.
+    """The controller; stopped after switch-on. A set point takes effect only at RUNM.
 
-    `identity` is what it answers to IDEN?.
+    `identity` is the reply to IDEN?.
     """
 
     def __init__(
@@ -154,7 +152,10 @@ class Thermotron8800(PlainDialect):
         self._wrote_s = -math.inf
 
     def handle(self, message: bytes, interrupted: Callable[[], bool]) -> bytes | None:
-        """Answer a query, carry out a setting; anything else, or what comes too soon, is passed over."""
+        """Answer a query or carry out a setting; an unknown message has no reply.
+
+        Every message within `BUSY_S` after the last one that was not a query is ignored.
+        """
         now_s = self._world.clock.now_s()
         if now_s - self._wrote_s < BUSY_S:
             return None
@@ -172,7 +173,7 @@ class Thermotron8800(PlainDialect):
         return None
 
     def power_cycle(self) -> None:
-        """Switch off and on: it comes back stopped, the set point is kept."""
+        """Switch off and on: it is stopped and keeps its set point."""
         self._stop()
 
     def _carry_out(self, command: str) -> None:
@@ -199,9 +200,9 @@ OLD_F4T_IDENTITY: Final = "Watlow Electric,F4T,12345,03:01:0004"
 
 
 class WatlowF4T(ScpiInstrument):
-    """One control loop, number `loop`, and one output, number `output`, that switches conditioning on.
+    """The controller with one control loop, number `loop`, and one output, number `output`, for the conditioning.
 
-    `unit` is that of its temperatures; `old_firmware` speaks °F only and cannot be asked. `error` is that of
+    `unit` is its temperature unit; `old_firmware` uses °F and has no query for the unit. `error` is an error of
     the loop, such as a broken sensor.
     """
 

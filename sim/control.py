@@ -1,7 +1,7 @@
-"""Commands to a simulated bench from outside: turn the head, change the world, put faults in.
+"""Control of a simulated bench from outside: turn the head, change the world, inject faults.
 
-A line of text in, a line of JSON out: `turn 45 deg` gives `{"ok": true, …}` with the state, a mistake
-`{"ok": false, "error": "…"}`. It is served like an instrument, by `sim.wires.server.TcpServer`.
+Each line of text is answered by a line of JSON: `turn 45 deg` -> `{"ok": true, …}` with the state, a mistake ->
+`{"ok": false, "error": "…"}`. The control is served like an instrument, by `sim.wires.server.TcpServer`.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import re
 import shlex
 from typing import TYPE_CHECKING, Final, cast
 
+from sim.counters import Counter
 from sim.wires.faults import Fault
 from sim.wires.session import PlainDialect
 from sim.world.pose import HeadFault
@@ -28,7 +29,8 @@ if TYPE_CHECKING:
 HELP: Final = {
     "state": "what is true: angle, installation, temperatures, time, faults",
     "mount INSTALLATION [SERIES]": "mount the block",
-    "turn ANGLE [rising|falling]": "turn the head until its scale shows the angle: 45 deg, -30 arcsec, 0.1 rad",
+    "turn ANGLE [rising|falling]": "turn the head until its scale shows the angle: 45 deg, -30 arcsec, 0.1 rad; "
+    "where an encoder watches, the head turns there from where it is, at 20 deg/s",
     "chamber TEMPERATURE": "set the air of the chamber at once: 50 degC",
     "fault [INSTRUMENT] KIND [KEY=VALUE …]": "arm a fault: fault voltmeter.x late seconds=2 matching=READ?; "
     "without probability, at or matching it strikes the next exchange",
@@ -54,12 +56,16 @@ _QUANTITY: Final = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(\
 _DIRECTIONS: Final[dict[str, Direction]] = {"rising": 1, "falling": -1}
 
 
+CRANK_RAD_S: Final = math.radians(20.0)
+"""How fast the head is turned where an encoder watches, rad/s."""
+
+
 class ControlError(Exception):
-    """A command that cannot be carried out; the text says why."""
+    """A command that cannot be carried out; the text gives the reason."""
 
 
 class BenchControl(PlainDialect):
-    """A `Dialect` that understands the commands of `HELP` and carries them out on a bench."""
+    """A `Dialect` that carries out the commands in `HELP` on a bench."""
 
     model = "control"
 
@@ -81,7 +87,7 @@ class BenchControl(PlainDialect):
             self._commands[word] = lambda words, word=word: self._at_once(word, words)  # type: ignore[misc]
 
     def handle(self, message: bytes, interrupted: Callable[[], bool]) -> bytes | None:
-        """Carry out one line; return the reply. It never waits, and an empty line has no reply."""
+        """Carry out one line and return the reply at once; an empty line has no reply."""
         try:
             words = shlex.split(message.decode("utf-8"))
             if not words:
@@ -132,7 +138,10 @@ class BenchControl(PlainDialect):
         angle_rad = _angle_rad(words if direction is None else words[:-1])
         if direction is None:
             direction = 1 if angle_rad >= self._bench.world.scale_angle_rad else -1
-        self._bench.world.turn(angle_rad, direction)
+        if any(isinstance(dialect, Counter) for dialect in self._bench.dialects.values()):
+            self._bench.world.move_head(angle_rad, CRANK_RAD_S)
+        else:
+            self._bench.world.turn(angle_rad, direction)
 
     def _chamber(self, words: list[str]) -> None:
         self._bench.world.set_chamber(_celsius(words))
@@ -159,7 +168,7 @@ class BenchControl(PlainDialect):
         self._bench.world.head_fault = fault
 
     def _rail(self, words: list[str]) -> None:
-        """Disturb the outputs that feed the block, or one of them: `sag P25V size=0.3 seconds=20`."""
+        """Disturb all outputs that feed the block, or a named one: `sag P25V size=0.3 seconds=20`."""
         named = [word for word in words if "=" not in word]
         values = dict(word.split("=", 1) for word in words if "=" in word)
         if not 1 <= len(named) <= 2 or named[0] not in DISTURBANCES or values.keys() - {"size", "seconds"}:
@@ -254,7 +263,7 @@ def _quantity(words: list[str]) -> tuple[float, str]:
 
 
 def _angle_rad(words: list[str]) -> float:
-    """Return an angle; without a unit it is degrees."""
+    """Return an angle in rad; the default unit is the degree."""
     number, unit = _quantity(words)
     if unit not in _RADIANS:
         raise ControlError(f"an angle is in deg, arcmin, arcsec or rad, not in '{unit}'")
@@ -262,7 +271,7 @@ def _angle_rad(words: list[str]) -> float:
 
 
 def _celsius(words: list[str]) -> float:
-    """Return a temperature or a difference of two, °C."""
+    """Return a temperature or a temperature difference in °C."""
     number, unit = _quantity(words)
     if unit not in _CELSIUS:
         raise ControlError(f"a temperature is in degC, not in '{unit}'")

@@ -1,8 +1,8 @@
 """A simulated Keithley 2000 on one channel of the world: DC volts, the buffer, triggering.
 
-Its other functions are not here and answer -113; filter and relative can be set and have no effect. It takes
-commands while it measures: only *WAI, *OPC?, READ? and FETCh? wait. Sources: see its facts; how numbers that
-are not readings are printed is not from the manual, nor that FETCh? returns all samples of the last trigger.
+Other functions answer -113; filter and relative can be set but have no effect. The meter accepts commands while it
+measures: only *WAI, *OPC?, READ? and FETCh? wait. Sources: see its facts. Two points are assumptions, not from the
+manual: the format of numbers other than readings, and that FETCh? returns all samples of the last trigger.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ _WAITING: Final = ("*WAI", "*OPC?", "FETCh?")
 
 @dataclass
 class Measuring:
-    """How a sample is taken, a `Measurement`; as *RST sets it."""
+    """The settings for a sample (a `Measurement`); the defaults are those of *RST."""
 
     nplc: float = 1.0
     autozero: bool = True
@@ -62,13 +62,13 @@ class Measuring:
     settings: FunctionSettings = field(default_factory=lambda: FunctionSettings(1000.0, 1e-6))
 
     def set_nplc(self, nplc: float) -> None:
-        """Set the integration, and with it the resolution."""
+        """Set the integration time in power-line cycles and the resolution that follows from it."""
         self.nplc = nplc
         self.settings.resolution = next(step for least, step in facts.RESOLUTION.items() if nplc >= least)
 
 
 class Buffer(MeasuringCycle):
-    """The trigger system and the buffer, which a start fills where it was told to store (FEED:CONTrol NEXT)."""
+    """The trigger system and the buffer, which stores the readings after FEED:CONTrol NEXT."""
 
     memory_depth = facts.MEMORY_READINGS
 
@@ -82,7 +82,7 @@ class Buffer(MeasuringCycle):
         super().__init__(clock, interrupted)
 
     def preset(self) -> None:
-        """Set what *RST sets; the buffer stays."""
+        """Set the defaults of *RST; keep the buffer."""
         self.measuring = Measuring()
         self.source = "IMM"
         self.automatic_delay = True
@@ -91,12 +91,12 @@ class Buffer(MeasuringCycle):
         self.sample_count = 1
 
     def abort(self) -> None:
-        """Go to idle; the buffer stays."""
+        """Become idle; keep the buffer."""
         super().abort()
         self._times_s = []
 
     def initiate(self) -> None:
-        """INITiate. Raises `ScpiError` -213 while measuring, or while it goes on measuring by itself."""
+        """INITiate. Raises `ScpiError` -213 during a measurement and in continuous mode."""
         if self.continuous:
             raise ScpiError(-213)
         self._require_idle()
@@ -104,7 +104,7 @@ class Buffer(MeasuringCycle):
         self._start(self.trigger_count, keeps=True)
 
     def read(self) -> str | None:
-        """READ?: abort, initiate, fetch. Raises `ScpiError` -214 when only a command could give the trigger."""
+        """READ?: abort, initiate, fetch. Raises `ScpiError` -214 for the trigger source BUS."""
         if self.source == "BUS":
             raise ScpiError(-214)
         self.abort()
@@ -112,22 +112,22 @@ class Buffer(MeasuringCycle):
         return self._outcome()
 
     def settle(self) -> None:
-        """Take in what has been measured by now, without waiting."""
+        """Collect a measurement that has ended, without waiting for one in progress."""
         if self._times_s and not self.in_progress:
             self._collect()
 
     def clear(self) -> None:
-        """TRACe:CLEar."""
+        """TRACe:CLEar: empty the buffer."""
         self.stored = []
 
     def data(self) -> str:
-        """TRACe:DATA?. Raises `ScpiError` -230 for an empty buffer."""
+        """TRACe:DATA?: return the buffer. Raises `ScpiError` -230 if it is empty."""
         if not self.stored:
             raise ScpiError(-230)
         return ",".join(self.stored)
 
     def resize(self, size: int) -> None:
-        """TRACe:POINts: the buffer is emptied. Raises `ScpiError` -221 while it is being filled."""
+        """TRACe:POINts: set the buffer's size and empty it. Raises `ScpiError` -221 while it is being filled."""
         if self.stores:
             raise ScpiError(-221)
         self.size, self.stored = size, []
@@ -152,10 +152,10 @@ class Buffer(MeasuringCycle):
 
 
 class Keithley2000(ScpiInstrument):
-    """The meter; `source` is what it is wired to, `clock` its time.
+    """The meter; `source` is the signal that it is wired to, `clock` its time.
 
-    `noise` and `accuracy` are as of the 34401A's `Converter`. Over RS-232 `line_end` ends its replies, and any of
-    CR, LF or both a message. `interface` is what it is set to; it takes all commands over either.
+    `noise` and `accuracy` are as for `Converter`. Over RS-232 `line_end` ends its replies, and CR, LF or both end
+    a message. `interface` is the selected interface; all commands are accepted over either.
     """
 
     def __init__(
@@ -183,12 +183,12 @@ class Keithley2000(ScpiInstrument):
 
     @property
     def cycle(self) -> Buffer:
-        """Its trigger system."""
+        """The trigger system."""
         return self.buffer
 
     @property
     def overloaded(self) -> bool:
-        """Whether the voltage at the input is beyond every range, whatever the source says."""
+        """Whether the input is overloaded, whatever the voltage at the terminals."""
         return self._converter.overloaded
 
     @overloaded.setter
@@ -196,28 +196,28 @@ class Keithley2000(ScpiInstrument):
         self._converter.overloaded = overloaded
 
     def admit(self, command: Command) -> None:
-        """Wait for what is under way where the command does; take in what is done."""
+        """Collect a measurement that has ended; wait for one in progress if the command requires it."""
         self.buffer.settle()
         if command.notation in _WAITING:
             self.buffer.complete()
 
     def device_clear(self) -> None:
-        """Stop measuring; settings, buffer and errors stay."""
+        """Stop measuring; keep settings, buffer and errors."""
         self.buffer.abort()
 
     def reset(self) -> None:
-        """*RST: idle, autorange, 1 PLC, one immediate trigger; buffer, errors and masks stay."""
+        """*RST: idle, autorange, 1 PLC, one immediate trigger; keep buffer, errors and masks."""
         self.buffer.abort()
         self.buffer.preset()
 
     def power_cycle(self) -> None:
-        """Switch off and on: settings, buffer and errors are gone; it measures by itself, with its filter."""
+        """Switch off and on: settings, buffer and errors are lost; it measures continuously, with its filter."""
         super().power_cycle()
         self.buffer.clear()
         self._switch_on()
 
     def number(self, value: float) -> str:
-        """Return a whole number as the meter prints it: `0`."""
+        """Return a whole number in the meter's format: `0`."""
         return f"{round(value):d}"
 
     def _switch_on(self) -> None:
@@ -319,14 +319,14 @@ class Keithley2000(ScpiInstrument):
 
 
 def _whole(value: Value, ends: tuple[int, int]) -> int:
-    """Return a count. Raises `ScpiError` -222 outside its ends."""
+    """Return a count. Raises `ScpiError` -222 outside `ends`."""
     if isinstance(value, str):
         return ends[0] if value == MIN else ends[1]
     return round(within(value, *ends))
 
 
 def _text(value: float, step: float) -> str:
-    """Format a reading; an overflow is short."""
+    """Format a reading; an overflow is +9.9E37 or -9.9E37."""
     if abs(value) >= facts.OVERLOAD_V:
         return "+9.9E37" if value > 0.0 else "-9.9E37"
     return reading_text(value, step)

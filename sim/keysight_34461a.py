@@ -1,6 +1,6 @@
-"""A simulated Keysight 34461A in its own identity: the 34401A's engine, commands and memory of a Truevolt meter.
+"""A simulated Keysight 34461A under its own identity: the 34401A with the commands and memory of a Truevolt meter.
 
-Source: Truevolt Series Operating and Service Guide, "SCPI programming reference": CONFigure, SENSe:VOLTage,
+ @@Source: Truevolt Series Operating and Service Guide, "SCPI programming reference": CONFigure, SENSe:VOLTage,
 SAMPle:COUNt, FETCh?, READ?, SYSTem:IDENtify.
 """
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class TruevoltTrigger(Trigger):
-    """The trigger system of a 34461A: 10,000 readings are kept, the latest, those of READ? too."""
+    """The trigger system of a 34461A, whose memory keeps the latest 10,000 readings, including those of READ?."""
 
     memory_depth = MEMORY_READINGS
     most_readings = MOST_SAMPLES
@@ -28,10 +28,10 @@ class TruevoltTrigger(Trigger):
 
 
 class Keysight34461A(Agilent34401A):
-    """The meter (see `Agilent34401A` for the rest). SYSTem:IDENtify HP34401A gives it the older identity.
+    """The meter (see `Agilent34401A`). SYSTem:IDENtify HP34401A switches to the identity of the older model.
 
-    Autozero and input impedance stand under the function that they belong to; the 34401A's headers are
-    taken as well. Raises `ValueError` for RS-232: it has a LAN in place of it.
+    The commands for autozero and input impedance belong to a function; those of the 34401A are accepted too.
+    Raises `ValueError` for RS-232, because the 34461A has a LAN interface in its place.
     """
 
     model = MODEL

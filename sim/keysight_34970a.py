@@ -1,4 +1,4 @@
-"""A simulated 34970A or 34972A with 34901A cards, and a temperature sensor on one."""
+"""A simulated 34970A or 34972A with 34901A cards, and a simulated temperature sensor on one channel."""
 
 from __future__ import annotations
 
@@ -60,11 +60,11 @@ _ERRORS: Final = {
 
 
 class Keysight34970A(LineMeter):
-    """The meter. `wiring` says what is at which channel, `{101: world.terminals("x"), …}`.
+    """The meter. `wiring` maps channels to signals, `{101: world.terminals("x"), …}`.
 
-    `cards` holds the card of each slot that is not empty. `interface`, `noise` and `accuracy` are as for the
-    34401A; gain and offset are those of the one converter, the same for all channels. Raises `ValueError`
-    for wiring that the cards do not have.
+    `cards` maps each occupied slot (100, 200, 300) to its card. `interface`, `noise` and `accuracy` are as for the
+    34401A; all channels share the gain error and offset of the one converter. Raises `ValueError` for a channel
+    that is not on the cards.
     """
 
     beside_measuring = ("INITiate", "ABORt")
@@ -103,20 +103,20 @@ class Keysight34970A(LineMeter):
         self.add(self._route_commands())
         self.add(self._system_commands())
 
-    # --- what the wire and the bench do -------------------------------------------------------------
+    # --- called by the wire and the bench -----------------------------------------------------------
 
     @property
     def cycle(self) -> Scan:
-        """Its scan."""
+        """The scan, which is the meter's trigger system."""
         return self.scan
 
     @property
     def converters(self) -> list[Converter]:
-        """Its one converter, as each channel has it."""
+        """The converters, one for each channel, all with the errors of the meter's single converter."""
         return [converter for _, converter in self._channels.values()]
 
     def reset(self) -> None:
-        """*RST: all channels as shipped, relays open, an empty scan list; errors and masks stay."""
+        """*RST: default channel settings, open relays, an empty scan list; keep errors and masks."""
         self.scan.abort()
         self.scan.preset()
         self.scan.define(())
@@ -125,7 +125,7 @@ class Keysight34970A(LineMeter):
             configuration.preset()
 
     def _overload(self) -> None:
-        """An overload is seen in the questionable data register only."""
+        """Report an overload, which shows only in the questionable data register."""
         self.status.questionable |= VOLT_OVERLOAD
 
     # --- CONFigure and MEASure ----------------------------------------------------------------------
@@ -241,7 +241,7 @@ class Keysight34970A(LineMeter):
         change: Callable[[ChannelConfiguration, Value], None],
         show: Callable[[ChannelConfiguration], str],
     ) -> list[Command]:
-        """Return command and query of a setting; without a channel list they concern the scan list."""
+        """Return command and query of a channel setting; without a channel list they apply to the scan list."""
 
         def command(value: Value, channels: str = "") -> None:
             for channel in self._of(channels):
@@ -257,14 +257,17 @@ class Keysight34970A(LineMeter):
         ]
 
     def _of(self, text: str) -> tuple[int, ...]:
-        """Return the channels of a list, those of the scan list when it was left out (305: there is none)."""
+        """Return the channels of a list, or those of the scan list if `text` is empty.
+
+        Raises `ScpiError` 305 if there are none.
+        """
         channels = listed(text, self.cards) if text else self.scan.channel_list
         if not channels:
             raise ScpiError(305)
         return channels
 
     def _split(self, values: tuple[Value, ...]) -> tuple[tuple[Value, ...], tuple[int, ...]]:
-        """Return the values before a channel list, and its channels. Raises `ScpiError` 309 for two lists."""
+        """Return the values before a channel list, and the channels. Raises `ScpiError` 309 for two lists."""
         if any(str(value).startswith("(") for value in values[:-1]):
             raise ScpiError(309)
         if values and str(values[-1]).startswith("("):
@@ -326,7 +329,7 @@ def _set_autorange(channel: ChannelConfiguration, flag: Value) -> None:
 
 
 def _set_autozero(channel: ChannelConfiguration, flag: Value) -> None:
-    # ONCE takes one zero reading and then leaves autozero off.
+    # ONCE takes one zero reading and then switches autozero off.
     channel.autozero = flag == "1"
 
 
@@ -344,15 +347,16 @@ def _set_function(_channel: ChannelConfiguration, name: Value) -> None:
 
 
 _PLACE: Final = 3
-"""Behind the three meters of the signals."""
+"""The index after those of the three voltmeters."""
 _LEADS_OHM: Final = 0.5
 _OHM_PER_K: Final = 0.385
 
 
 class Probe:
-    """A sensor of the kind `sensor` (`SENSORS`), off by `error_c`; `air_share` of what it feels is the air's.
+    """A temperature sensor on the block of a type in `SENSORS`, with a constant error `error_c`.
 
-    Its noise has the standard deviation `noise_c`. To a meter that measures volts there it is a short.
+    `air_share` is the fraction of the chamber's temperature in its own, `noise_c` the standard deviation of its
+    noise. To a meter set to volts it is a short.
     """
 
     def __init__(
@@ -367,34 +371,34 @@ class Probe:
 
     @property
     def place(self) -> int:
-        """Which of the bench's meters stands here, where it has one of its own."""
+        """The index of its meter on the bench."""
         return _PLACE
 
     @property
     def temperature_c(self) -> float:
-        """The temperature of the room in which the meter stands, °C."""
+        """The temperature of the room, °C."""
         return self._world.settings.ambient_c
 
     def signal_v(self, time_s: float | None = None) -> float:
-        """Return the voltage at the channel, V."""
+        """Return 0 V: to a voltmeter the sensor is a short."""
         return 0.0
 
     def new_reading(self) -> None:
-        """Say that a reading was triggered."""
+        """Begin a new reading, when the meter is triggered."""
         self._reading = self._world.count("thermometer")
 
     def random(self, purpose: str) -> np.random.Generator:
-        """Return the generator for a purpose within the present reading."""
+        """Return the random generator for one purpose within the present reading."""
         return self._world.random(purpose, "thermometer", self._reading)
 
     def fixed_random(self, purpose: str) -> np.random.Generator:
-        """Return the generator for something that the meter has for good."""
+        """Return the random generator for a permanent property of the meter."""
         return self._world.fixed_random(purpose, "thermometer")
 
     def shown_c(self, configured: str, time_s: float) -> float:
-        """Return what a meter shows that takes it for the sensor that CONF:TEMP named, "FRTD,85", °C.
+        """Return the temperature, °C, shown by a meter configured for the sensor `configured`, such as "FRTD,85".
 
-        As two wires a Pt100 with four has its leads in it; thermistor and Pt100 are out of each other's range.
+        A four-wire Pt100 measured with two wires includes its leads. Any other mismatch gives an overload.
         """
         block_c = self._world.block_c_at(time_s)
         felt_c = block_c + self._air_share * (self._world.chamber_c - block_c) + self._error_c
@@ -416,6 +420,6 @@ def meter_with_probe(
     air_share: float = 0.0,
     **options: object,
 ) -> Keysight34970A:
-    """Return a meter with nothing but a sensor on a channel."""
+    """Return a meter with only a temperature sensor, on `channel`; `options` are those of the meter."""
     probe = Probe(world, sensor, error_c=error_c, noise_c=noise_c, air_share=air_share)
     return Keysight34970A({channel: probe}, world.clock, **options)  # type: ignore[arg-type]

@@ -53,19 +53,22 @@ _NOT_HERE: Final = 305
 
 @dataclass(frozen=True, slots=True)
 class Transducer:
-    """The probe that a channel is set to: its kind as in replies, and its type."""
+    """The temperature sensor for which a channel is configured: its kind as in replies, and its type."""
 
     kind: str = "TC"
     type: int = 85
 
     @property
     def configured(self) -> str:
-        """As CONFigure:TEMPerature names it: "FRTD,85"."""
+        """The parameters of CONFigure:TEMPerature: "FRTD,85"."""
         return f"{self.kind},{self.type}"
 
     @classmethod
     def of(cls, kind: str, written: Value, channel: int) -> Transducer:
-        """Return the probe of a command. Raises `ScpiError` -224, 305 for four wires on the second bank."""
+        """Return the sensor named in a command.
+
+        Raises `ScpiError` -224 for an unknown kind or type, 305 for four wires on a channel of the second bank.
+        """
         known = _TYPES.get(kind)
         if known is None:
             raise ScpiError(_ILLEGAL)
@@ -90,9 +93,9 @@ _ITEM: Final = re.compile(r"(\d{3})(?::(\d{3}))?")
 
 
 class ChannelList:
-    """A channel list as a parameter, `(@101:103,105)`; alone, or where a number or word may stand first.
+    """A channel list as a parameter, `(@101:103,105)`, or a number or word if `or_number` is given.
 
-    The value of a list is its text; `listed` makes the channels of it.
+    The value of a list is its text, which `listed` converts to channels.
     """
 
     def __init__(self, or_number: Number | None = None, optional: bool = False) -> None:
@@ -100,7 +103,7 @@ class ChannelList:
         self._number = or_number
 
     def parse(self, text: str) -> Value:
-        """Return the text of a list, or the value of the number."""
+        """Return the text of a list, or the value of the number. Raises `ScpiError` 309 if a list is required."""
         if text.startswith("("):
             return text
         if self._number is None:
@@ -109,10 +112,10 @@ class ChannelList:
 
 
 def listed(text: str, cards: Mapping[int, str]) -> tuple[int, ...]:
-    """Return the channels of a list as they are written, `(101, 102, 103, 105)`.
+    """Return the channels of a list in its order, `(101, 102, 103, 105)`.
 
-    `cards` holds the card in each slot (100, 200, 300). Raises `ScpiError` 309 for another form, 302 where
-    there is no card, 304 where the card has no such channel; within a range those are passed over.
+    `cards` maps each slot (100, 200, 300) to its card. Raises `ScpiError` 309 for a malformed list, 302 for a slot
+    without a card, 304 for a channel that the card lacks. Missing channels inside a range are skipped.
     """
     channels: list[int] = []
     for first, last in list_spans(text, _ITEM, WRONG_LIST):
@@ -131,7 +134,7 @@ def _exists(channel: int, cards: Mapping[int, str]) -> bool:
 
 
 class ChannelConfiguration:
-    """How one channel is measured; a `Measurement`. With a `transducer` it is a temperature."""
+    """The settings of one channel (a `Measurement`); a channel with a `transducer` measures temperature."""
 
     bandwidth_hz = 20.0
 
@@ -139,7 +142,7 @@ class ChannelConfiguration:
         self.preset()
 
     def preset(self) -> None:
-        """Set what *RST and CONFigure set: autorange, 1 PLC, autozero, 10 MOhm, automatic delay."""
+        """Set the defaults of *RST and CONFigure: autorange, 1 PLC, autozero, 10 MOhm, automatic delay."""
         self.settings = FunctionSettings(10.0, _DEFAULT_RESOLUTION)
         self.autozero = True
         self.high_impedance = False
@@ -153,16 +156,16 @@ class ChannelConfiguration:
 
     @property
     def nplc(self) -> float:
-        """Integration in power-line cycles."""
+        """The integration time in power-line cycles."""
         return facts.NPLC_BY_RESOLUTION[self.settings.resolution]
 
     @property
     def delay_s(self) -> float:
-        """From the closing of the relay to the beginning of the sample, s."""
+        """The delay from the closing of the relay to the beginning of the sample, s."""
         return _AUTOMATIC_DELAY_S if self.stated_delay_s is None else self.stated_delay_s
 
     def configure(self, range_value: Value, resolution: Value) -> None:
-        """CONFigure:VOLTage:DC. Raises `ScpiError` -222, 532; nothing is changed then."""
+        """CONFigure:VOLTage:DC. Raises `ScpiError` -222 or 532 and then changes nothing."""
         chosen = self.settings.range_value if range_value == DEF else chosen_range(DC_VOLTS, range_value)
         fraction = (
             _DEFAULT_RESOLUTION if resolution == DEF else chosen_resolution(DC_VOLTS, resolution, chosen)
@@ -173,28 +176,28 @@ class ChannelConfiguration:
         self.settings.resolution = fraction
 
     def measure_temperature(self, transducer: Transducer) -> None:
-        """CONFigure:TEMPerature."""
+        """CONFigure:TEMPerature: preset the channel and set its sensor."""
         self.preset()
         self.transducer = transducer
 
     def set_delay(self, delay_s: float) -> None:
-        """Set the channel delay, s, in steps of 1 ms. Raises `ScpiError` -222."""
+        """Set the channel delay, s, rounded to 1 ms. Raises `ScpiError` -222 outside its limits."""
         self.stated_delay_s = round(within(delay_s, 0.0, facts.LONGEST_CHANNEL_DELAY_S), 3)
 
 
 @runtime_checkable
 class HasSensor(Protocol):
-    """What is at a channel where a temperature can be measured."""
+    """A signal source that is a temperature sensor."""
 
     def shown_c(self, configured: str, time_s: float) -> float:
-        """Return what it shows as the sensor that is configured, °C."""
+        """Return the temperature shown by a meter configured for the sensor `configured`, °C."""
 
 
 class CardInput:
-    """One channel of the card, a `MeteredSignal`: what is wired to it, seen through the converter all share.
+    """One channel of the card (a `MeteredSignal`): the signal wired to it, measured by the shared converter.
 
-    `common` stands for the meter itself, whose gain and offset are the same for all channels. With nothing
-    wired (`wired` None) the open input reads zero.
+    `common` represents the meter itself, whose gain error and offset are the same for all channels. Without a
+    signal (`wired` None) the open input reads zero.
     """
 
     def __init__(self, wired: MeteredSignal | None, common: MeteredSignal) -> None:
@@ -203,7 +206,7 @@ class CardInput:
 
     @property
     def place(self) -> int:
-        """Which of the bench's meters stands here."""
+        """The index of the meter on the bench."""
         return self._common.place
 
     @property
@@ -212,24 +215,24 @@ class CardInput:
         return self._common.temperature_c
 
     def signal_v(self, time_s: float | None = None) -> float:
-        """Return the voltage at the channel, V."""
+        """Return the voltage at the channel at `time_s` of the clock (default: now), V; 0 if nothing is wired."""
         return 0.0 if self._wired is None else self._wired.signal_v(time_s)
 
     def shown_c(self, configured: str, time_s: float) -> float:
-        """Return what a sensor at the channel shows as the one that is configured, °C; beyond all for no sensor."""
+        """Return the temperature shown for the sensor `configured`, °C; an overload if no sensor is wired."""
         return self._wired.shown_c(configured, time_s) if isinstance(self._wired, HasSensor) else OVERLOAD_V
 
     def new_reading(self) -> None:
-        """Say that a reading was triggered."""
+        """Begin a new reading, when the channel is triggered."""
         if self._wired is not None:
             self._wired.new_reading()
 
     def random(self, purpose: str) -> np.random.Generator:
-        """Return the generator for a purpose within the present reading of this channel."""
+        """Return the random generator for one purpose within the present reading of this channel."""
         return (self._wired or self._common).random(purpose)
 
     def fixed_random(self, purpose: str) -> np.random.Generator:
-        """Return the generator for something that the meter has for good."""
+        """Return the random generator for a permanent property of the meter."""
         return self._common.fixed_random(purpose)
 
 
@@ -247,10 +250,11 @@ _EXTRAS: Final = ("UNIT", "TIME", "CHANnel", "ALARm")
 
 
 class Scan(MeasuringCycle):
-    """Scan list, trigger settings, the scan under way, and the memory, which keeps the latest readings.
+    """The scan list, the trigger settings, the scan in progress, and the memory of the latest readings.
 
-    `channels` holds settings and converter of each channel, `inputs` what is at it. An endless scan (TRIGger:COUNt
-    INFinity) can be set but not started here (305), nor one of more readings than the memory holds.
+    `channels` maps each channel to its settings and converter, `inputs` to its signal. Raises `ScpiError` 305 at
+    the start of an endless scan (TRIGger:COUNt INFinity), which is not simulated, or of a scan that exceeds the
+    memory.
     """
 
     memory_depth = MEMORY_READINGS
@@ -273,36 +277,45 @@ class Scan(MeasuringCycle):
         super().__init__(clock, interrupted)
 
     def preset(self) -> None:
-        """Set what *RST, CONFigure and MEASure set: one immediate sweep, readings alone."""
+        """Set the defaults of *RST, CONFigure and MEASure: one immediate sweep, readings without further fields."""
         self.source = "IMM"
         self.count: float = 1
         self.timer_s = 0.0
         self.extras = dict.fromkeys((word.upper()[:4] for word in _EXTRAS), False)
 
     def abort(self) -> None:
-        """ABORt, device clear: go to idle; nothing is left in memory."""
+        """ABORt, device clear: become idle and clear the memory."""
         super().abort()
         self._due = []
 
     def define(self, channels: tuple[int, ...]) -> None:
-        """Set the scan list: it is scanned in rising order, each channel once."""
+        """Set the scan list, sorted in ascending order and without duplicates."""
         self.channel_list = tuple(sorted(set(channels)))
 
     # --- measuring ----------------------------------------------------------------------------------
 
     def initiate(self) -> None:
-        """INITiate: scan into memory. Raises `ScpiError` -213 while scanning, 305 as the class says."""
+        """INITiate: scan into memory.
+
+        Raises `ScpiError` -213 during a scan, 305 for an empty scan list or as stated for the class.
+        """
         self._begin(keeps=True)
 
     def read(self) -> str | None:
-        """READ?: scan and return the readings, which are not stored. Raises as `initiate`, -214."""
+        """READ?: scan and return the readings without storing them.
+
+        Raises `ScpiError` as `initiate`, and -214 for the trigger source BUS.
+        """
         if self.source == "BUS":
             raise ScpiError(-214)
         self._begin(keeps=False)
         return self._outcome()
 
     def remove(self, count: float) -> str:
-        """DATA:REMove?: return the oldest readings and take them out of memory; -222 if there are fewer."""
+        """DATA:REMove?: remove and return the oldest readings.
+
+        Raises `ScpiError` -222 for more readings than there are, -230 if the memory is empty.
+        """
         number = int(within(round(count), 1, max(1, len(self._memory))))
         taken, self._memory = self._memory[:number], self._memory[number:]
         if not taken:
@@ -319,7 +332,7 @@ class Scan(MeasuringCycle):
         self._start(self.count, keeps=keeps)
 
     def _schedule(self, triggers: int) -> None:
-        """Fix when the samples of the next sweeps are taken, each in mid-integration."""
+        """Schedule the samples of the next sweeps, each at the middle of its integration."""
         start_s = now_s = self._clock.now_s()
         for sweep in range(triggers):
             if self.source == "TIM":
@@ -355,7 +368,7 @@ class Scan(MeasuringCycle):
     # --- commands -----------------------------------------------------------------------------------
 
     def commands(self) -> list[Command]:
-        """Return the lines of the command table for triggering, memory and reading format."""
+        """Return the commands and queries for triggering, memory and reading format."""
         count = (Number(words=(MIN, MAX, INF)),)
         source = (Choice(("BUS", "IMMediate", "EXTernal", "TIMer")),)
         lines = [

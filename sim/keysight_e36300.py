@@ -1,7 +1,7 @@
 """A simulated Keysight E36311A, E36312A or E36313A, whose outputs feed the block of the world.
 
-Simulated is what sets, protects, switches and watches its outputs; lists, triggers, data logging are not.
-Source: E36300 Series Programming Guide, as in the facts.
+The simulation covers setting, protecting, switching and monitoring the outputs, but not lists, triggers or data
+logging. Source: E36300 Series Programming Guide, as in the facts.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _DEFAULT_DELAY_S: Final = 0.05
 
 
 class KeysightE36300(KeysightSupply):
-    """A supply of the series. Commands without a channel list are for the selected output."""
+    """A supply of the series. Commands without a channel list apply to the selected output."""
 
     def __init__(self, world: World, *, model: str = "E36312A") -> None:
         self._delays_s: dict[str, float] = {}
@@ -41,11 +41,11 @@ class KeysightE36300(KeysightSupply):
         )
 
     def input_overflow(self) -> None:
-        """Take note that a message was longer than the input buffer."""
+        """Report a message that exceeded the input buffer (-223)."""
         self.report(-223)
 
     def reset(self) -> None:
-        """Carry out *RST."""
+        """*RST: as the base class; also reset the delays of the over-current protection."""
         self._delays_s = {}
         super().reset()
 
@@ -102,7 +102,7 @@ class KeysightE36300(KeysightSupply):
         get: Callable[[OutputPhase], float],
         parameter: CommandParameter,
     ) -> tuple[Command, Command]:
-        """Return the command that sets something of outputs, and the one that asks for it."""
+        """Return the command and the query of a setting of outputs."""
 
         def put(value: Value, outputs: Value = "") -> None:
             for name in self._listed(outputs):
@@ -116,7 +116,7 @@ class KeysightE36300(KeysightSupply):
         )
 
     def _each(self, ask: Callable[[str], str]) -> Callable[..., str]:
-        """Return what answers a question for each output of a list."""
+        """Return a query action that joins the results of `ask` for each output of a list."""
         return lambda outputs="": ",".join(ask(name) for name in self._listed(outputs))
 
     def _listed(self, outputs: Value) -> tuple[str, ...]:
@@ -127,7 +127,7 @@ class KeysightE36300(KeysightSupply):
     # --- settings -----------------------------------------------------------------------------------
 
     def _set_voltage(self, name: str, value: Value) -> None:
-        """Set a voltage; one beyond the over-voltage protection is refused (-221)."""
+        """Set a voltage; one above the over-voltage protection is refused (-221)."""
         wanted_v = self._of(name, "voltage_v", value, 0.0)
         protection_v = self._outputs.stage(name).trip_v
         if protection_v is not None and abs(wanted_v) > abs(protection_v):
@@ -139,7 +139,7 @@ class KeysightE36300(KeysightSupply):
         self._outputs.change(name, limit_a=limit_a)
 
     def _set_protection(self, name: str, value: Value) -> None:
-        """Set the over-voltage protection; one below the voltage trips."""
+        """Set the over-voltage protection; a level below the present voltage trips the output."""
         highest_v = max(self._limits[name]["over_voltage_v"], key=abs)
         self._outputs.change(name, trip_v=self._of(name, "over_voltage_v", value, highest_v))
 
@@ -173,7 +173,7 @@ class KeysightE36300(KeysightSupply):
     def _select(self, output: Value) -> None:
         self._select_number(float(str(output)))
 
-    # --- what it measures ---------------------------------------------------------------------------
+    # --- measurements -------------------------------------------------------------------------------
 
     def _volts(self, name: str) -> str:
         return shown_number(self._outputs.shown(name).voltage_v)
@@ -189,12 +189,12 @@ class KeysightE36300(KeysightSupply):
 
 
 class _Selected:
-    """The word for an output: CH1, OUTPut2 or P6V, P25V, N25V as an E3631A has them."""
+    """The name of an output: CH1, OUTPut2, or P6V, P25V, N25V as on an E3631A."""
 
     optional = False
 
     def parse(self, text: str) -> Value:
-        """Return its number as text."""
+        """Return the number of the output as text. Raises `ScpiError` -224 for an unknown name."""
         word = text.upper()
         names = {"P6V": "1", "P25V": "2", "N25V": "3"}
         digit = names.get(word, word[-1:])

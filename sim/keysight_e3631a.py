@@ -1,6 +1,6 @@
 """A simulated HP / Agilent / Keysight E3631A, whose outputs feed the block of the world.
 
-Simulated is what sets, switches and watches its outputs; its triggers, memories and calibration are not.
+The simulation covers setting, switching and monitoring the outputs, but not triggers, memories or calibration.
 Sources: E3631A User's Guide (E3631-90002), chapter 4 "Remote interface reference", chapter 5 "Error messages".
 """
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class KeysightE3631A(KeysightSupply):
-    """The supply; `interface` is how it is set, "lan" for whoever tries it on a socket (see `RemoteInstrument`)."""
+    """The supply; `interface` is its interface setting, "lan" for tests on a socket (see `RemoteInstrument`)."""
 
     def __init__(self, world: World, *, interface: Interface = "gpib") -> None:
         self._tracks = False
@@ -39,7 +39,7 @@ class KeysightE3631A(KeysightSupply):
         return {"set_v": 0.0, "limit_a": facts.DEFAULT_CURRENT_A[name], "trip_v": None, "trip_after_s": None}
 
     def reset(self) -> None:
-        """Carry out *RST."""
+        """*RST: as the base class; also leave track mode and switch the display on."""
         self._tracks, self.display_on = False, True
         super().reset()
 
@@ -68,7 +68,7 @@ class KeysightE3631A(KeysightSupply):
     # --- settings -----------------------------------------------------------------------------------
 
     def _apply(self, output: Value, volts: Value = DEF, amperes: Value = DEF) -> None:
-        """Select an output and set it, both or nothing."""
+        """Select an output and set its voltage and current; on an error change neither."""
         name = str(output)
         wanted_v, wanted_a = self._value(name, "voltage_v", volts), self._value(name, "current_a", amperes)
         self._selected = name
@@ -110,11 +110,11 @@ class KeysightE3631A(KeysightSupply):
         self._follow()
 
     def _follow(self) -> None:
-        """In track mode N25V gives what P25V is set to."""
+        """Set N25V to the negative of P25V's setting, in track mode."""
         if self._tracks:
             self._outputs.change("N25V", set_v=-self._outputs.stage("P25V").set_v)
 
-    # --- what it measures ---------------------------------------------------------------------------
+    # --- measurements -------------------------------------------------------------------------------
 
     def _measure_voltage(self, output: Value = "") -> str:
         return shown_number(self._outputs.shown(str(output or self._selected)).voltage_v)

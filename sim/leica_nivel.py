@@ -1,7 +1,8 @@
 """A simulated Leica Nivel210 or Nivel220 on the platform of the world.
 
-Source: NIVEL200 Technical Reference Manual 1.0. What it averages is one measurement a second since it was placed:
-here the mean of so many at the moment of the question. Adjustment and saving of parameters are not here.
+ @@Source: NIVEL200 Technical Reference Manual 1.0. The real sensor returns the mean of one measurement per second
+since it was placed; here the noise stands for that of the mean and is drawn anew for each request. Adjustment and
+saving of parameters are not simulated.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ _FIXED: Final = {
 
 
 class LeicaNivel(PlainDialect):
-    """One sensor, of the address N`sensor`; `along` and `across` as in a bench file."""
+    """One sensor with the address N`sensor`; `along` and `across` are its axes as in a bench file."""
 
     model = "Nivel210"
 
@@ -43,10 +44,10 @@ class LeicaNivel(PlainDialect):
         self.line_ends = LineEnds((b"\r\n",), frame=self._framed, clears=False)
         self.power_cycle()
 
-    # --- what the wire and the bench do -------------------------------------------------------------
+    # --- called by the wire and the bench -----------------------------------------------------------
 
     def handle(self, message: bytes, interrupted: Callable[[], bool]) -> bytes | None:
-        """Answer one block; nothing is said to another's, to one of another form, to a command."""
+        """Answer a query block; commands, malformed blocks and blocks for another sensor have no reply."""
         request = _REQUEST.fullmatch(message.decode("latin-1"))
         if request is None or request[1] not in (self._sensor, "0"):
             return None
@@ -54,7 +55,7 @@ class LeicaNivel(PlainDialect):
         return None if said is None else f"{request[2]}N{self._sensor} {said}".encode("ascii")
 
     def power_cycle(self) -> None:
-        """Switch off and on."""
+        """Switch off and on, which restores the default settings."""
         self._averages = facts.AVERAGES
         self._switches = {"B": "OFF", "C": "ON", "M": "CONT", "P": "OFF"}
 
@@ -62,7 +63,7 @@ class LeicaNivel(PlainDialect):
     def _framed(said: bytes) -> bytes:
         return b"\x16\x02" + said + b"\x03" + (sum(said) & 0xFFFF).to_bytes(2, "big")
 
-    # --- what it is asked ---------------------------------------------------------------------------
+    # --- queries and commands -----------------------------------------------------------------------
 
     def _answer(self, command: str) -> str | None:
         asked = " ".join(command.split())

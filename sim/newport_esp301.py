@@ -1,8 +1,8 @@
-"""A simulated rotary stage with a Newport ESP301, on the head of the world.
+"""A simulated rotary stage with a Newport ESP301 controller, on the head of the world.
 
-Its encoder counts from where it was switched on or homed: until it is homed its zero is anywhere.
-Source: see the facts of its driver. Beside what they state it is an assumption of this simulation that a stuck axis
-ends in a following error with the motor off, and that a demand beyond the software limits is not begun.
+Its encoder counts from the angle at switch-on until the stage is homed. Source: the facts of its driver. Two
+points are assumptions of this simulation: a stuck axis ends in a following error with the motor off, and a target
+beyond the software limits is refused before the motion begins.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ if TYPE_CHECKING:
 _COMMAND: Final = re.compile(r"(\d*)([A-Z]{2})(.*)", re.DOTALL)
 _NUMBER: Final = re.compile(r"[+-]?(?:\d{1,9}(?:\.\d{0,9})?|\.\d{1,9})")
 _TICK_S: Final = 0.0004
-"""A time stamp counts so many seconds."""
+"""One count of a time stamp, s."""
 _LIKE_IT: Final = "Version 3.04 07/27/01"
 
 
 class _Mistake(Exception):
-    """A command that puts this code into the error buffer."""
+    """A command that puts the error `code` into the error buffer."""
 
     def __init__(self, code: int) -> None:
         super().__init__(code)
@@ -36,10 +36,11 @@ class _Mistake(Exception):
 
 
 class Esp301(PlainDialect):
-    """One axis of a controller. `homed` False is one that was just switched on: motor off, zero where it stands.
+    """One axis of a controller.
 
-    `speed_deg_s` is the most that the stage can have; switched on it has a tenth of it. Beyond `lowest_deg` and
-    `highest_deg` are its software limits. `unit` is the code of its unit, `decimals` how it shows angles.
+    With `homed` False it has just been switched on: motor off, zero at the present angle. `speed_deg_s` is the
+    maximum speed; the speed at switch-on is a tenth of it. `lowest_deg` and `highest_deg` are the software limits.
+    `unit` is the code of its unit, `decimals` the number of decimals of angles in replies.
     """
 
     line_ends = LineEnds((facts.WRITE_TERMINATION.encode(),), reply=facts.READ_TERMINATION.encode())
@@ -81,10 +82,10 @@ class Esp301(PlainDialect):
             "OR": self._home,
         }
 
-    # --- what the wire and the bench do -------------------------------------------------------------
+    # --- called by the wire and the bench -----------------------------------------------------------
 
     def handle(self, message: bytes, interrupted: Callable[[], bool]) -> bytes | None:
-        """Carry out the commands of a line; those that ask answer a line each."""
+        """Carry out the commands of a line; the reply has one line for each query."""
         self._notice()
         replies = []
         for part in message.decode("ascii", "replace").upper().split(";"):
@@ -99,11 +100,11 @@ class Esp301(PlainDialect):
         return facts.READ_TERMINATION.join(replies).encode("ascii") if replies else None
 
     def input_overflow(self) -> None:
-        """A line that is too long is a command that does not exist."""
+        """Report a line that was too long as an unknown command."""
         self._errors.append(facts.UNKNOWN_COMMAND)
 
     def power_cycle(self) -> None:
-        """Switch off and on: the motion ends, the motor is off, the angle counts from here."""
+        """Switch off and on: the motion ends, the motor is off, and the present angle becomes zero."""
         self._world.stop_head()
         self._switch_on()
 
@@ -139,7 +140,7 @@ class Esp301(PlainDialect):
         self._errors.clear()
 
     def _notice(self) -> None:
-        """Take note of what became of a motion: a search for home that ended, an axis that is stuck."""
+        """Update the state after a motion: a completed homing sets the zero, a stuck axis causes an error."""
         if self._motor_on and self._world.head_stuck:
             self._errors.append(self._axis * facts.AXIS_ERRORS + facts.FOLLOWING_ERROR)
             self._power_off("")

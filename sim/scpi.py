@@ -1,7 +1,7 @@
-"""An SCPI instrument apart from what it measures: command table, compounds, errors, common commands.
+"""The general part of an SCPI instrument: command table, compound messages, errors, common commands.
 
-An instrument adds `Command`s in the manual's own notation. A message may hold several, `;` going on in the
-same subsystem, `;:` from the root; their replies come joined with `;` on one line.
+A subclass adds `Command`s in the notation of the manual. A message may hold several commands: after `;` the next
+one continues in the same subsystem, after `;:` it starts at the root. Replies are joined by `;` on one line.
 Source: SCPI-1999 volume 1, 6; IEEE Std 488.2, 7 and 10; 34401A User's Guide, chapter 4.
 """
 
@@ -42,11 +42,11 @@ _LONGEST_MNEMONIC: Final = 12
 
 
 class DeviceClear(Exception):
-    """A device clear came in while a command waited; what was under way is given up."""
+    """A device clear arrived while a command waited; the command in progress is given up."""
 
 
 def never() -> bool:
-    """No device clear ever comes: for messages that no wire carried."""
+    """Return False: the test for a device clear of messages that did not come over a wire."""
     return False
 
 
@@ -54,8 +54,8 @@ def never() -> bool:
 class Command:
     """One line of an instrument's command table.
 
-    `notation` is the manual's ("[SENSe:]VOLTage:DC:RANGe?"); `action` is called with the values of the
-    parameters that were sent and returns the reply of a query, or None where none comes.
+    `notation` is the manual's ("[SENSe:]VOLTage:DC:RANGe?"). `action` is called with the values of the parameters
+    that were sent; it returns the reply of a query, else None.
     """
 
     notation: str
@@ -64,9 +64,9 @@ class Command:
 
 
 class ScpiInstrument:
-    """Parses messages and carries them out; the base of every simulated SCPI instrument.
+    """The base of every simulated SCPI instrument, which parses messages and carries them out.
 
-    `identity` answers *IDN?; `errors` adds the instrument's own error texts to the standard's.
+    `identity` answers *IDN?; `errors` adds the instrument's own error texts to those of the standard.
     """
 
     def __init__(self, identity: str, errors: Mapping[int, str] | None = None) -> None:
@@ -84,13 +84,13 @@ class ScpiInstrument:
         """Add lines to the command table."""
         self._table.extend((notation_pattern(command.notation), command) for command in commands)
 
-    # --- what the wire calls ------------------------------------------------------------------------
+    # --- called by the wire -------------------------------------------------------------------------
 
     def handle(self, message: bytes, interrupted: Callable[[], bool] = never) -> bytes | None:
-        """Carry out one message (without its terminator) and return the reply line, None if there is none.
+        """Carry out one message (without its terminator) and return the reply line, or None if there is none.
 
-        `interrupted` tells, while a command waits, whether a device clear has come in. A message with a
-        mistake in its form is not read further; an error in carrying a command out leaves the rest standing.
+        A waiting command polls `interrupted` for a device clear. After a syntax error the rest of the message is
+        discarded; after an execution error it is still carried out.
         """
         self._interrupted = interrupted
         replies: list[str] = []
@@ -105,54 +105,54 @@ class ScpiInstrument:
         return ";".join(replies).encode("ascii") if replies else None
 
     def device_clear(self) -> None:
-        """Abort the command or measurement in progress; settings, errors and status stay."""
+        """Abort the command or measurement in progress; keep settings, errors and status."""
 
     def input_overflow(self) -> None:
-        """Take note that a message was longer than the input buffer."""
+        """Report a message that exceeded the input buffer (-223)."""
         self.report(-223)
 
     def power_cycle(self) -> None:
-        """Switch off and on: settings and errors are gone."""
+        """Switch off and on, which clears settings and errors."""
         self.errors.clear()
         self.status.power_cycle()
         self.reset()
 
-    # --- what an instrument overrides ---------------------------------------------------------------
+    # --- to be overridden by an instrument ----------------------------------------------------------
 
     def admit(self, command: Command) -> None:
-        """Admit a command before its parameters are parsed: wait for a measurement, or raise `ScpiError`."""
+        """Called before a command's parameters are parsed: wait for a measurement, or raise `ScpiError`."""
 
     def reset(self) -> None:
-        """Carry out *RST."""
+        """Carry out *RST; a subclass resets its settings."""
 
     def self_test(self) -> int:
         """Carry out *TST? and return 0 (passed) or 1."""
         return 0
 
     def number(self, value: float) -> str:
-        """Return a whole number as the instrument prints it: `+0`."""
+        """Return a whole number in the instrument's format: `+0`."""
         return integer(value)
 
     def device_clear_pending(self) -> bool:
-        """Whether a device clear has come in since the present message began: what waits gives up."""
+        """Return whether a device clear has arrived since the present message began."""
         return self._interrupted()
 
     # --- errors -------------------------------------------------------------------------------------
 
     def report(self, number: int) -> None:
-        """Put an error into the queue and its class into the event register."""
+        """Put an error into the queue and set the bit of its class in the event register."""
         self.errors.push(number)
         self.status.note_error(number)
 
     def next_error(self) -> str:
-        """Take the oldest error out of the queue: `-113,"Undefined header"`, `+0,"No error"`."""
+        """Remove and return the oldest error: `-113,"Undefined header"`, or `+0,"No error"`."""
         number = self.errors.pop()
         return f"{self.number(number)},{quoted(self._error_texts[number])}"
 
     # --- parsing ------------------------------------------------------------------------------------
 
     def _units(self, message: bytes) -> list[str]:
-        """Return the commands of a message. Raises `ScpiError` -101 for what is not printable ASCII."""
+        """Return the commands of a message. Raises `ScpiError` -101 for characters other than printable ASCII."""
         text = message.decode("latin-1").strip()
         if not text.isascii() or not text.replace("\t", " ").isprintable():
             raise ScpiError(-101)
@@ -160,9 +160,9 @@ class ScpiInstrument:
         return [unit for unit in units if unit]
 
     def _execute(self, unit: str, path: str, replies: list[str]) -> str:
-        """Carry out one command; return the path at which the next one starts.
+        """Carry out one command; return the path at which the next command starts.
 
-        Raises `ScpiError` for a mistake in the command's form, so that the rest of the line is dropped.
+        Raises `ScpiError` for a syntax error, so that the rest of the message is discarded.
         """
         header, *rest = unit.split(None, 1)
         check_header(header)
@@ -184,7 +184,10 @@ class ScpiInstrument:
         return path
 
     def _find(self, header: str) -> Command:
-        """Return the command of a header, -113 when there is none. Only hits are kept: they are few."""
+        """Return the command for a header; raise `ScpiError` -113 if there is none.
+
+        Only successful look-ups are cached, so the cache stays small.
+        """
         if header not in self._found:
             for pattern, command in self._table:
                 if pattern.match(header):
@@ -222,7 +225,7 @@ class ScpiInstrument:
         ]
 
     def _mask_lines(self, notation: str, name: str, most: int) -> list[Command]:
-        """Return command and query of a mask of the status registers, a whole number up to `most`."""
+        """Return command and query of an enable mask in the status registers, a whole number up to `most`."""
         return [
             Command(
                 notation,
@@ -256,10 +259,10 @@ _ALLOWED_IN_LOCAL: Final = (*_REMOTE_COMMANDS, "SYSTem:ERRor?", "*IDN?", "*CLS",
 
 
 class RemoteInstrument(ScpiInstrument):
-    """An instrument that is local or remote; `interface` is what it believes to be connected by.
+    """An instrument with local and remote mode; `interface` is the interface that it is set to.
 
-    "rs232" refuses (+550) all but identification, errors and SYSTem:REMote until that was sent, "gpib" refuses
-    the SYSTem:REMote family (+514), "lan" takes both and needs neither.
+    "rs232" refuses (+550) all commands but identification, errors and SYSTem:REMote until SYSTem:REMote was sent.
+    "gpib" refuses the SYSTem:REMote family (+514). "lan" accepts both and requires neither.
     """
 
     def __init__(self, identity: str, errors: Mapping[int, str], interface: Interface) -> None:
@@ -275,25 +278,25 @@ class RemoteInstrument(ScpiInstrument):
         )
 
     def admit(self, command: Command) -> None:
-        """Refuse what the interface does not allow."""
+        """Raise `ScpiError` for a command that the interface does not allow."""
         if self.interface == "gpib" and command.notation in _REMOTE_COMMANDS:
             raise ScpiError(514)
         if self.interface == "rs232" and not self._remote and command.notation not in _ALLOWED_IN_LOCAL:
             raise ScpiError(550)
 
     def input_overflow(self) -> None:
-        """Take note that a message was longer than the input buffer."""
+        """Report a message that exceeded the input buffer (+521)."""
         self.report(_OVERFLOW)
 
     def power_cycle(self) -> None:
-        """Switch off and on: the settings are gone, all but what a model keeps."""
+        """Switch off and on: return to local, and lose all settings except those that a model stores."""
         super().power_cycle()
         self._set_remote(False)
 
     def press_local(self) -> None:
-        """Press LOCAL on the front panel: over RS-232 commands are refused until SYSTem:REMote.
+        """Press LOCAL on the front panel: over RS-232, commands are then refused until SYSTem:REMote.
 
-        Locked by SYSTem:RWLock the key does nothing.
+        The key has no effect after SYSTem:RWLock.
         """
         if not self._locked:
             self._remote = False
@@ -309,9 +312,9 @@ def switch_lines(
     words: tuple[str, ...] = (),
     changed: Callable[[], None] = lambda: None,
 ) -> list[Command]:
-    """Return command and query of an attribute that is on or off; one of the further `words` sets it off.
+    """Return the command and the query of a Boolean attribute; each of the additional `words` sets it to False.
 
-    `holder` returns the object that has the attribute now, `changed` is called after the command.
+    `holder` returns the object that has the attribute; `changed` is called after the command.
     """
 
     def switch(flag: str) -> None:
@@ -331,7 +334,7 @@ def number_lines(
     get: Callable[[], float],
     put: Callable[[float], None],
 ) -> list[Command]:
-    """Return command and query of a number; MIN and MAX stand for its `ends`, in the query too."""
+    """Return the command and the query of a number; MIN and MAX stand for the two `ends`, in the query too."""
     words = dict(zip((MIN, MAX), ends, strict=True))
     return [
         Command(notation, lambda v: put(words[v] if isinstance(v, str) else v), (Number(unit),)),
@@ -340,7 +343,7 @@ def number_lines(
 
 
 def check_header(header: str) -> None:
-    """Raise `ScpiError` for a header of the wrong form: -101, -103 (comma), -112 (too long), -102."""
+    """Raise `ScpiError` for a malformed header: -101 (character), -103 (comma), -112 (too long), -102 (other)."""
     if not _HEADER_CHARACTERS.match(header):
         raise ScpiError(-101)
     if "," in header:

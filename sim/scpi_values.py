@@ -1,4 +1,4 @@
-"""Values and status of SCPI instruments: parameters, channel lists, replies; error queue and status registers."""
+"""Values and status of SCPI instruments: parameters, channel lists, replies, error queue, status registers."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ ERRORS: Final[dict[int, str]] = {
     -410: "Query INTERRUPTED",
     -420: "Query UNTERMINATED",
 }
-"""The texts of the standard's numbers; an instrument adds its own, which are positive."""
+"""The texts of the standard error numbers; an instrument adds its own, which are positive."""
 
 
 class ScpiError(Exception):
@@ -68,7 +68,7 @@ class ScpiError(Exception):
 
 
 class ErrorQueue:
-    """First in, first out; when it is full the newest entry becomes -350 and further errors are lost."""
+    """A first-in, first-out queue; an error that finds it full is lost and turns the newest entry into -350."""
 
     DEPTH: Final = 20
 
@@ -86,18 +86,19 @@ class ErrorQueue:
             self._numbers[-1] = -350
 
     def pop(self) -> int:
-        """Take out the oldest error, 0 when there is none."""
+        """Remove and return the oldest error; 0 if there is none."""
         return self._numbers.popleft() if self._numbers else 0
 
     def clear(self) -> None:
-        """Forget all errors."""
+        """Remove all errors."""
         self._numbers.clear()
 
 
 class StatusRegisters:
-    """Standard event, questionable data and status byte, with their enable masks.
+    """The standard event and questionable data registers with their enable masks, and the status byte.
 
-    After power-on the masks are as `power_on_clear` (*PSC) says; the event register shows POWER_ON.
+    A power cycle sets POWER_ON in the event register. If `power_on_clear` (*PSC) is False, it keeps the masks of
+    the standard events and of service requests.
     """
 
     def __init__(self) -> None:
@@ -109,7 +110,7 @@ class StatusRegisters:
         self.power_on_clear = True
 
     def power_cycle(self) -> None:
-        """Set the registers as switching off and on does."""
+        """Set the registers to their state after switching off and on."""
         self.event = POWER_ON
         self.questionable = 0
         self.questionable_enable = 0
@@ -118,7 +119,7 @@ class StatusRegisters:
             self.service_enable = 0
 
     def clear(self) -> None:
-        """Clear the event registers; the masks stay (*CLS)."""
+        """Clear the event registers but not the masks (*CLS)."""
         self.event = 0
         self.questionable = 0
 
@@ -145,7 +146,7 @@ class StatusRegisters:
 
     @property
     def status_byte(self) -> int:
-        """The status byte (*STB?). Replies leave at once, so that "message available" is never set."""
+        """The status byte (*STB?). "Message available" is never set, because replies are sent at once."""
         byte = 0
         if self.questionable & self.questionable_enable:
             byte |= QUESTIONABLE_SUMMARY
@@ -177,8 +178,8 @@ _MAX_EXPONENT: Final = 32000
 def notation_pattern(notation: str) -> re.Pattern[str]:
     """Compile a keyword in the manual's notation, such as "[SENSe:]VOLTage[:DC]:NPLCycles?".
 
-    Capitals are the short form; only the short and the long form match, in any case; what stands in
-    brackets may be left out. Raises `ValueError` when brackets do not pair.
+    Capitals are the short form. The pattern matches only the short and the long form, in any case; parts in
+    brackets are optional. Raises `ValueError` for unbalanced brackets.
     """
     if notation.count("[") != notation.count("]"):
         raise ValueError(f"the brackets of {notation!r} do not pair")
@@ -215,26 +216,26 @@ def split_outside_quotes(text: str, separator: str) -> list[str]:
 
 
 class CommandParameter(Protocol):
-    """One parameter of a command: turns the text that was sent into a value."""
+    """One parameter of a command, which converts the text received to a value."""
 
     @property
     def optional(self) -> bool:
-        """Whether the parameter is optional."""
+        """Whether the parameter may be omitted."""
 
     def parse(self, text: str) -> Value:
-        """Return the value. Raises `ScpiError` with the number that the standard gives the mistake."""
+        """Return the value. Raises `ScpiError` with the number that the standard assigns to the error."""
 
 
 @dataclass(frozen=True)
 class Number:
-    """A number in `unit` (none: no suffix is allowed), or one of the words MIN, MAX, DEF, INF it may be."""
+    """A number in `unit` (if empty, no suffix is allowed), or one of the `words` out of MIN, MAX, DEF, INF."""
 
     unit: str = ""
     words: tuple[str, ...] = (MIN, MAX)
     optional: bool = False
 
     def parse(self, text: str) -> Value:
-        """Return the number in the basic unit, or the word's short form."""
+        """Return the number in the basic unit, or the short form of the word."""
         if text[:1] in ("'", '"'):
             raise ScpiError(-158)
         if _WORD.match(text):
@@ -283,13 +284,13 @@ class Choice:
 
 @dataclass(frozen=True)
 class Boolean:
-    """ON, OFF, or a number that is rounded and is true unless zero; further words as in `Choice`."""
+    """ON, OFF, or a number, which is rounded and counts as true unless zero; further `words` as in `Choice`."""
 
     words: tuple[str, ...] = ()
     optional: bool = False
 
     def parse(self, text: str) -> Value:
-        """Return "1", "0" or the short form of one of the further words."""
+        """Return "1", "0", or the short form of one of the further words."""
         if _WORD.match(text):
             word = Choice(("ON", "OFF", *self.words)).parse(text)
             return {"ON": "1", "OFF": "0"}.get(str(word), word)
@@ -299,7 +300,7 @@ class Boolean:
 
 @dataclass(frozen=True)
 class Text:
-    """A string in either kind of quotes, its own quote doubled within."""
+    """A string in single or double quotes; inside it, the enclosing quote is doubled."""
 
     optional: bool = False
 
@@ -340,9 +341,9 @@ def _non_decimal(base: str, digits: str) -> float:
 
 
 def parse_parameters(specified: Sequence[CommandParameter], text: str) -> list[Value]:
-    """Return the values of a command's parameters, those left out at the end not in the list.
+    """Return the values of a command's parameters, without those omitted at the end.
 
-    Raises `ScpiError`: -108 for too many, -109 for too few, and what the parameters raise.
+    Raises `ScpiError` -108 for too many, -109 for too few, and the errors of the parameters themselves.
     """
     texts = [part.strip() for part in split_outside_quotes(text, ",")] if text.strip() else []
     if len(texts) > len(specified):
@@ -363,7 +364,7 @@ def integer(value: float) -> str:
 
 
 def numbered(identity: str, place: int) -> str:
-    """Return an identity (IEEE 488.2, 10.14) whose serial number stands `place` further on."""
+    """Return an identity (IEEE 488.2, 10.14) with its serial number increased by `place`."""
     maker, model, serial, firmware = identity.split(",", 3)
     digits = serial[len(serial.rstrip("0123456789")) :]
     ahead = serial.removesuffix(digits) + str(int(digits) + place).zfill(len(digits))
@@ -371,15 +372,15 @@ def numbered(identity: str, place: int) -> str:
 
 
 def quoted(text: str) -> str:
-    """Format a string reply: double quotes, doubled within."""
+    """Format a string reply in double quotes, with inner double quotes doubled."""
     return '"' + text.replace('"', '""') + '"'
 
 
 def next_above(value: float, accepted: Sequence[float]) -> float:
-    """Return the smallest accepted number that is not below `value` (rising order).
+    """Return the smallest of the `accepted` numbers (ascending) that is not below `value`.
 
-    Raises `ScpiError` -222 when `value` is above them all, or negative. The tolerance of 1e-6 forgives
-    a number that lost its last digits on the way.
+    Raises `ScpiError` -222 if `value` is negative or above all of them. A relative tolerance of 1e-6 absorbs
+    rounding in the transmitted number.
     """
     if value < 0.0:
         raise ScpiError(-222)
@@ -390,7 +391,10 @@ def next_above(value: float, accepted: Sequence[float]) -> float:
 
 
 def next_below(value: float, accepted: Sequence[float]) -> float:
-    """Return the largest accepted number that is not above `value` (rising order), -222 if there is none."""
+    """Return the largest of the `accepted` numbers (ascending) that is not above `value`, within 1e-6.
+
+    Raises `ScpiError` -222 if there is none.
+    """
     fitting = [number for number in accepted if number <= value * (1.0 + 1e-6)]
     if not fitting:
         raise ScpiError(-222)
@@ -398,7 +402,7 @@ def next_below(value: float, accepted: Sequence[float]) -> float:
 
 
 def within(value: float, low: float, high: float) -> float:
-    """Return `value` when it lies in [low, high], else raise `ScpiError` -222."""
+    """Return `value` if it lies in [low, high], else raise `ScpiError` -222."""
     if not low <= value <= high:
         raise ScpiError(-222)
     return value
@@ -411,22 +415,23 @@ _OUT_OF_RANGE: Final = -222
 
 
 class OutputList:
-    """A list of outputs as a parameter; its value is its text, of which `listed` makes the numbers."""
+    """A list of outputs as a parameter; its value is the text, which `listed` converts to numbers."""
 
     def __init__(self, optional: bool = True) -> None:
         self.optional = optional
 
     def parse(self, text: str) -> Value:
-        """Return the text. Raises `ScpiError` for what is no list."""
+        """Return the text unchanged. Raises `ScpiError` -104 for a malformed list."""
         if _LIST.fullmatch(text) is None:
             raise ScpiError(-104)
         return text
 
 
 def list_spans(text: str, item: re.Pattern[str], wrong: int) -> list[tuple[int, int]]:
-    """Return first and last number of each item of a list, `(@1,3:4)`; raise `ScpiError` `wrong` for no list.
+    """Return the first and last number of each item of a list: `(@1,3:4)` -> [(1, 1), (3, 4)].
 
-    `item` is the pattern of one, with the first and perhaps the last number as groups.
+    `item` matches one item, with the first and optionally the last number as groups. Raises `ScpiError` with the
+    number `wrong` for a malformed list.
     """
     match = _LIST.fullmatch(text)
     inner = "" if match is None else match.group(1).replace(" ", "")
@@ -437,7 +442,10 @@ def list_spans(text: str, item: re.Pattern[str], wrong: int) -> list[tuple[int, 
 
 
 def listed(text: str, count: int) -> tuple[int, ...]:
-    """Return the numbers of a list in its order. Raises `ScpiError` for none, or one beyond `count`."""
+    """Return the numbers of a list in its order: `(@1,3:4)` -> (1, 3, 4).
+
+    Raises `ScpiError` -104 for a malformed list, -109 for an empty one, -222 for a number outside 1…`count`.
+    """
     spans = list_spans(text, _ITEM, -104)
     numbers = [number for first, last in spans for number in range(first, last + 1)]
     if not spans:

@@ -1,4 +1,4 @@
-"""The base of simulated power supplies: their outputs in the world."""
+"""The base of simulated power supplies, whose outputs are part of the world."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ if TYPE_CHECKING:
 
 
 class Outputs:
-    """The outputs of a supply in a world, by name; `limits` are what its facts say of each.
+    """The outputs of a supply in a world, by name; `limits` are their limits in the supply's facts.
 
-    `preset` says how an output is after switching on and *RST. When the mains come back, the supply is as
-    `returned` makes it. With `one_switch` its outputs are switched together.
+    `preset` returns the settings of an output after switch-on and *RST. `returned` is called when the mains return
+    and sets the supply's state then. With `one_switch` all outputs are switched together.
     """
 
     def __init__(
@@ -45,25 +45,25 @@ class Outputs:
 
     @property
     def has_mains(self) -> bool:
-        """Whether the supply has power itself: without, it says nothing."""
+        """Whether the supply has mains power; without it, nothing is answered."""
         return self._world.power.has_mains(self._now_s)
 
     @property
     def _now_s(self) -> float:
-        """The time at which things are done: that of the mains' return while that is under way."""
+        """The time of an action: the present time or, during `returned`, the time at which the mains returned."""
         return self._world.clock.now_s() if self._back_s is None else self._back_s
 
     def span(self, name: str, what: str) -> tuple[float, float]:
-        """Return the nearest to zero and the farthest of what an output may be set to."""
+        """Return the limits of a setting of an output, the one nearest to zero first."""
         low, high = sorted((float(value) for value in self.limits[name][what]), key=abs)
         return low, high
 
     def stage(self, name: str) -> OutputPhase:
-        """Return the present settings and switch of an output."""
+        """Return the present state of an output."""
         return self._world.power.stage(name, self._now_s)
 
     def shown(self, name: str) -> OutputReading:
-        """Return voltage and current of an output as the supply measures them, rounded to its steps."""
+        """Return the voltage and current of an output as the supply measures them, rounded to its resolution."""
         shown, limits = self._world.power.shown(name, self._now_s), self.limits[name]
         return replace(
             shown,
@@ -72,21 +72,21 @@ class Outputs:
         )
 
     def change(self, name: str, **changes: object) -> None:
-        """Change an output."""
+        """Change the fields `changes` of an output's `OutputPhase`."""
         self._world.power.change(name, self._now_s, **changes)
 
     def switch(self, name: str, on: bool) -> None:
-        """Switch an output; one that has tripped stays off."""
+        """Switch an output on or off; an output that has tripped stays off."""
         if not on or self.stage(name).tripped is None:
             self.change(name, on=on)
 
     def clear_trips(self) -> None:
-        """Forget what has tripped; the outputs stay off."""
+        """Clear all trips; the outputs stay off."""
         for name in self.names:
             self.change(name, tripped=None)
 
     def reset(self) -> None:
-        """Set every output off and as preset."""
+        """Switch every output off and preset it."""
         for name in self.names:
             self.change(name, on=False, tripped=None, **self._preset(name))
 
@@ -109,9 +109,9 @@ _DISPLAY_WIDTH: Final = 12
 
 
 class KeysightSupply(RemoteInstrument):
-    """The base of the Keysight supplies: the outputs of a world, of which one is selected, and a display's text.
+    """The base of the Keysight supplies: outputs of a world, one of them selected, and a display text.
 
-    `facts` are those of the supply, `version` what it answers to SYSTem:VERSion?.
+    `facts` are those of the supply, `version` is its reply to SYSTem:VERSion?.
     """
 
     def __init__(
@@ -137,14 +137,14 @@ class KeysightSupply(RemoteInstrument):
 
     @abstractmethod
     def _preset(self, name: str) -> dict[str, Any]:
-        """Return the settings of an output after switching on and *RST."""
+        """Return the settings of an output after switch-on and *RST."""
 
     def handle(self, message: bytes, interrupted: Callable[[], bool] = never) -> bytes | None:
-        """Carry out a message; without mains nothing is answered."""
+        """Carry out a message; without mains there is no reply."""
         return super().handle(message, interrupted) if self._outputs.has_mains else None
 
     def reset(self) -> None:
-        """Carry out *RST."""
+        """*RST: select the first output, clear the display text, switch all outputs off and preset them."""
         self._selected, self._text = self._outputs.names[0], ""
         self._outputs.reset()
 
@@ -167,7 +167,7 @@ class KeysightSupply(RemoteInstrument):
         ]
 
     def _of(self, name: str, what: str, value: Value, default: float) -> float:
-        """Return a setting of an output, of a number or a word. Raises `ScpiError` -222 beyond its range."""
+        """Return a setting of an output from a number or word. Raises `ScpiError` -222 outside its limits."""
         near, far = self._outputs.span(name, what)
         if isinstance(value, str):
             return {MIN: near, MAX: far, DEF: default}[value]
@@ -177,7 +177,7 @@ class KeysightSupply(RemoteInstrument):
         self._selected = self._outputs.names[round(within(number, 1, len(self._outputs.names))) - 1]
 
     def _condition(self, name: str) -> int:
-        """Return the bits of an output: what has tripped it, or how it regulates."""
+        """Return the status bits of an output: the cause of a trip, or the regulation mode."""
         stage, facts = self._outputs.stage(name), self._facts
         if stage.tripped is not None:
             return int(facts.OVER_VOLTAGE if stage.tripped == "voltage" else facts.OVER_CURRENT)
@@ -195,5 +195,5 @@ class KeysightSupply(RemoteInstrument):
 
 
 def shown_number(value: float) -> str:
-    """Return a number as these supplies print it: +5.00000000E+00."""
+    """Return a number in the format of these supplies: +5.00000000E+00."""
     return f"{value:+.8E}"

@@ -1,4 +1,4 @@
-"""What simulated voltmeters share: a converter of readings, the measuring cycle, a line that is remote or local."""
+"""The common part of simulated voltmeters: the converter, the measuring cycle, remote and local mode."""
 
 from __future__ import annotations
 
@@ -27,12 +27,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Function:
-    """A measuring function: its name in replies, its notation in commands, its ranges in `unit` (rising).
+    """A measuring function: its name in replies, its notation in commands, its ranges in `unit` (ascending).
 
-    `integration` gives for each resolution (fraction of the range) the integration in power-line cycles, or the
-    gate time in s; `keyword` is the SENSe node that sets it, empty where none does. `settings_of` names the
-    function whose range and resolution it has; a `fixed` one has nothing to set. `expected` bounds the signal
-    that CONFigure takes where the range is that of the input voltage.
+    `integration` maps each resolution (fraction of the range) to the integration time in power-line cycles, or to
+    the gate time in s. `keyword` is the SENSe node that sets it, empty if there is none. `settings_of` names
+    another function whose range and resolution this one uses. A `fixed` function has no settings. `expected`
+    bounds the expected signal in CONFigure, for functions whose range is that of the input voltage (frequency,
+    period).
     """
 
     name: str
@@ -47,23 +48,26 @@ class Function:
 
     @property
     def has_nplc(self) -> bool:
-        """Whether it integrates over power-line cycles and its autozero doubles the time."""
+        """Whether it integrates over power-line cycles; autozero then doubles the measuring time."""
         return self.keyword == "NPLCycles"
 
     @property
     def has_aperture(self) -> bool:
-        """Whether it counts over a gate time."""
+        """Whether it counts during a gate time."""
         return self.keyword == "APERture"
 
     @property
     def default_resolution(self) -> float:
-        """The resolution that DEF stands for: 10 power-line cycles, 0.1 s gate time."""
+        """The resolution for DEF: that of 10 power-line cycles, or of 0.1 s gate time."""
         return 1e-5 if self.has_aperture else 1e-6
 
 
 @dataclass
 class FunctionSettings:
-    """Range, autorange and resolution (fraction of the range) of one function; `expected` as in CONFigure."""
+    """Range, autorange and resolution (fraction of the range) of one function.
+
+    `expected` is the signal stated in CONFigure, for functions that have it.
+    """
 
     range_value: float
     resolution: float
@@ -72,7 +76,10 @@ class FunctionSettings:
 
 
 def chosen_range(function: Function, value: Value) -> float:
-    """Return the smallest range that holds `value`; MIN and MAX are the ends. Raises -222."""
+    """Return the smallest range that holds `value`; MIN is the lowest, another word the highest.
+
+    Raises `ScpiError` -222 for a value outside all ranges.
+    """
     if isinstance(value, str):
         return function.ranges[0] if value == MIN else function.ranges[-1]
     return next_above(value, function.ranges)
@@ -81,7 +88,7 @@ def chosen_range(function: Function, value: Value) -> float:
 def chosen_resolution(function: Function, value: Value, full_scale: float) -> float:
     """Return the coarsest resolution (fraction of the range) that is at least as fine as `value`.
 
-    Raises `ScpiError` 532 when even the finest is too coarse, -222 for a resolution that is not positive.
+    Raises `ScpiError` 532 if even the finest is too coarse, -222 for a resolution that is not positive.
     """
     steps = function.integration
     if isinstance(value, str):
@@ -99,15 +106,15 @@ def chosen_resolution(function: Function, value: Value, full_scale: float) -> fl
 # measured on meters of this class.
 
 Accuracy = Literal["90 days"] | Mapping[float, tuple[float, float]]
-"""The errors of a simulated meter: drawn within limits of 90 days, or by range a gain error and an offset, V."""
+"""The errors of a simulated meter: drawn within its 90-day limits, or {range: (gain error, offset in V)}."""
 
 _NOISE_OF_RANGE: Final = {
     200.0: 0.8e-7, 100.0: 1e-7, 20.0: 2e-7, 10.0: 2.5e-7, 2.0: 6e-7, 1.0: 8e-7, 0.2: 3e-6, 0.02: 3e-5,
 }  # fmt: skip
-"""Standard deviation of one sample as a fraction of the range, for each NPLC."""
+"""Standard deviation of one sample as a fraction of the range, by NPLC."""
 
 _NOISE_OF_INPUT_V: Final = 0.4e-6
-"""Noise of the input amplifier at 1 NPLC, V: it decides on the 100 mV range."""
+"""Noise of the input amplifier at 1 NPLC, V, which dominates in the 100 mV range."""
 
 _FAST_INTEGRATION_S: Final = {0.02: 400e-6, 0.2: 3e-3}
 _AC_SETTLING_S: Final = {3.0: 7.0, 20.0: 1.0, 200.0: 0.6}
@@ -118,31 +125,31 @@ _QUICK_TEST_S: Final = 3e-3
 
 
 class MeteredSignal(Protocol):
-    """The interface of the signal at a meter: one channel of the world."""
+    """The signal at a meter's terminals: one channel of the world."""
 
     @property
     def place(self) -> int:
-        """Index of the meter on the bench, from 0, which gives it its own serial number."""
+        """The index of the meter on the bench, from 0, which determines its serial number."""
 
     @property
     def temperature_c(self) -> float:
         """The temperature at the meter, °C."""
 
     def signal_v(self, time_s: float | None = None) -> float:
-        """Return the voltage at the terminals now, or as it was at `time_s` of the clock, V."""
+        """Return the voltage at the terminals at `time_s` of the clock (default: now), V."""
 
     def new_reading(self) -> None:
-        """Say that a reading was triggered."""
+        """Begin a new reading, when the meter is triggered."""
 
     def random(self, purpose: str) -> np.random.Generator:
-        """Return the generator for a purpose within the present reading."""
+        """Return the random generator for one purpose within the present reading."""
 
     def fixed_random(self, purpose: str) -> np.random.Generator:
-        """Return the generator for something that this meter has for good."""
+        """Return the random generator for a permanent property of the meter."""
 
 
 class Measurement(Protocol):
-    """The settings of a meter that its converter needs to take a sample."""
+    """The settings of a meter that its converter needs for a sample."""
 
     @property
     def function(self) -> Function:
@@ -150,30 +157,30 @@ class Measurement(Protocol):
 
     @property
     def settings(self) -> FunctionSettings:
-        """Its range, which autorange changes, and its resolution."""
+        """The range, which autorange may change, and the resolution of the function."""
 
     @property
     def nplc(self) -> float:
-        """Integration in power-line cycles, or the gate time in s where it counts."""
+        """The integration time in power-line cycles, or the gate time in s of a counting function."""
 
     @property
     def autozero(self) -> bool:
-        """Whether the zero is measured with each sample."""
+        """Whether the zero is measured together with each sample."""
 
     @property
     def bandwidth_hz(self) -> float:
-        """The slowest alternating signal that is measured right, Hz."""
+        """The lowest AC frequency that is measured correctly, Hz."""
 
 
 class Converter:
-    """Turns the voltage at the terminals into readings, as the `facts` of a meter say of its ranges and errors.
+    """Converts the voltage at the terminals to readings, with the ranges and errors in the `facts` of a meter.
 
-    With `noise` a sample has white noise by its integration time and is rounded to the resolution; without,
-    it is the exact value (a reply still carries 8 decimals). With `accuracy` the meter has a gain and an
-    offset of its own for each range, drawn once within half the limits of error, and a temperature
-    coefficient; or those errors that are given. The terminals carry a DC voltage and nothing else: AC functions,
-    current, frequency and period read zero, resistance, continuity and diode see open leads, the ratio has no
-    reference. While `overloaded` is set, every sample is beyond the range.
+    With `noise` a sample has white noise according to its integration time and is rounded to the resolution;
+    without, it is exact (although a reply has only 8 decimals). `accuracy` "90 days" draws a gain error, an offset
+    and their temperature coefficients for each range once, within half the limits of error; other values state the
+    errors. The terminals carry only a DC voltage: AC functions, current, frequency and period read zero;
+    resistance, continuity and diode see open leads; the ratio has no reference. While `overloaded` is set, every
+    sample is beyond the range.
     """
 
     def __init__(
@@ -197,7 +204,7 @@ class Converter:
     # --- time ---------------------------------------------------------------------------------------
 
     def integration_s(self, configuration: Measurement) -> float:
-        """Return how long the signal is integrated for one sample, s."""
+        """Return the integration time of one sample, s."""
         function = configuration.function
         if function.has_aperture:
             return configuration.nplc
@@ -206,7 +213,7 @@ class Converter:
         return _FAST_INTEGRATION_S.get(configuration.nplc, configuration.nplc / self._line_hz)
 
     def sample_s(self, configuration: Measurement) -> float:
-        """Return how long one sample takes without its delay, s; autozero measures the zero as long again."""
+        """Return the duration of one sample without its delay, s; autozero doubles it."""
         doubled = configuration.function.has_nplc and configuration.autozero
         return self.integration_s(configuration) * (2.0 if doubled else 1.0)
 
@@ -222,14 +229,14 @@ class Converter:
     # --- value --------------------------------------------------------------------------------------
 
     def begin(self) -> None:
-        """A measurement was initiated: tell the source, and take the noise that belongs to it."""
+        """Begin a measurement: announce a new reading to the source and get its noise generator."""
         self._source.new_reading()
         self._generator = self._source.random("voltmeter noise") if self._noise else None
 
     def sample(self, configuration: Measurement, time_s: float) -> float:
-        """Return one sample of the selected function, taken at `time_s`; ±`OVERLOAD_V` outside the range.
+        """Return one sample of the selected function at `time_s`; ±`OVERLOAD_V` outside the range.
 
-        Autorange changes the range in the settings, as on the meter.
+        As on the meter, autorange changes the range in the settings.
         """
         if self.overloaded:
             return OVERLOAD_V
@@ -242,7 +249,7 @@ class Converter:
                 return 0.0
 
     def step(self, configuration: Measurement) -> float:
-        """Return the step to which samples are rounded, 0 when they are not."""
+        """Return the rounding step of samples, or 0 without rounding."""
         settings = configuration.settings
         return settings.range_value * settings.resolution if self._noise else 0.0
 
@@ -287,7 +294,7 @@ class Converter:
         return range_v if range_v == highest_v else range_v * float(self._facts.OVER_RANGE)
 
     def _autorange(self, signal_v: float, range_v: float) -> float:
-        """Return the range for a signal: up where the present one is exceeded, down far below it."""
+        """Return the range for a signal: a higher one above the present range, a lower one far below it."""
         ranges: tuple[float, ...] = self._facts.RANGES_V
         if abs(signal_v) > self._full_scale(range_v):
             return next((r for r in ranges if abs(signal_v) <= self._full_scale(r)), ranges[-1])
@@ -298,7 +305,7 @@ class Converter:
 
 
 def _noise_of_range(nplc: float) -> float:
-    """Return the noise as a fraction of the range; between the integration times of the table by its slope."""
+    """Return the noise as a fraction of the range, interpolated log-log between the tabulated NPLC."""
     if nplc in _NOISE_OF_RANGE:
         return _NOISE_OF_RANGE[nplc]
     points = sorted((math.log(n), math.log(noise)) for n, noise in _NOISE_OF_RANGE.items())
@@ -308,7 +315,7 @@ def _noise_of_range(nplc: float) -> float:
 
 
 def reading_text(value: float, step: float) -> str:
-    """Format a reading, `SD.DDDDDDDDESDD`; a zero carries the exponent of the step it was rounded to."""
+    """Format a reading as `SD.DDDDDDDDESDD`; a zero has the exponent of the rounding step."""
     if value == 0.0:
         exponent = math.floor(math.log10(step) + 1e-9) if step else 0
         return f"+0.00000000E{exponent:+03d}"
@@ -318,49 +325,49 @@ def reading_text(value: float, step: float) -> str:
 # --- the line ---------------------------------------------------------------------------------------
 
 VOLT_OVERLOAD: Final = 1
-"""The bit of the questionable data register."""
+"""The bit for a voltage overload in the questionable data register."""
 
 _ERRORS: Final = {522: "Output buffer overflow", 532: "Cannot achieve requested resolution"}
 _SCPI_VERSION: Final = "1994.0"
 
 
 class LineMeter(RemoteInstrument):
-    """The base of the meters; `errors` are the texts that the model has beside those of the line."""
+    """The base of simulated meters with local and remote mode; `errors` are the model's own error texts."""
 
     beside_measuring: tuple[str, ...] = ()
-    """The commands that do not wait for a measurement under way."""
+    """The commands that do not wait for a measurement in progress."""
 
     def __init__(self, identity: str, errors: Mapping[int, str], interface: Interface) -> None:
         super().__init__(identity, {**_ERRORS, **errors}, interface)
         self.add([Command("SYSTem:VERSion?", lambda: _SCPI_VERSION)])
 
-    # --- what a model says --------------------------------------------------------------------------
+    # --- defined by each model ----------------------------------------------------------------------
 
     @property
     @abstractmethod
     def cycle(self) -> MeasuringCycle:
-        """Its trigger system."""
+        """The trigger system."""
 
     @property
     @abstractmethod
     def converters(self) -> Sequence[Converter]:
-        """Its converter, as each of its inputs has it."""
+        """The converters, one for each input."""
 
-    # --- what the wire and the bench do -------------------------------------------------------------
+    # --- called by the wire and the bench -----------------------------------------------------------
 
     def admit(self, command: Command) -> None:
-        """Refuse what the interface does not allow, and wait for a measurement under way."""
+        """Refuse a command that the interface does not allow; otherwise wait for a measurement in progress."""
         super().admit(command)
         if command.notation not in self.beside_measuring:
             self.cycle.complete()
 
     def device_clear(self) -> None:
-        """Stop measuring and go to idle; settings, errors and status stay."""
+        """Stop measuring and become idle; keep settings, errors and status."""
         self.cycle.abort()
 
     @property
     def overloaded(self) -> bool:
-        """Whether the voltage at every input is beyond every range, whatever the sources say."""
+        """Whether every input is overloaded, whatever the voltage at the terminals."""
         return any(converter.overloaded for converter in self.converters)
 
     @overloaded.setter
@@ -378,16 +385,16 @@ class TriggerState(Enum):
 
 
 class MeasuringCycle(ABC):
-    """Idle, a start, wait for a trigger, measure; `source` says what gives the trigger.
+    """The trigger system: idle, start, wait for a trigger, measure; `source` is the trigger source.
 
-    `memory_depth` readings are kept, the latest; `interrupted` tells whether a device clear has come in. What a
-    client began that has left since is given up as soon as another would wait for it; on a virtual clock
-    nobody waits, and it goes on.
+    The latest `memory_depth` readings are kept. `interrupted` returns whether a device clear has arrived. A
+    measurement whose client has left is given up when another client would have to wait for it, except on a
+    virtual clock, where waiting takes no time.
     """
 
     memory_depth: int
     starts_itself: tuple[str, ...] = ("IMM",)
-    """The sources that need nobody to give a trigger."""
+    """The sources that trigger without a command or an external signal."""
 
     def __init__(self, clock: Clock, interrupted: Callable[[], bool]) -> None:
         self._clock = clock
@@ -399,10 +406,10 @@ class MeasuringCycle(ABC):
 
     @abstractmethod
     def preset(self) -> None:
-        """Set what *RST, CONFigure and MEASure set."""
+        """Set the defaults of *RST, CONFigure and MEASure."""
 
     def abort(self) -> None:
-        """Go to idle and forget what is stored or under way."""
+        """Become idle; discard stored readings and the measurement in progress."""
         self.state = TriggerState.IDLE
         self._memory: list[str] = []
         self._readings: list[str] = []
@@ -411,27 +418,30 @@ class MeasuringCycle(ABC):
         self._keeps = False
 
     def sent_by(self, left: Callable[[], bool]) -> None:
-        """Take note that what is begun from now on is for a client of whom `left` tells whether it has left."""
+        """Store `left`, which returns whether the client of the following commands has left.
+
+        A measurement in progress whose own client has left is given up.
+        """
         if self._forsaken:
             self.abort()
         self._sender_left = left
 
     def fetch(self) -> str:
-        """FETCh?: return what is in memory. Raises `ScpiError` -230 when there is nothing."""
+        """FETCh?: return the readings in memory. Raises `ScpiError` -230 if there are none."""
         if not self._memory:
             raise ScpiError(-230)
         return ",".join(self._memory)
 
     def trigger(self, source: str) -> None:
-        """Measure for one trigger from "BUS" or "EXT"; -211 when the meter does not wait for it."""
+        """Measure on one trigger from "BUS" or "EXT". Raises `ScpiError` -211 if the meter does not wait for it."""
         if self.state is not TriggerState.WAITING or self.source != source:
             raise ScpiError(-211)
         self._schedule(1)
 
     def complete(self) -> None:
-        """Wait for the measurement under way, if any, or until who began it has left.
+        """Wait until the measurement in progress, if any, ends or its client leaves.
 
-        Raises `DeviceClear` when one comes in meanwhile.
+        Raises `DeviceClear` if a device clear arrives meanwhile.
         """
         if self.state is not TriggerState.MEASURING:
             return
@@ -444,31 +454,31 @@ class MeasuringCycle(ABC):
 
     @property
     def in_progress(self) -> bool:
-        """Whether samples are still being taken at this moment."""
+        """Whether samples are still being taken."""
         return self.state is TriggerState.MEASURING and self._clock.now_s() < self._finish_s
 
     @property
     def _forsaken(self) -> bool:
-        """Whether samples are being taken for a client that has left."""
+        """Whether samples are being taken for a client that has left (always False on a virtual clock)."""
         return self._beginner_left() and self.in_progress and not isinstance(self._clock, VirtualClock)
 
     @abstractmethod
     def _schedule(self, triggers: int) -> None:
-        """Fix when the samples of the next triggers are taken, and say so to `_measures_until`."""
+        """Schedule the samples of the next triggers, and call `_measures_until` with their end."""
 
     @abstractmethod
     def _taken(self) -> Iterator[str]:
-        """Take the samples that are due, as texts, and forget that they are."""
+        """Yield the texts of the scheduled samples, and clear the schedule."""
 
     def _require_idle(self) -> None:
-        """Raise `ScpiError` -213 when a measurement is under way."""
+        """Raise `ScpiError` -213 if a measurement is in progress or waits for a trigger."""
         if self.state is TriggerState.MEASURING and not self.in_progress:
             self._collect()
         if self.state is not TriggerState.IDLE:
             raise ScpiError(-213)
 
     def _start(self, triggers: float, *, keeps: bool) -> None:
-        """Begin a measurement; its readings go to memory when it `keeps` them."""
+        """Start a measurement; with `keeps` its readings are stored in memory."""
         self._memory, self._readings = [], []
         self._keeps = keeps
         self._triggers_left = triggers
@@ -484,7 +494,7 @@ class MeasuringCycle(ABC):
         self.state = TriggerState.MEASURING
 
     def _outcome(self) -> str | None:
-        """Wait for the readings of READ?; None (no reply) while somebody must give the trigger."""
+        """Return the readings for READ? once complete; None (no reply) while an external trigger is missing."""
         if self.state is TriggerState.WAITING:
             return None
         self.complete()

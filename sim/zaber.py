@@ -21,18 +21,18 @@ if TYPE_CHECKING:
 _INTEGER: Final = re.compile(r"-?\d{1,10}\Z")
 _NUMBER: Final = re.compile(r"\d{1,2}\Z")
 _PRIORITY: Final = ("FD", "FS", "WR", "NC", "NI")
-"""Of several warnings a reply shows the first."""
+"""Warning flags in descending priority; a reply shows only the first active flag."""
 
 
 class _Rejected(Exception):
-    """A command that is answered with RJ and this reason."""
+    """A command that is rejected (RJ); the text is the reason in the reply."""
 
 
 class ZaberStage(PlainDialect):
-    """One device of which the axis `axis` is the head; `steps_per_degree` microsteps turn it by 1°.
+    """One device whose axis `axis` is the head; `steps_per_degree` microsteps turn it by 1°.
 
-    `homed` False is a stage that was just switched on and has no absolute encoder: it must be homed first.
-    `encoder` tells whether it notices that it is stuck (flag FS); without, it counts steps and believes them.
+    With `homed` False the stage has just been switched on without an absolute encoder and must be homed first.
+    With `encoder` it detects when it is stuck (flag FS); without, it only counts steps.
     """
 
     def __init__(
@@ -73,10 +73,10 @@ class ZaberStage(PlainDialect):
             "warnings": self._tell_warnings,
         }
 
-    # --- what the wire and the bench do -------------------------------------------------------------
+    # --- called by the wire and the bench -----------------------------------------------------------
 
     def handle(self, message: bytes, interrupted: Callable[[], bool]) -> bytes | None:
-        """Answer one command line; nothing is said to a line for another device or of another form."""
+        """Answer one command line; a malformed line, or one for another device, has no reply."""
         text = message.decode("ascii", "replace")
         if not text.startswith("/"):
             return None
@@ -101,7 +101,7 @@ class ZaberStage(PlainDialect):
         self._warnings = {"WR"}
 
     def turn_knob(self, angle_rad: float) -> None:
-        """Let somebody turn the stage by its knob."""
+        """Turn the stage by its manual knob to `angle_rad`."""
         self._world.move_head(angle_rad, self._speed_rad_s)
         self._warnings.add("NC")
 
@@ -117,13 +117,13 @@ class ZaberStage(PlainDialect):
             verdict = "OK"
         except _Rejected as rejection:
             verdict, data = "RJ", str(rejection)
-        # What the command did shows in its own reply.
+        # Status and flag are evaluated after the command, whose effect they show.
         status = "BUSY" if self._busy else "IDLE"
         shown = "".join(f" {n:02d}" for n in number)
         return self._signed("@", f"{self._device:02d} {axis}{shown} {verdict} {status} {self._flag} {data}")
 
     def _alert(self) -> str:
-        """Return the alert line that a movement's end has called for, ahead of the next reply."""
+        """Return the alert line that precedes the next reply after a movement has ended; empty if none is due."""
         if not self._alert_due or self._busy:
             return ""
         self._alert_due = False
@@ -177,7 +177,7 @@ class ZaberStage(PlainDialect):
         return "0"
 
     def _move(self, words: list[str]) -> str:
-        """Move abs, rel, min or max; a movement under way is interrupted by it."""
+        """Start a movement: abs, rel, min or max; it interrupts a movement in progress."""
         kind = words[0] if words else ""
         if kind in ("min", "max") and len(words) == 1:
             target = self._limits[kind == "max"]
@@ -216,7 +216,7 @@ class ZaberStage(PlainDialect):
             self._homing = False
 
     def _tell_warnings(self, words: list[str]) -> str:
-        """List the warnings; `warnings clear` then forgets those that can be."""
+        """Return the list of warnings; `warnings clear` then clears all except WR."""
         _ = self._flag
         shown = [flag for flag in _PRIORITY if flag in self._warnings]
         if words == ["clear"]:

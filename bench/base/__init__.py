@@ -1,1 +1,1 @@
-"""Foundations of all packages: units, formatted numbers, files and tables, checked reading of YAML."""
+"""Foundations of all packages: units, formatted numbers, files, tables, validated YAML files."""

@@ -1,4 +1,4 @@
-"""Array types, names of the axes and sizes of units, which all packages import from here."""
+"""Array types, channel names and unit sizes for all packages."""
 
 from __future__ import annotations
 
@@ -27,29 +27,32 @@ HOUR = 3600.0
 
 
 def unit_vectors(vectors: Floats) -> tuple[Floats, Floats]:
-    """Return the directions (…, 3) of vectors (…, 3), zero for one without a length, and their lengths (…)."""
+    """Return the unit vectors (…, 3) of vectors (…, 3), zero for a zero vector, and the lengths (…)."""
     length = np.linalg.norm(vectors, axis=-1)
     return vectors / np.where(length > 0, length, 1.0)[..., None], length
 
 
 def least_squares(columns: Floats, target: Floats) -> tuple[Floats, Floats]:
-    """Return the solution (p,) or (p, k) of columns (n, p) for a target (n,) or (n, k), and residuals."""
+    """Return the least-squares solution, (p,) or (p, k), and the residuals, in the target's shape.
+
+    `columns` is the design matrix (n, p), `target` has the shape (n,) or (n, k).
+    """
     solution, *_ = np.linalg.lstsq(columns, target, rcond=None)
     return np.asarray(solution), target - columns @ solution
 
 
 def rms(values: Floats) -> float:
-    """Return the root mean square of values of any shape; NaN where there are none."""
+    """Return the root mean square of values of any shape, NaN for an empty array."""
     return float(np.sqrt(np.mean(values**2))) if values.size else float("nan")
 
 
 def u_of(covariance: Floats) -> Floats:
-    """Return the standard uncertainties (m,) that a covariance (m, m) has on its diagonal."""
+    """Return the standard uncertainties (m,) from a covariance matrix (m, m)."""
     return np.sqrt(np.diag(covariance))
 
 
 class HasCovariance:
-    """A mixin that adds standard uncertainties to a class with a `covariance` (m, m)."""
+    """A mixin that adds standard uncertainties to a class with a covariance matrix `covariance` (m, m)."""
 
     covariance: Floats
 

@@ -1,4 +1,4 @@
-"""Long computations: progress, threads, the garbage collector; packages that come with extras."""
+"""Support for long computations: progress, threads, garbage collection; package versions and optional packages."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from types import TracebackType
 from typing import Final, TypeVar
 
 Listener = Callable[[str, int, int], None]
-"""A listener of progress: called with the computation's name, the parts done and their total number."""
+"""A progress callback: called with the computation's name, the number of parts done and the total number."""
 
 quiet: ContextVar[bool] = ContextVar("quiet", default=False)
-"""Whether progress and notes are to be silent, as `--quiet` asks; results, questions and errors never are."""
+"""Whether progress and notes are suppressed (`--quiet`); results, questions and errors are always shown."""
 
 _T = TypeVar("_T")
 _listener: ContextVar[Listener | None] = ContextVar("listener", default=None)
 
 
 class CalibrationError(ValueError):
-    """The readings cannot give what was asked of them; the text says why and what would."""
+    """The readings do not allow the requested calibration; the message says why and what is needed."""
 
 
 @contextmanager
 def heard_by(listener: Listener | None) -> Iterator[None]:
-    """Report the progress of all `tracked` computations to a listener within the context; None: to nobody."""
+    """Report the progress of all `tracked` computations in this context to `listener`, or to nobody if None."""
     before = _listener.set(listener)
     try:
         yield
@@ -35,9 +35,9 @@ def heard_by(listener: Listener | None) -> Iterator[None]:
 
 
 def tracked(parts: Iterable[_T], what: str, total: int | None = None) -> Iterator[_T]:
-    """Yield the parts of a computation and tell how many are done; of a single part there is nothing to tell.
+    """Yield the parts of the computation `what` and report progress to the listener, unless there is one part only.
 
-    `total` says how many there are, where `parts` have no length.
+    `total` is the number of parts, if `parts` has no length.
     """
     count = len(parts) if isinstance(parts, Sized) else total or 0
     listener = _listener.get() if count > 1 else None
@@ -50,11 +50,11 @@ def tracked(parts: Iterable[_T], what: str, total: int | None = None) -> Iterato
 
 
 THREADS: Final = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
-"""Environment variables from which libraries of linear algebra read the number of threads."""
+"""Environment variables that set the number of threads of linear-algebra libraries."""
 
 
 def one_thread() -> None:
-    """Limit linear algebra to one thread, unless the number is set: threads slow small matrices down.
+    """Limit linear algebra to one thread unless the environment sets a number: threads slow small matrices down.
 
     Call it before numpy is imported.
     """
@@ -64,9 +64,9 @@ def one_thread() -> None:
 
 @contextmanager
 def uncollected() -> Iterator[None]:
-    """Pause the garbage collector while many small objects are made and kept, to save its repeated passes.
+    """Pause the garbage collector while many small objects are made and kept, to avoid its repeated passes.
 
-    Objects without cycles are freed as usual. It also works as a decorator of a function.
+    Objects without reference cycles are freed as usual. Also usable as a function decorator.
     """
     was_on = gc.isenabled()
     gc.disable()
@@ -83,7 +83,7 @@ PACKAGES: Final = ("triaxial-bench", "numpy", "scipy", "pyvisa", "pyvisa-py", "p
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of Python and of the packages that a result depends on."""
+    """Return the versions of Python and of the packages on which results depend, by name."""
     import platform
     from importlib import metadata
 
@@ -97,7 +97,7 @@ def versions() -> dict[str, str]:
 
 
 # --- packages that come with extras -----------------------------------------------------------------
-# An import of one stands bare where it is needed; `bench.services.explained` tells of a failure.
+# Modules import these packages where needed, without a guard; `bench.services.explained` reports a missing one.
 
 EXTRAS: Final[Mapping[str, tuple[str, ...]]] = {
     "pandas": ("pandas",),
@@ -109,11 +109,11 @@ EXTRAS: Final[Mapping[str, tuple[str, ...]]] = {
     "cluster": ("dask", "distributed"),
     "pkcs11": ("pkcs11",),
 }
-"""The imported packages of each extra of pyproject.toml; a package of several extras is under the first."""
+"""The imported packages of each extra in pyproject.toml; a package of several extras is listed in the first."""
 
 
 def missing(error: BaseException) -> str:
-    """Return the sentence for a package that is not installed, empty for any other error."""
+    """Return the sentence for an import error of an optional package, an empty string for any other error."""
     package = (error.name or "").partition(".")[0] if isinstance(error, ImportError) else ""
     for extra, packages in EXTRAS.items():
         if package in packages:
@@ -124,7 +124,7 @@ def missing(error: BaseException) -> str:
 
 
 def _in_certificates(trace: TracebackType | None) -> bool:
-    """Return whether a module of certificates made the failed import; their extra has all its packages."""
+    """Return whether the failed import was in `bench.certificate`, whose extra includes the signing packages."""
     while trace is not None:
         if trace.tb_frame.f_globals.get("__name__", "").startswith("bench.certificate."):
             return True

@@ -1,4 +1,4 @@
-"""Files: read without blocking, written whole or not at all; JSON text; the user's cache folder."""
+"""Files: non-blocking reads, atomic writes, JSON text, the user's cache folder."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ def _at_once(path: str, flags: int) -> int:
 
 
 def open_regular(path: Path, mode: Literal["rb", "ab"] = "rb") -> BinaryIO:
-    """Open a regular file to read it, or to append to it unbuffered; nothing else is opened or waited for.
+    """Open a regular file for reading, or for unbuffered appending; never open or wait for a pipe or device.
 
-    Raises `OSError` whose `strerror` says why not: what it is instead.
+    Raises `OSError`, whose `strerror` says what the path is instead of a file.
     """
     try:
         if mode == "rb" or path.exists():
-            _check(path, path.stat().st_mode)  # before it is opened: opening a device may do something
+            _check(path, path.stat().st_mode)  # before opening: opening a device may have an effect
         file = open(path, mode, buffering=0 if mode == "ab" else -1, opener=_at_once)  # noqa: SIM115
     except ValueError:  # a character that no name of a file can have
         raise FileNotFoundError(errno.ENOENT, "there is no such file", str(path)) from None
@@ -53,9 +53,9 @@ def open_regular(path: Path, mode: Literal["rb", "ab"] = "rb") -> BinaryIO:
 
 
 def read_regular(path: Path, most_bytes: int | None = None) -> bytes:
-    """Return the content of a regular file; nothing else is opened, and nothing is waited for.
+    """Return the content of a regular file; never open or wait for a pipe or device.
 
-    Raises `OSError` whose `strerror` says why not: what it is instead, or that it is too large.
+    Raises `OSError`, whose `strerror` says what the path is instead, or that the file has over `most_bytes`.
     """
     with open_regular(path) as file:
         content = file.read() if most_bytes is None else file.read(most_bytes + 1)
@@ -66,10 +66,10 @@ def read_regular(path: Path, most_bytes: int | None = None) -> bytes:
 
 
 def read_given(path: Path) -> bytes:
-    """Return the content of a file that a person named, of the standard input, or of a pipe that is written to.
+    """Return the content of a path that a person named: a file, the standard input, or a pipe with a writer.
 
-    A pipe can be read once. Raises `OSError` whose `strerror` says why not: what it is instead, or that nobody
-    writes to it, which is not waited for.
+    A pipe can be read only once. Raises `OSError`, whose `strerror` says what the path is instead, or that a pipe
+    has no writer, for which it does not wait.
     """
     try:
         about = path.stat()
@@ -87,7 +87,7 @@ def _from_pipe(path: Path) -> bytes:
     with os.fdopen(descriptor, "rb", buffering=0) as pipe:
         try:
             begun = os.read(descriptor, _CHUNK)
-        except BlockingIOError:  # somebody has it open and writes in their own time
+        except BlockingIOError:  # a writer has the pipe open but has not written yet
             begun = None
         if begun == b"":
             raise OSError(errno.EPIPE, "this is a pipe to which nobody writes", str(path))
@@ -98,7 +98,7 @@ def _from_pipe(path: Path) -> bytes:
 def _is_standard_input(about: os.stat_result) -> bool:
     try:
         return os.path.samestat(about, os.fstat(0))
-    except OSError:  # there is none
+    except OSError:  # the program has no standard input
         return False
 
 
@@ -110,7 +110,7 @@ def _check(path: Path, mode: int) -> None:
 
 
 def cache_folder(part: str) -> Path:
-    """Return the folder of a part of the cache; it need not exist yet."""
+    """Return the user's cache folder for `part` of the program; it may not exist yet."""
     import platformdirs
 
     return Path(platformdirs.user_cache_dir("triaxial-bench")) / part
@@ -121,7 +121,7 @@ def read_json(content: bytes) -> Any:
     try:
         return from_json(content, allow_inf_nan=False)
     except ValueError:
-        return _DECODER.decode(content.decode())  # it takes more, such as half of a surrogate pair
+        return _DECODER.decode(content.decode())  # json accepts more, such as a lone surrogate
 
 
 def _no_number(name: str) -> NoReturn:
@@ -135,15 +135,14 @@ _DECODER: Final = json.JSONDecoder(parse_constant=_no_number)
 
 
 def to_text(result: Any) -> str:
-    """Return a result as JSON text."""
+    """Return a result as JSON text, indented, with control characters escaped."""
     return in_json(json.dumps(result, indent=1, ensure_ascii=False, allow_nan=False)) + "\n"
 
 
 def from_text(text: str | bytes) -> Any:
-    """Return the value of JSON text by the standard (RFC 8259).
+    """Return the value of JSON text, strictly by RFC 8259.
 
-    Raises `ValueError` where it is not JSON, has `NaN` or `Infinity`, a key twice, or brackets nested so deep that
-    nobody can have meant them.
+    Raises `ValueError` for invalid JSON, `NaN` or `Infinity`, a duplicate key, or excessive nesting.
     """
     try:
         return json.loads(text, parse_constant=_not_finite, object_pairs_hook=_once)
@@ -164,14 +163,14 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def write_whole(path: Path, text: str | bytes) -> None:
-    """Write a file, a text in UTF-8, so that it is there whole or not at all. Raises `OSError` that names it.
+    """Write a file atomically, text in UTF-8. Raises `OSError` that names the path.
 
-    A link is followed; into what is no file (`/dev/null`, a pipe) the text is written, never put in its place.
+    Links are followed. A device or pipe (`/dev/null`) is written to, never replaced by a file.
     """
     content = text.encode() if isinstance(text, str) else text
     try:
         os.fsencode(path)
-    except UnicodeEncodeError:  # half of a pair of UTF-16, which no file system takes
+    except UnicodeEncodeError:  # a lone surrogate, which no file system accepts
         raise OSError(errno.EINVAL, "no name that a file can have", visible(str(path))) from None
     try:
         if path.exists() and not path.is_file():
@@ -184,7 +183,7 @@ def write_whole(path: Path, text: str | bytes) -> None:
 
 
 def _opened_at_once(path: Path) -> BinaryIO:
-    """Open a device or pipe to write into it; without waiting for a reader of a pipe."""
+    """Open a device or pipe for writing. Raises `OSError` for a pipe without a reader, instead of waiting."""
     try:
         descriptor = os.open(path, os.O_WRONLY | getattr(os, "O_NONBLOCK", 0))
     except OSError as error:
@@ -201,6 +200,6 @@ def _put_in_place(path: Path, content: bytes) -> None:
         half.write_bytes(content)
         half.replace(path)
     except OSError:
-        with suppress(OSError):  # a file system that is read-only refuses that, too
+        with suppress(OSError):  # a read-only file system refuses this, too
             half.unlink(missing_ok=True)
         raise

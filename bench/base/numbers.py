@@ -1,4 +1,4 @@
-"""Numbers as a metrologist writes them: rounded to two digits of u, with true minus signs and SI prefixes.
+"""Numbers in metrological format: rounded to two digits of u, with true minus signs and SI prefixes.
 
 Source of the rounding: JCGM 100:2008, 7.2.6.
 """
@@ -18,7 +18,7 @@ PLACES_WITHOUT_U: Final = 9
 MOST_PLACES: Final = 15
 
 _MOST_OFF: Final = 0.03
-"""Rounding lowers an uncertainty by at most this fraction."""
+"""Rounding down may lower an uncertainty by at most this fraction."""
 
 _PREFIXES: Final = (("", 1.0), ("m", 1e-3), ("µ", 1e-6), ("n", 1e-9))
 _PRINTED: Final = {"m/s^2": "m/s²"}
@@ -30,7 +30,7 @@ _NEGATIVE: Final = re.compile(r"(?<![\w.-])-(?=\d)")
 
 @dataclass(frozen=True)
 class Scale:
-    """A unit as printed; a number in it is the SI number over `size`."""
+    """A printed unit and its size: the printed number is the SI number divided by `size`."""
 
     unit: str
     size: float
@@ -42,7 +42,7 @@ class Scale:
 
 
 def scale_for(largest: float, unit: str) -> Scale:
-    """Return the scale on which `largest` reads best: 9.8e-5 V in µV. Counts take no prefix."""
+    """Return the scale with the best prefix for `largest`: µV for 9.8e-5 V. Counts take no prefix."""
     printed = _PRINTED.get(unit, unit)
     if unit not in _TAKES_PREFIX or not math.isfinite(largest) or largest == 0.0:
         return Scale(printed, 1.0)
@@ -54,9 +54,9 @@ def scale_for(largest: float, unit: str) -> Scale:
 
 
 def read_number(text: str) -> float:
-    """Return the number in a text: digits 0 to 9, a dot, an exponent; of nan and inf what they are.
+    """Return the number in a text of ASCII digits with a dot and an exponent; nan and inf are accepted.
 
-    Raises `ValueError` for what only Python takes for one: digits of other alphabets, `1_000`.
+    Raises `ValueError` also for forms that `float` accepts: digits of other alphabets, `1_000`.
     """
     if "_" in text or not text.isascii():
         raise ValueError("no number")
@@ -64,14 +64,14 @@ def read_number(text: str) -> float:
 
 
 def places(u: float) -> int:
-    """Decimals that show two significant digits of `u`; negative where u is 100 or more."""
+    """Return the number of decimals that show two significant digits of `u`; negative if u is 100 or more."""
     if not math.isfinite(u) or u <= 0.0:
         return PLACES_WITHOUT_U
     return min(MOST_PLACES, 1 - int(f"{u:.1e}".split("e")[1]))
 
 
 def fixed(value: float, decimals: int, *, sign: bool = False) -> str:
-    """Return the number with that many decimals (tens and hundreds where negative); `sign` writes + too."""
+    """Return the number with so many decimals (-1 rounds to tens), "–" if not finite; `sign` also writes "+"."""
     if not math.isfinite(value):
         return "–"
     shown = round(value, decimals) if decimals < 0 else value
@@ -87,15 +87,15 @@ def rounded(value: float, u: float, *, sign: bool = False) -> str:
 
 
 def two_digits(size: float) -> str:
-    """Return a size with two significant digits."""
+    """Return a non-negative number with two significant digits, "–" if it is negative or NaN."""
     return fixed(size, places(size)) if size > 0 else "0" if size == 0 else "–"
 
 
 def uncertainty(u: float) -> str:
-    """Return u or U with two significant digits; up where the nearest would take more than 3 % off it.
+    """Return an uncertainty u or U with two significant digits, rounded up if rounding would lower it by over 3 %.
 
-    So 10.47 is written 11, and 28.05 is written 28, as in JCGM 100:2008, 7.2.6. `rounded` rounds the estimate to
-    the same place: rounding up never reaches the next power of ten.
+    So 10.47 gives 11 and 28.05 gives 28, as in JCGM 100:2008, 7.2.6. `rounded` rounds the estimate to the same
+    decimal place, as rounding up never reaches the next power of ten.
     """
     if not math.isfinite(u) or u <= 0.0:
         return two_digits(u)
@@ -105,9 +105,9 @@ def uncertainty(u: float) -> str:
 
 
 def figures(value: float, digits: int = 3, *, down: bool = False) -> str:
-    """Return a size with so many significant digits, large ones without a power of ten: "1860".
+    """Return a number with so many significant digits, large numbers without a power of ten: "1860".
 
-    `down` rounds towards zero, as one rounds what must not be exceeded.
+    `down` rounds a positive number down, for a limit that must not be exceeded.
     """
     if down and value > 0.0:
         step = 10.0 ** (math.floor(math.log10(value)) - digits + 1)
@@ -117,7 +117,7 @@ def figures(value: float, digits: int = 3, *, down: bool = False) -> str:
 
 
 def concise(value: float, u: float) -> str:
-    """Return value and u in one: −2.177087(16), u in units of the last digit; 12.3(1.2) where u exceeds 1."""
+    """Return value and u in concise form: −2.177087(16) with u in the last digits; 12.3(1.2) if u is 1 or more."""
     if not math.isfinite(u) or u <= 0.0:
         return rounded(value, u)
     text = uncertainty(u)
@@ -127,7 +127,7 @@ def concise(value: float, u: float) -> str:
 
 
 def quantity(value: float, unit: str) -> str:
-    """Return a size with two significant digits and the prefix that reads best: "98 µV"."""
+    """Return a non-negative quantity with two significant digits and the best prefix: "98 µV"."""
     scale = scale_for(value, unit)
     return f"{two_digits(value / scale.size)} {scale.unit}"
 
@@ -140,7 +140,7 @@ def probability(p: float) -> str:
 
 
 def aligned(column: Sequence[str]) -> list[str]:
-    """Pad numbers on the right so that their decimal points stand in line when set flush right."""
+    """Return right-aligned numbers padded on the right so that their decimal points align."""
     tails = [len(text.partition(".")[2]) for text in column]
     longest = max(tails, default=0)
     return [
@@ -150,7 +150,7 @@ def aligned(column: Sequence[str]) -> list[str]:
 
 
 def typeset(text: str) -> str:
-    """Return a sentence with its numbers as printed: −1·10⁻⁵ for -1e-05, m/s² for m/s^2."""
+    """Return a sentence with numbers and units typeset: −1·10⁻⁵ for -1e-05, m/s² for m/s^2."""
 
     def power(match: re.Match[str]) -> str:
         sign = match[1].replace("-", MINUS)
@@ -161,7 +161,7 @@ def typeset(text: str) -> str:
 
 
 def without_infinity(value: Any) -> Any:
-    """Return a value of dicts and lists with None for what is no finite number: JSON has none."""
+    """Return a value of nested dicts and lists with None for NaN and infinity, which JSON does not have."""
     if isinstance(value, Mapping):
         return {key: without_infinity(of) for key, of in value.items()}
     if isinstance(value, list | tuple):

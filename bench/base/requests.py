@@ -6,8 +6,8 @@
         model: Annotated[Path, Option("Model file of 'diagnose'.", metavar="FOUND")]
         g: Annotated[float | None, Option("Local gravity, m/s².", metavar="M/S2")] = None
 
-Made of it are the command line (`bench.cli.options`), the Python face and the panel's forms. Nothing heavy is
-imported here: a command's help needs no more than its request.
+The command line (`bench.cli.options`), the Python API and the panel's forms are derived from the request. This
+module imports nothing heavy, so that a command's help appears quickly.
 """
 
 from __future__ import annotations
@@ -21,16 +21,17 @@ from typing import Annotated, Any, Final, get_args, get_origin, get_type_hints
 NOT_GIVEN: Final = inspect.Parameter.empty
 ESTIMATORS_TOLD: Final = "The estimators."
 ESTIMATORS_IN_A_BUDGET: Final = "The estimators, in a budget."
-"""Helps in whose place the command line puts the names of the estimators: to look for them takes a second."""
+"""Placeholder help texts: the command line replaces them by the names of the estimators, which take a second to
+find."""
 
 
 @dataclass(frozen=True)
 class Option:
-    """The user interface of a field of a request: a line of help, and how it is typed.
+    """The user interface of a request's field: a line of help, and its form on the command line.
 
-    `flags` are "--name" by default, of a flag that is on "--name/--no-name"; an `argument` has none. `completes`
-    names what completes it ("bench_files", …; `bench.cli.completing`), `least` and `most` limit a number.
-    `typed` is what the command line reads, where the field takes more (a table, a bench file at hand).
+    `flags` default to "--name", or "--name/--no-name" for a flag that is on; an `argument` has none. `completes`
+    names the shell completion ("bench_files", …; `bench.cli.completing`), `least` and `most` limit a number.
+    `typed` is the type on the command line, if the field also accepts objects (a table, a loaded bench file).
     """
 
     help: str
@@ -46,7 +47,7 @@ class Option:
 
 @dataclass(frozen=True)
 class RequestField:
-    """A field of a request; `default` is `NOT_GIVEN` where it must be given."""
+    """A field of a request; `default` is `NOT_GIVEN` if the field is required."""
 
     name: str
     type: Any
@@ -55,7 +56,7 @@ class RequestField:
 
 
 def fields_of(request: type) -> Iterator[RequestField]:
-    """Yield the fields of a request that a user gives, in the order in which the help lists them."""
+    """Yield the fields of a request class that have an `Option`, in the order of the help."""
     hints = get_type_hints(request, include_extras=True)
     for field in dataclasses.fields(request):
         hint = hints[field.name]

@@ -1,4 +1,4 @@
-"""Results of commands: typed models, from which JSON and JSON schema are made.
+"""Results of commands: typed models with their JSON and JSON schema.
 
     class Line(ResultModel):
         \"\"\"A straight line through points.\"\"\"
@@ -9,8 +9,8 @@
 
     Line(slope=1.0, u=math.nan).to_dict()        # {"slope": 1.0, "u": None}
 
-A member that a result has only sometimes has a default, and is left out of the JSON where nobody sets it.
-`from_object` makes a model of the attributes of what was computed, and so the parts within it:
+An optional member has a default, and is left out of the JSON unless set. `from_object` makes a model from the
+attributes of a computed object, nested models included:
 
     Line.from_object(fitted, u=fitted.u_slope)            # fitted.slope, fitted.notes
 """
@@ -34,15 +34,15 @@ def _listed(value: Any) -> Any:
 
 
 Real = Annotated[float | None, BeforeValidator(_finite)]
-"""A number, or null where it is not finite: nothing shows it."""
+"""A number, or null if it is not finite."""
 Vector = Annotated[list[float], BeforeValidator(_listed)]
-"""Numbers in a row, from a list or an array."""
+"""A list of numbers, given as a list or an array."""
 Matrix = Annotated[list[list[float]], BeforeValidator(_listed)]
-"""Rows of numbers, from lists or an array."""
+"""A list of rows of numbers, given as lists or an array."""
 
 
 class ResultModel(BaseModel):
-    """Base of results and their parts: frozen, its members named in full, no NaN or infinity."""
+    """Base class of results and their parts: frozen, without unknown members, NaN or infinity."""
 
     model_config = ConfigDict(
         frozen=True,
@@ -55,17 +55,17 @@ class ResultModel(BaseModel):
 
     @classmethod
     def from_object(cls, computed: object, **others: Any) -> Self:
-        """Return the model from `others` and from the attributes of an object named like members."""
+        """Return the model with the members in `others`, and the rest from attributes of `computed` by name."""
         names = [name for name in cls.model_fields if name not in others and hasattr(computed, name)]
         return cls(**{name: getattr(computed, name) for name in names}, **others)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the members as values for JSON, without optional members that were not set."""
+        """Return the members as a JSON object, without optional members that were not set."""
         return self.model_dump(mode="json", by_alias=True, exclude_unset=True)
 
     @classmethod
     def schema_of(cls, name: str) -> dict[str, Any]:
-        """Return the JSON schema of a result (draft 2020-12), to be known as `name`."""
+        """Return the JSON schema (draft 2020-12) of the result of the command `name`."""
         schema = cls.model_json_schema(by_alias=True)
         schema["description"] = " ".join(schema["description"].split())
         return {

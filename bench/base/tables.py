@@ -1,4 +1,4 @@
-"""Tables for a person: in the terminal, as plain text, as HTML."""
+"""Tables for display: in the terminal, as plain text, as HTML."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from bench.base.computing import quiet
 from bench.base.text import visible
 
 WIDTH: Final = 120
-"""Characters in a line where no terminal says it; no table of ours is cut at this width."""
+"""Line width if there is no terminal, characters; wide enough for all tables of the project."""
 
 
 class Screen(Console):
     """A console that shows control characters in a text as escapes instead of obeying them."""
 
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterator[Segment]:
-        """Yield what is written, with escapes for characters that would act; the console's own codes stay."""
+        """Yield the rendered segments with control characters escaped, except the console's own control codes."""
         for segment in super().render(renderable, options):
             yield segment if segment.control else Segment(visible(segment.text), segment.style)
 
@@ -36,7 +36,7 @@ class _Rows(Table):
 
 
 def table(*headings: str, no_wrap: bool = False) -> Table:
-    """Return an empty table; a heading that begins with ">" stands over a column of numbers, to the right."""
+    """Return an empty table; a heading that begins with ">" makes its column right-aligned, for numbers."""
     made = _Rows(box=None, pad_edge=False)
     for heading in headings:
         right = heading.startswith(">")
@@ -45,14 +45,14 @@ def table(*headings: str, no_wrap: bool = False) -> Table:
 
 
 def print_notes(out: Console, notes: Iterable[str]) -> None:
-    """Print notes among a result; `--quiet` leaves them to the JSON and the page."""
+    """Print notes below a result, unless `--quiet` is set; the JSON and the page always have them."""
     if not quiet.get():
         for note in notes:
             out.print(f"note: {note}")
 
 
 def as_text(print_on: Callable[[Console], None]) -> str:
-    """Return what a function prints on a console, without colours and without the last line end."""
+    """Return the text that `print_on` prints on a console, without colours and trailing blanks."""
     file = io.StringIO()
     print_on(Screen(file=file, highlight=False, soft_wrap=True, markup=False, width=WIDTH))
     return "\n".join(line.rstrip() for line in file.getvalue().splitlines())

@@ -1,4 +1,4 @@
-"""Text for people and for programs: made visible, cut to length, in words, as C source."""
+"""Formatting of text: escaping and shortening of untrusted text, words for quantities, C source."""
 
 from __future__ import annotations
 
@@ -11,39 +11,39 @@ from typing import TYPE_CHECKING, Final
 if TYPE_CHECKING:
     import numpy as np
 
-# --- text from outside: nothing in it acts where it leaves for a terminal, a page, a log ------------
+# --- untrusted text: made harmless before it reaches a terminal, a page or a log ---------------------
 
 QUOTED: Final = 80
-"""Characters of a text from outside that a sentence quotes."""
+"""The most characters that a message quotes of an untrusted text."""
 
 _ENDLESS: Final = re.compile(r"\S{1000,}")
 _LINE: Final = 5000
-"""Longer than the longest path, which is 4096 bytes."""
+"""The longest line of a message: longer than the longest path, which is 4096 bytes."""
 
 _ACTS: Final = re.compile(
-    "[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f"  # C0 and C1, escape among them
-    "\u061c\u200b\u200e\u200f\u202a-\u202e\u2060-\u206f"  # what turns the direction of writing, or is not seen
-    "\u2028\u2029\ufeff\ufff9-\ufffb\U000e0000-\U000e007f"  # ends of lines that are none, marks, tags
-    "\ud800-\udfff]"  # halves of characters, which no file can hold
+    "[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f"  # C0 and C1 control characters, including escape
+    "\u061c\u200b\u200e\u200f\u202a-\u202e\u2060-\u206f"  # bidirectional and invisible format characters
+    "\u2028\u2029\ufeff\ufff9-\ufffb\U000e0000-\U000e007f"  # Unicode line separators, marks, tags
+    "\ud800-\udfff]"  # lone surrogates, which no UTF-8 file can hold
     "|\r(?!\n)"
 )
 
 
 def visible(text: str) -> str:
-    r"""Return the text with characters that act, or are not seen, as escapes: `\x1b`, `\u202e`, `\ud800`.
+    r"""Return the text with control and invisible characters as escapes: `\x1b`, `\u202e`, `\ud800`.
 
-    Ends of lines and tabs stay. What is visible already comes back as it is.
+    Line ends and tabs stay, as do all visible characters.
     """
     return _ACTS.sub(_escape, text)
 
 
 def shortened(text: str) -> str:
-    """Return a text as a sentence quotes it."""
+    """Return a text cut to 80 characters (`QUOTED`), followed by "…" if it was longer."""
     return text if len(text) <= QUOTED else f"{text[:QUOTED]}…"
 
 
 def bounded(text: str) -> str:
-    """Return a message with far too long words and lines cut, so that a person can read it."""
+    """Return a message with words of 1000 characters or more and lines over 5000 characters shortened."""
     text = _ENDLESS.sub(lambda word: shortened(word[0]), text)
     return "\n".join(line if len(line) <= _LINE else f"{line[:_LINE]}…" for line in text.split("\n"))
 
@@ -54,7 +54,7 @@ def _escape(found: re.Match[str]) -> str:
 
 
 def in_json(text: str) -> str:
-    r"""Return JSON text with the same characters as JSON writes them: `\u001b`. It reads back to the same."""
+    r"""Return JSON text of the same value with control and invisible characters as JSON escapes (`\u001b`)."""
     return _ACTS.sub(_json_escape, text)
 
 
@@ -66,7 +66,7 @@ def _json_escape(found: re.Match[str]) -> str:
 # --- words for durations, angles and directions -----------------------------------------------------
 
 APPROACH: Final[Mapping[int, str]] = {1: "rising", -1: "falling"}
-"""From which side an angle or a temperature was reached: +1 from below, -1 from above."""
+"""The direction in which an angle or a temperature was approached: +1 from below, -1 from above."""
 
 _SECONDS: Final = ((3600.0, "h"), (60.0, "min"), (1.0, "s"))
 
@@ -82,7 +82,7 @@ def listed(names: Sequence[str]) -> str:
 
 
 def duration(seconds: float) -> str:
-    """Return a duration in the largest unit in which it is a plain number: "1 h", "90 s"."""
+    """Return a duration in the largest unit in which it is a whole number: "1 h", "90 s"."""
     for size, unit in _SECONDS:
         if seconds >= size and seconds % size == 0.0:
             return f"{seconds / size:g} {unit}"
@@ -90,14 +90,14 @@ def duration(seconds: float) -> str:
 
 
 def exact_duration(seconds: float) -> str:
-    """Return a duration for a file: as `duration`, but with every digit of it."""
+    """Return a duration for a file: as `duration`, but with all its digits."""
     if seconds and seconds % 60.0 == 0:
         return duration(seconds)
     return f"{seconds!r} s" if seconds % 1 else f"{seconds:.0f} s"
 
 
 def degrees(angle_rad: float) -> str:
-    """Return an angle as a person reads it, to a millionth of a degree: "45°"."""
+    """Return an angle for display, rounded to a millionth of a degree: "45°"."""
     return f"{round(math.degrees(angle_rad), 6):g}°"
 
 
@@ -110,21 +110,21 @@ def exact_degrees(angle_rad: float) -> str:
 
 
 def one_line(text: str) -> str:
-    """Return a name from outside so that it can neither end a comment, nor begin a line, nor act on a terminal."""
+    """Return an untrusted name on one line that cannot end a C comment or control a terminal."""
     return visible(" ".join(text.replace("*/", "* /").split())).rstrip("\\")
 
 
 def comment(lines: Iterable[str]) -> str:
-    """Return the inner lines of a block comment."""
+    """Return lines as the inside of a C block comment, each prefixed with " * "."""
     return "\n".join(f" * {line}".rstrip() for line in lines)
 
 
 def single(value: np.float32) -> str:
-    """Return a literal of type float."""
+    """Return a C literal of type float that reads back to the same number."""
     text = f"{float(value):.9g}"
     return f"{text}f" if any(mark in text for mark in ".en") else f"{text}.0f"
 
 
 def double(value: float) -> str:
-    """Return a literal of type double that reads back to the same number."""
+    """Return a C literal of type double that reads back to the same number."""
     return repr(float(value))

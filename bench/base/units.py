@@ -1,7 +1,7 @@
-"""Quantities with units in files ("90 arcsec", "0.3 mV", "-2.18 V/g") to SI floats.
+"""Conversion of quantities with units in files ("90 arcsec", "0.3 mV", "-2.18 V/g") to SI floats.
 
-`g` is the unit of local gravity, never the gram. A temperature is in degrees Celsius and stays so; `K` is
-a difference of temperatures, good for "60 ug/K" and nothing else.
+`g` is the unit of local gravity, never the gram. Temperatures are in degrees Celsius and stay so; `K` is
+only for temperature differences, as in "60 ug/K".
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ _DEFINITIONS: Final = (
     "percent = 0.01",
     "ppm = 1e-6",
 )
-"""Only what a bench needs: a short list refuses slips (kg, mT) that a general one would take."""
+"""Only the units that a bench needs: a short list rejects slips (kg, mT) that a general one would accept."""
 
 _UNITS: Final = ("V", "mV", "uV", "A", "mA", "uA", "deg", "arcmin", "arcsec", "rad", "mrad", "urad", "rev", "s",
                  "ms", "min", "h", "d", "year", "Hz", "m", "mm", "degC", "K", "g", "mg", "ug", "ppm",
@@ -63,9 +63,9 @@ _SPELLINGS: Final = (
 
 @dataclass(frozen=True)
 class QuantityKind:
-    """A physical quantity as files state it: what it is called, an example, the SI unit of the float.
+    """A kind of physical quantity in files: its name, an example, the SI unit of the converted float.
 
-    `only` lists the spellings of the unit that are allowed, where not all of the same dimension are.
+    `only` lists the allowed unit spellings, if not all units of the same dimension are allowed.
     """
 
     called: str
@@ -75,7 +75,7 @@ class QuantityKind:
 
     @property
     def expected(self) -> str:
-        """The beginning of the sentence that refuses a value."""
+        """The beginning of the sentence that rejects a value."""
         return f"expected {self.called} such as '{self.example}'"
 
 
@@ -95,7 +95,7 @@ RATIO: Final = QuantityKind("a plain number", "0.01", "")
 
 @cache
 def _registry() -> UnitRegistry[float]:
-    """Build the registry on first use: importing pint costs more than everything else here."""
+    """Return the unit registry, built on first use because importing pint is slow."""
     from pint import UnitRegistry
 
     registry: UnitRegistry[float] = UnitRegistry(None)
@@ -106,9 +106,9 @@ def _registry() -> UnitRegistry[float]:
 
 @lru_cache(maxsize=256)
 def _factor(unit: str, si: str) -> float | None:
-    """Return how many `si` one `unit` is, or None when they are not of the same dimension.
+    """Return the size of `unit` in the unit `si`, or None if their dimensions differ.
 
-    Raises `ValueError` for a unit that is not known.
+    Raises `ValueError` for an unknown unit.
     """
     registry = _registry()
     for name in re.findall(r"[A-Za-z_]+", unit):
@@ -122,10 +122,10 @@ def _factor(unit: str, si: str) -> float | None:
 
 
 def parse_quantity(text: object, kind: QuantityKind) -> float:
-    """Return the value in the SI unit of `kind`, for a text such as "90 arcsec".
+    """Return the value of a text such as "90 arcsec" in the SI unit of `kind`.
 
-    Raises `ValueError` with one sentence for anything else: no number, no unit, an unknown unit, a unit of
-    another dimension, a number too large to hold.
+    Raises `ValueError` with one sentence if the number or the unit is missing, the unit is unknown or of
+    another dimension, or the number overflows.
     """
     if not isinstance(text, str):
         got = {dict: "a mapping", list: "a list", type(None): "nothing"}.get(type(text), repr(text))
@@ -134,14 +134,14 @@ def parse_quantity(text: object, kind: QuantityKind) -> float:
 
 
 def number_and_unit(text: str) -> tuple[float, str] | None:
-    """Return the number of a quantity as written, and its unit in plain letters; None where it is no quantity."""
+    """Return the number and the unit (as from `plain_unit`) of a quantity; None if the text is not a quantity."""
     match = _QUANTITY.fullmatch(text.replace("−", "-"))
     return None if match is None else (float(match["number"]), plain_unit(match["unit"]))
 
 
 @lru_cache(maxsize=4096)
 def _parsed(text: str, kind: QuantityKind) -> float:
-    """Return the value of a text, cached because a long procedure repeats the same few."""
+    """Return the value of a text, as `parse_quantity`; cached, as a long procedure repeats the same few texts."""
     read = number_and_unit(text)
     if read is None:
         raise ValueError(f"{kind.expected}, got '{shortened(text)}'")
@@ -169,11 +169,11 @@ def _factor_of(unit: str, kind: QuantityKind, text: str) -> float | None:
 
 
 Dimension = tuple[tuple[str, float], ...]
-"""SI units with their powers, in order; angles and local gravity count as plain numbers."""
+"""SI units with their powers, sorted; angles and local gravity count as dimensionless."""
 
 
 def plain_unit(unit: str) -> str:
-    """Return a unit in plain letters: "µV/°" is "uV/deg"."""
+    """Return a unit in ASCII letters: "µV/°" gives "uV/deg"."""
     for written, plain in _SPELLINGS:
         unit = unit.replace(written, plain)
     return unit
@@ -181,9 +181,9 @@ def plain_unit(unit: str) -> str:
 
 @lru_cache(maxsize=256)
 def unit_of(unit: str) -> tuple[float, Dimension]:
-    """Return how many SI units one `unit` (in plain letters, empty for a number) is, and its dimension.
+    """Return the size of `unit` in SI units, and its dimension: "mV" gives (0.001, (("V", 1.0),)).
 
-    Raises `ValueError` for what is no unit.
+    `unit` is in plain letters (`plain_unit`), empty for a plain number. Raises `ValueError` for an unknown unit.
     """
     if not unit:
         return 1.0, ()
@@ -207,12 +207,12 @@ _PLAIN: Final = ("rad", "g")
 
 
 def reads(kind: QuantityKind) -> BeforeValidator:
-    """Return the validator of a quantity: `Annotated[float, reads(VOLTAGE)]`."""
+    """Return a validator that parses a quantity: `Annotated[float, reads(VOLTAGE)]`."""
     return BeforeValidator(lambda text: parse_quantity(text, kind))
 
 
 def not_negative(kind: QuantityKind) -> BeforeValidator:
-    """Return the validator of a size that has no sign: `Annotated[float, not_negative(DURATION)]`."""
+    """Return a validator that parses a quantity of 0 or more: `Annotated[float, not_negative(DURATION)]`."""
 
     def read(value: object) -> float:
         number = parse_quantity(value, kind)
@@ -224,7 +224,7 @@ def not_negative(kind: QuantityKind) -> BeforeValidator:
 
 
 def above_zero(why: str) -> AfterValidator:
-    """Return the validator of a size that is not zero, with the reason: `Annotated[SizeV, above_zero("no …")]`."""
+    """Return a validator that rejects 0 with the sentence `why`: `Annotated[SizeV, above_zero("no …")]`."""
 
     def check(size: float) -> float:
         if not size > 0.0:

@@ -1,4 +1,4 @@
-"""YAML files written by people: read without tags, their mistakes reported with line and remedy."""
+"""YAML files written by people: parsed without tags, validated, mistakes reported with line and remedy."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ Place = tuple[str | int, ...]
 """A place in a file: keys and positions in lists (from 0), such as ("steps", 0, "turn")."""
 
 MOST_TOLD: Final = 200
-"""The most mistakes that are reported of one file; the rest are reported once these are corrected."""
+"""The most mistakes reported for one file; the rest are reported once these are corrected."""
 
 _EXPECTED: Final = {
     "int_parsing": "a whole number",
@@ -68,9 +68,9 @@ _EXPECTED: Final = {
 def explained(
     error: ValidationError, model: type[BaseModel], lines: Mapping[Place, int]
 ) -> Iterator[tuple[Place, str]]:
-    """Yield the place and the sentence of each error; `lines` says which places were written.
+    """Yield the place and a sentence for each error of validating `model`; `lines` has the places in the file.
 
-    A key that is missing because it was misspelt is told once, as the misspelt one.
+    A misspelt key is reported once, as misspelt and not also as missing.
     """
     details = error.errors()[:MOST_TOLD]
     misspelt = {
@@ -89,13 +89,16 @@ def explained(
             case "literal_error" | "enum":
                 yield place, _wrong_word(detail)
             case "too_short" if len(detail["input"]) >= (detail.get("ctx") or {})["min_length"]:
-                pass  # the list was long enough: its members are wrong, and told by themselves
+                pass  # the list is long enough: only its members are wrong, and are reported themselves
             case _:
                 yield place, _wrong_value(detail)
 
 
 def unknown_word(word: str, known: list[str], what: str) -> str:
-    """Return the sentence for a word that is not known, with the nearest one that is."""
+    """Return the error sentence for a word of the sort `what` ("key") that is unknown, or known but misplaced.
+
+    For an unknown word it suggests the nearest in `known`.
+    """
     if word in known:
         return f"'{word}' does not go with the other keys here; leave it or those out"
     near = _nearest(word, known)
@@ -111,7 +114,7 @@ def _nearest(word: str, known: Iterable[str]) -> str | None:
 
 
 def _written(location: tuple[int | str, ...], lines: Mapping[Place, int]) -> Place:
-    """Keep the parts of a location that stand in the file: pydantic adds the names of alternatives."""
+    """Return a pydantic location without the parts not in the file: pydantic adds the names of alternatives."""
     place: Place = ()
     for step in location:
         if (*place, step) in lines:
@@ -151,7 +154,7 @@ def _wrong_value(detail: ErrorDetails) -> str:
 
 
 def _keys(annotation: Any, location: tuple[int | str, ...]) -> set[str]:
-    """Return the keys that may stand at a location of a model, aliases as they are written."""
+    """Return the keys allowed at a location of a model, as written in files (aliases)."""
     models = list(_models(annotation))
     for position, step in enumerate(location):
         named = [m.model_fields for m in models]
@@ -160,14 +163,14 @@ def _keys(annotation: Any, location: tuple[int | str, ...]) -> set[str]:
             rest = location[position + 1 :]
             return set().union(*(_keys(f.annotation, rest) for f in fields))
         chosen = [m for m in models if any(step in get_args(f.annotation) for f in m.model_fields.values())]
-        models = chosen or models  # the step is the word that chose among alternatives, such as a driver
+        models = chosen or models  # the step is the discriminator of a union, such as a driver
     return {f.alias or name for m in models for name, f in m.model_fields.items()}
 
 
 def _models(annotation: Any) -> Iterator[type[BaseModel]]:
-    """Yield the models that an annotation can hold: itself, alternatives, members of lists and mappings."""
+    """Yield the models in an annotation: itself, its alternatives, members of lists and mappings."""
     if isinstance(annotation, type) and not get_args(annotation) and issubclass(annotation, BaseModel):
-        annotation.model_rebuild()  # names of models that its file defines further down become those models
+        annotation.model_rebuild()  # resolves forward references to models defined later in the module
         yield from getattr(annotation, "alternatives", tuple)() or (annotation,)
     elif get_origin(annotation) is Annotated:
         yield from _models(get_args(annotation)[0])
@@ -177,7 +180,7 @@ def _models(annotation: Any) -> Iterator[type[BaseModel]]:
 
 
 MOST_DEEP: Final = 100
-"""The deepest nesting of lists and mappings; a procedure of ours has about twenty levels."""
+"""The deepest nesting of lists and mappings accepted; a real procedure has about twenty levels."""
 
 _PLAIN_TAGS: Final = frozenset(
     f"tag:yaml.org,2002:{name}"
@@ -185,21 +188,21 @@ _PLAIN_TAGS: Final = frozenset(
 )
 _NULL: Final = "tag:yaml.org,2002:null"
 _NULLS: Final = frozenset({"", "~", "null", "Null", "NULL"})
-"""Unquoted words that mean an empty value (None)."""
+"""Unquoted words that mean None."""
 
 _Parser: Final = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-"""The parser, the one in C where it is available."""
+"""The YAML parser: the C implementation if available."""
 
 
 class TooDeep(yaml.MarkedYAMLError):
-    """Lists and mappings are nested too deep."""
+    """Raised for lists and mappings nested too deep."""
 
 
 @dataclass
 class Written:
-    """A YAML text as read: `data` of mappings, lists and texts (None for nothing), the line of every place.
+    """A parsed YAML text: `data` of mappings, lists and texts (None for empty values), the line of every place.
 
-    `slips` are what YAML allows and we do not, each with its line, its place and a sentence.
+    `slips` are forms that YAML allows but bench files do not, each with its line, place and a sentence.
     """
 
     data: Any = None
@@ -208,7 +211,7 @@ class Written:
 
 
 def read_yaml(text: str) -> Written:
-    """Read a text; `lines` stays empty where there are no slips. Raises `yaml.YAMLError` for what is no YAML."""
+    """Parse a text; without slips `lines` stays empty, to save time. Raises `yaml.YAMLError` for invalid YAML."""
     try:
         return Written(_Reader(text, None).document())
     except _Slipped:
@@ -216,18 +219,21 @@ def read_yaml(text: str) -> Written:
 
 
 def read_yaml_with_lines(text: str) -> Written:
-    """Read a text with the line of every place. Raises `yaml.YAMLError` for what is no YAML."""
+    """Parse a text with the line of every place. Raises `yaml.YAMLError` for invalid YAML."""
     found = Written()
     found.data = _Reader(text, found).document()
     return found
 
 
 class _Slipped(Exception):
-    """A text has slips: it is read again to report them with lines."""
+    """Raised at the first slip of a fast parse; the text is then parsed again to report slips with lines."""
 
 
 class _Reader:
-    """Goes through the events of a text once; without `noting`, raises `_Slipped` at the first slip."""
+    """A parser of one pass over the YAML events of a text.
+
+    It notes lines and slips in `noting`; if that is None, it raises `_Slipped` at the first slip.
+    """
 
     def __init__(self, text: str, noting: Written | None) -> None:
         self._next: Callable[[], Any] = _Parser(text).get_event
@@ -235,8 +241,8 @@ class _Reader:
         self._anchors: dict[str, Any] = {}
 
     def document(self) -> Any:
-        """Return what the text's one document says; None where it is empty."""
-        self._next()  # the stream's beginning
+        """Return the value of the text's only document, None if the text is empty."""
+        self._next()  # start of the stream
         begun = self._next()
         if isinstance(begun, StreamEndEvent):
             return None
@@ -244,7 +250,7 @@ class _Reader:
         if self._noting is not None:
             self._noting.lines[()] = _line(first)
         data = self._value(first, (), 0)
-        self._next()  # the document's end
+        self._next()  # end of the document
         if not isinstance(after := self._next(), StreamEndEvent):
             raise ComposerError(
                 "expected a single document in the stream",
@@ -255,7 +261,7 @@ class _Reader:
         return data
 
     def _value(self, event: Any, place: Place, deep: int) -> Any:
-        """Return the value (scalar, list or mapping) that begins with an event."""
+        """Return the value (scalar, list or mapping) that begins with `event`; `deep` is its nesting level."""
         if deep >= MOST_DEEP:
             raise _too_deep(event)
         if event.anchor is not None:
@@ -309,7 +315,7 @@ class _Reader:
         return mapping
 
     def _pass_over(self, event: Any, deep: int) -> None:
-        """Skip the value that begins with an event, except for its anchors."""
+        """Skip the value that begins with `event`, but record its anchors."""
         open_ones = 0
         while True:
             if deep + open_ones >= MOST_DEEP:
@@ -353,22 +359,22 @@ def _too_deep(event: Any) -> TooDeep:
 
 
 _UNTOLD: Final = (None, "!")
-"""Tags without an effect, which are accepted."""
+"""Tags without effect, which are accepted."""
 
 
 # --- files with a model -----------------------------------------------------------------------------
-# Scalars keep the text that was written (`serial: 0012` stays "0012", `3e-4 g` a quantity); the models of
-# `bench.config.bench_file.file` and others say what each must be.
+# Scalars stay text as written (`serial: 0012` stays "0012"); models such as those in `bench.config.bench_file.file`
+# convert them, `3e-4 g` to a quantity.
 
 _SHORT: Final = 100_000
-"""Characters of a text that is read a second time for a better sentence about what is wrong with it."""
+"""An invalid text of at most so many characters is parsed again by PyYAML, for a better error message."""
 
 
 @dataclass(frozen=True, order=True)
 class FileMistake:
-    """One mistake: line (1…, 0 where there is none), place ("stand.axis_tilt.limit"), what is wrong.
+    """A mistake in a file: its line (from 1; 0 if unknown), place ("stand.axis_tilt.limit") and description.
 
-    `file` is the included file that it stands in, empty for the file that was asked for.
+    `file` is the included file with the mistake, empty for the main file.
     """
 
     line: int
@@ -378,7 +384,7 @@ class FileMistake:
 
 
 class FileMistakes(Exception):
-    """A file that cannot be used. Its text has a line for each mistake: "file:line: place: what is wrong"."""
+    """A file that cannot be used. The message has one line per mistake: "file:line: place: description"."""
 
     def __init__(self, path: Path | str, mistakes: Iterable[FileMistake]) -> None:
         self.path = Path(path)
@@ -391,7 +397,7 @@ class FileMistakes(Exception):
 
 
 class FileModel(BaseModel):
-    """Base of everything that a file may say: frozen, an unknown key is a mistake, no NaN or infinity."""
+    """Base class of models of files and their parts: frozen, without unknown keys, NaN or infinity."""
 
     model_config = ConfigDict(
         frozen=True, extra="forbid", allow_inf_nan=False, str_min_length=1, defer_build=True
@@ -399,21 +405,21 @@ class FileModel(BaseModel):
 
     @classmethod
     def cross_checks(cls, data: Any) -> Iterable[tuple[Place, str]]:
-        """Yield mistakes that are between parts of the file, each with its place; none for most.
+        """Yield the inconsistencies between parts of the file, each as (place, sentence); none by default.
 
-        `data` is the file as written, with whatever else is wrong in it: what cannot be read is passed over.
+        `data` is the file as written, which may have other mistakes: invalid parts are skipped.
         """
         return ()
 
     @classmethod
     def alternatives(cls) -> Iterable[type[FileModel]]:
-        """Return the models one of which stands where this one is named, by a word in it; none for most."""
+        """Return the models that a file may use in place of this one, such as one per driver; none by default."""
         return ()
 
 
 @dataclass
 class Document:
-    """A file's content: mappings, lists and texts (None for nothing), and the `text` that says so."""
+    """A parsed file: `data` of mappings, lists and texts (None for empty values), and its `text` as written."""
 
     path: Path
     data: Any
@@ -423,23 +429,23 @@ class Document:
 
     @cached_property
     def lines(self) -> dict[Place, int]:
-        """The line of every place; the text is read again for it, since most files have no mistake to tell."""
+        """The line of every place. It needs a second parse, done only on demand as most files have no mistakes."""
         return read_yaml_with_lines(self.text).lines
 
     def line_of(self, place: Place) -> int:
-        """Return the line of a place, or of the nearest place around it that was written."""
+        """Return the line of a place, or of the nearest enclosing place in the file; 0 if there is none."""
         for end in range(len(place), -1, -1):
             if place[:end] in self.lines:
                 return self.lines[place[:end]]
         return 0
 
     def mistake(self, place: Place, text: str) -> FileMistake:
-        """Return a mistake at a place of this file."""
+        """Return a `FileMistake` for a place in this file, with its line."""
         return FileMistake(self.line_of(place), dotted(place), text)
 
 
 def dotted(place: Place) -> str:
-    """Return a place as a person reads it: `instruments.voltmeters[1].resource`, lists counted from 1."""
+    """Return a place for display: `instruments.voltmeters[1].resource`, list positions counted from 1."""
     path = "".join(f"[{part + 1}]" if isinstance(part, int) else f".{part}" for part in place)
     return path.removeprefix(".")
 
@@ -453,10 +459,10 @@ def sha256_of_file(path: Path) -> str:
 
 
 def load_document(path: Path, most_bytes: int = MEGABYTE) -> Document:
-    """Read a file with its lines; duplicate keys, aliases and tags are noted in `mistakes`.
+    """Parse a file; duplicate keys, aliases and tags are noted in `mistakes`.
 
-    Raises `FileMistakes` where the file is missing, is no regular file, has more than `most_bytes`, is not UTF-8
-    text, is empty or is not YAML.
+    Raises `FileMistakes` if the file is missing, is not a regular file, has more than `most_bytes`, or is not
+    UTF-8 text, is empty or invalid YAML.
     """
     content = _content(path, most_bytes)
     try:
@@ -508,7 +514,7 @@ def _not_yaml(path: Path, text: str, error: yaml.YAMLError) -> FileMistakes:
 
 
 def _hinted(problem: str) -> str:
-    """Add what usually is behind the parser's complaint."""
+    """Return the parser's message with a hint at the usual cause added."""
     if "'\\t'" in problem:
         return f"{problem}; indent with spaces, not with tabs"
     if "mapping values are not allowed" in problem:
@@ -524,12 +530,12 @@ Model = TypeVar("Model", bound=FileModel)
 
 
 def load_validated(path: Path, model: type[Model]) -> Model:
-    """Read a file and return it as `model`. Raises `FileMistakes` with every mistake in it."""
+    """Parse a file and return it as an instance of `model`. Raises `FileMistakes` with all its mistakes."""
     return validated(load_document(path), model)
 
 
 def validated(document: Document, model: type[Model]) -> Model:
-    """Return a document's content as `model`. Raises `FileMistakes` with every mistake in it."""
+    """Return a document's data as an instance of `model`. Raises `FileMistakes` with all its mistakes."""
     mistakes = list(document.mistakes)
     result = None
     try:
@@ -551,7 +557,7 @@ def _told(mistakes: list[FileMistake]) -> list[FileMistake]:
 
 
 def part(data: Any, *place: str | int) -> Any:
-    """Return the part at a place below `data`, or None where there is none (for cross checks)."""
+    """Return the part of `data` at a place, None if it does not exist (for `FileModel.cross_checks`)."""
     for step in place:
         entries = dict(enumerate(data)) if isinstance(data, list) else data
         if not isinstance(entries, dict) or step not in entries:

@@ -1,4 +1,4 @@
-"""From readings to coefficients with an uncertainty, and the check at the verification points."""
+"""Estimation of the coefficients with their uncertainty, and the check at the verification points."""
 
 from bench.calibration.calibrate import calibrate
 from bench.calibration.estimators import ESTIMATORS

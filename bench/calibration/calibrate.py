@@ -1,4 +1,4 @@
-"""From a table of readings to a calibration, by the estimator asked for."""
+"""Calibration of a table of readings by a chosen estimator."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from bench.model.geometry import STAND_ANGLES, Block
 from bench.readings.table import FREE, VERIFICATION, Readings
 
 ROUNDING: Final = 1e-9
-"""Noise below this part of the largest signal means computed readings, in which nothing is an outlier."""
+"""Noise below this fraction of the largest signal means computed readings, which have no outliers."""
 
 
 def calibrate(
@@ -53,18 +53,19 @@ def calibrate(
 ) -> Calibration:
     """Estimate the twelve coefficients from a table of readings.
 
-    `stand_u` holds the standard uncertainties of the stand's fixed angles by the names in `STAND_ANGLES`,
-    rad. `assumed_u` holds the assumed ones that nobody stated: they count in the combined covariance, but not
-    in the covariance of the readings alone.
-    The sizes of the noise are estimated from the readings unless given as `noise`; where the readings leave too few
-    degrees of freedom, "voltmeter_error" (in the unit of the signals) and "setting_error" (rad) in `stand_u` are
-    their prior. Coefficients are per
-    local g, stated as `g_m_s2`. With `nominal_angles` the targets stand in for the angles read back. Free
-    positions join the oriented rows by |a| = 1 g unless `join_free` is false, verification points where
-    `join_verification` says so, for they are the independent check. Where there are free positions alone K is
-    upper triangular by convention. Without `find_shared` the noise is taken as fresh in every reading. `known` is
-    the knowledge of stand and noise from other runs: it replaces `stand_u` and adds to the repeats.
-    Raises `CalibrationError` when the readings do not determine the coefficients, or hold a mistake.
+    `stand_u` maps names in `STAND_ANGLES` to standard uncertainties of the stand's fixed angles, rad. It may also
+    hold "voltmeter_error" (in the unit of the signals) and "setting_error" (rad): priors of the noise, used if the
+    readings leave too few degrees of freedom to estimate it. `noise` replaces the estimate altogether. `assumed_u`
+    holds assumed uncertainties of further stand angles; they enter `covariance`, but not `covariance_readings`. The
+    coefficients are per local g, stated as `g_m_s2`.
+
+    With `nominal_angles` the target angles replace the angles read back. Free positions join the fit through |a| =
+    1 g unless `join_free` is false; in a fit to free positions alone K is upper triangular by convention. With
+    `join_verification` the verification points join too, and are then no independent check. Without `find_shared`
+    the noise is assumed independent from reading to reading. `known` is prior knowledge of stand and noise from
+    other runs: its angles replace those in `stand_u`, its noise is combined with that of the repeats.
+
+    Raises `CalibrationError` if the readings do not determine the coefficients, or contain a mistake.
     """
     by = find_estimator(estimator)
     chosen = _choose(readings, model, by, join_free=join_free, join_verification=join_verification)
@@ -87,7 +88,7 @@ def calibrate(
     tails = heavy_tails(problem, fit)
     digits = ROUNDING * float(np.max(np.abs(rows.signal), initial=0.0))
     fit_test = replace(fit_test, rms=rms(fit.residuals), rounding=digits)
-    accepted = fit_test.accepted()  # else readings that are far off are off from a wrong model
+    accepted = fit_test.accepted()  # if not, large residuals come from a wrong model, not from outliers
     floor = gls.noise_floor(rows.signal, resolution, problem.free)
     alone = fit.covariance
     shared = take_in(problem, fit, readings.unit, floor) if find_shared else SharedErrorFit(fit)
@@ -96,7 +97,7 @@ def calibrate(
         fit = linear_estimate(problem, rows.signal, fit, by.gain(problem, rows), shared.covariance)
     birge = _birge(fit_test, shared)
     covariance = birge**2 * fit.covariance[:FIXED, :FIXED]
-    # what repeats share of a misfit is no noise in which a channel could be lost
+    # u widened for a misfit could make a working channel look dead: use u of the noise alone
     mistakes.refuse_singular(fit.block, u_of(covariance if accepted else alone[:FIXED, :FIXED]))
     return Calibration(
         estimator=by.name,
@@ -138,7 +139,7 @@ def calibrate(
 
 
 def _left_assumed(assumed_u: Mapping[str, float], known: KnownStand | None) -> dict[str, float]:
-    """Return the assumed sizes of those angles that neither the bench file nor another run determines."""
+    """Return the assumed uncertainties of the stand angles that `known` does not cover."""
     told = set() if known is None else {name for name, _ in known.keys}
     return {name: u for name, u in assumed_u.items() if name not in told}
 
@@ -166,7 +167,10 @@ def _choose(
 
 
 def usable_rows(readings: Readings, model: ForwardModel) -> Readings:
-    """Return the rows to fit. Raises `CalibrationError` if none can be fitted, or a value is no number."""
+    """Return the oriented rows of a table.
+
+    Raises `CalibrationError` if there are none, an installation is not in the model, or a value is no number.
+    """
     rows = readings.oriented()
     if len(rows) == 0:
         raise CalibrationError(
@@ -184,7 +188,10 @@ def usable_rows(readings: Readings, model: ForwardModel) -> Readings:
 
 
 def _free_rows(chosen: FittedRows, readings: Readings) -> FreeRows | None:
-    """Return the rows of free positions, with their times and temperatures in the whole table."""
+    """Return the rows that join the fit by their modulus, or None.
+
+    Their elapsed times and temperatures refer to the whole table, not to these rows alone.
+    """
     if not len(chosen.free):
         return None
     whole, own = readings.conditions(), chosen.free.conditions()
@@ -208,7 +215,7 @@ def _notes_on_rows(
 
 
 def _on_levels(problem: Problem) -> tuple[str, ...]:
-    """Return sentences on the stand angles that were measured with a level, with their uncertainties."""
+    """Return a note on the stand angles measured with a level and their uncertainties; empty without any."""
     told = [s for s in problem.stand if s.measured]
     if not told:
         return ()
@@ -228,11 +235,10 @@ def _on_levels(problem: Problem) -> tuple[str, ...]:
 
 
 def first_guess(problem: Problem, signal: Floats, resolution: float = 0.0) -> Block:
-    """Return a first guess by ordinary least squares at the nominal geometry.
+    """Return a first guess of the block by ordinary least squares at the nominal geometry.
 
-    Free positions alone are fitted by an ellipsoid.
-
-    Raises `CalibrationError` for too few orientations and for mistakes that show in such a fit.
+    Free positions alone are fitted with an ellipsoid instead. Raises `CalibrationError` for too few orientations,
+    and for mistakes that such a fit reveals, such as a wrong angle unit or saturation.
     """
     if problem.upper and problem.free is not None:
         mistakes.refuse_saturated_free(problem.free.signal)
@@ -254,7 +260,7 @@ def first_guess(problem: Problem, signal: Floats, resolution: float = 0.0) -> Bl
 def _fitted(
     problem: Problem, signal: Floats, refit: partial[gls.Fit], by: Estimator, chosen: FittedRows
 ) -> tuple[gls.Fit, tuple[Outlier, ...], tuple[str, ...]]:
-    """Return the estimator's fit, the outliers, and a note on an outlier that the estimator does not drop."""
+    """Return the estimator's fit, the outliers that it drops, and a note on any outlier that it keeps."""
     fit = refit()
     largest = max(float(np.max(np.abs(t.signal), initial=0.0)) for t in (chosen.oriented, chosen.free))
     if fit.noise.reading < ROUNDING * largest:
@@ -263,7 +269,7 @@ def _fitted(
     fit = by.weigh(task)
     if by.drops_outliers:
         return fit, outliers.listed(fit, chosen), ()
-    # a note on one is enough, but free positions alone have too few rows to show one beside another
+    # one outlier is enough for a note, but in free positions alone several may mask each other
     most = outliers.most_outliers(problem) if problem.upper else 1
     notes = tuple(
         f"an outlier is evident: {outlier.text()}; the estimator '{ROBUST}' takes its weight away"
@@ -304,7 +310,7 @@ def _whole(oriented: Floats, chosen: FittedRows, rows: int) -> Floats:
 
 
 def _whole_gain(oriented: Floats, free: Floats, chosen: FittedRows, rows: int) -> Floats:
-    """Return the map (12, rows, 3) from the whole table to the coefficients, zero for rows that are not used."""
+    """Return the map (12, rows, 3) from the whole table's signals to the coefficients; unused rows are zero."""
     whole = np.zeros((FIXED, rows, 3))
     whole[:, chosen.oriented_rows] = oriented[:FIXED]
     whole[:, chosen.free_rows] = free[:FIXED]
@@ -324,7 +330,7 @@ def _assumed(problem: Problem, block: Block, gain: Floats, unit: str) -> tuple[s
 
 
 def _stand(problem: Problem, fit: gls.Fit) -> dict[str, Estimate]:
-    """Return the estimates of the stand's angles by name."""
+    """Return the estimated stand angles by name, in arcseconds."""
     found = _estimates(problem, fit)[: len(problem.stand)]
     return {
         name: Estimate(value / ARCSEC, u / ARCSEC, "arcsec", unknown.prior_u / ARCSEC)
@@ -333,7 +339,7 @@ def _stand(problem: Problem, fit: gls.Fit) -> dict[str, Estimate]:
 
 
 def _effects(problem: Problem, fit: gls.Fit) -> dict[str, Estimate]:
-    """Return the estimates of the parameters of effects by name."""
+    """Return the estimated effect parameters by name, in the units of the catalogue."""
     found = _estimates(problem, fit)[len(problem.stand) :]
     sizes = [problem.parameter(unknown) for unknown in problem.effects]
     return {
@@ -343,6 +349,6 @@ def _effects(problem: Problem, fit: gls.Fit) -> dict[str, Estimate]:
 
 
 def _estimates(problem: Problem, fit: gls.Fit) -> list[tuple[str, float, float]]:
-    """Return name, value and u of the unknowns after the coefficients, SI."""
+    """Return name, value and u (SI) of each unknown other than the coefficients."""
     u = u_of(fit.covariance)[FIXED:]
     return list(zip(problem.names(), fit.others.tolist(), u.tolist(), strict=True))

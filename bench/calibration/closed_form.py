@@ -58,11 +58,10 @@ def closed_form(signals: Floats) -> Floats:
 
 
 def closed_form_gain(readings: Readings) -> Floats:
-    """Return the linear map from readings to coefficients, shape (12, n, 3): passes are averaged, then (8)
-    is applied.
+    """Return the linear map (12, n, 3) from readings to coefficients: the mean over passes, then equation (8).
 
-    Raises `CalibrationError` when a test point of the paper's two installations is missing, or an angle is
-    not the nominal one that these formulas assume.
+    Raises `CalibrationError` if a test point of installations 1 and 2 is missing, a reading is from elsewhere, or
+    an angle is not the nominal one that these formulas assume.
     """
     cell, count = _cells(readings)
     unit = np.eye(2 * 3 * POINTS).reshape(2 * 3 * POINTS, 2, 3, POINTS)
@@ -78,7 +77,7 @@ def nominal_angles_rad(readings: Readings) -> Floats:
 
 
 def _cells(readings: Readings) -> tuple[Ints, Ints]:
-    """Return the test point of each reading, shape (n,), and how many readings each has, shape (18,)."""
+    """Return the test point of each reading (n,), and the number of readings at each test point (18,)."""
     cell = np.full(len(readings), -1)
     for m, label in enumerate(("1", "2")):
         own = readings.installation == label

@@ -1,4 +1,4 @@
-"""Variance components that repeats share: setting, pass, visit, drift; notes on them for a reader."""
+"""Variance components that readings share (setting, pass, visit, drift), and notes on them for the user."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ from bench.stats.reml import Mixed, Projection, asked_for, maximise
 from bench.stats.repeats_likelihood import DIGITS
 
 ASKED_P: Final = 0.01
-"""Significance level: a component is added if chance alone would suggest any of them less often than this."""
+"""Familywise significance level for adding a variance component."""
 SOME: Final = 0.2
-"""Start value of the variance of a component, as a part of the variance of the noise."""
+"""Start value of a component's variance, as a fraction of the noise variance."""
 HARDLY_ANY: Final = 0.01
-"""A component with a smaller part of the variance of the noise is already explained by another component."""
+"""Components with a variance below this fraction of the noise variance are dropped: others explain them."""
 MOST_SIGNALS: Final = 1500
-"""Largest number of signals that are searched for components: larger matrices would take minutes."""
+"""Above this number of signals no components are searched for: the matrices would take minutes."""
 WAVES: Final = 8
-"""Number of principal shapes of a random walk that are kept: the others have 1 % of its variance."""
+"""Number of principal components of a random walk that are kept: the rest holds 1 % of its variance."""
 NOISE: Final = "noise"
 SETTING: Final = "setting error"
 ANGLE: Final = "angle of a setting"
@@ -39,9 +39,10 @@ DRIFT: Final = "drift"
 class SharedErrorFit:
     """A fit with the variance components that its readings share, and with the drift if one was found.
 
-    `covariance` (3n + m, 3n + m) is that of the readings; None if they share no component. `wander` (3,),
-    unit, is how far each bias may wander about its mean over the run, rms: as found, widened for its few degrees
-    of freedom, or as the readings leave open where they ask for no drift; None where it was not searched for.
+    `covariance` (3n + m, 3n + m) is that of the n oriented readings and m moduli; None without components. `wander`
+    (3,) is the rms deviation of each bias from its mean over the run, in the unit of the signal. If a drift was
+    found it is the drift's size, widened for its few degrees of freedom; otherwise the posterior mean of a drift
+    too small to show. It is None if no drift was searched for.
     """
 
     fit: Fit
@@ -53,20 +54,23 @@ class SharedErrorFit:
 
 @dataclass(frozen=True)
 class _Term:
-    """A candidate component: `columns` (N, q) of draws of unit variance times `scale` in the unit."""
+    """A candidate component: the design matrix `columns` (N, q) of its random effects.
+
+    `what` is the kind of component, `channels` is "x", "y", "z" or "all".
+    """
 
     what: str
     channels: str
     columns: Floats
     unit_of: Floats
-    """The size of a draw of unit variance, in the unit of the signal (channels,) or rad."""
+    """Standard deviation of a random effect of unit variance: one per channel (signal unit), or one in rad."""
 
 
 def take_in(problem: Problem, fit: Fit, unit: str, floor: float = 0.0) -> SharedErrorFit:
     """Return the fit with the variance components that its readings share.
 
-    Nothing is searched if there are too few repeats, or if the noise is that of the last digit, whose
-    covariance is singular within rounding. `floor` (unit of the signal) is the least noise that is believed.
+    It has no components if the repeats are too few, the signals are more than `MOST_SIGNALS`, or the noise is only
+    rounding to the last digit. `floor` (unit of the signal) is the lower limit of the noise.
     """
     try:
         return _searched(problem, fit, unit, floor)
@@ -78,7 +82,7 @@ def _searched(problem: Problem, fit: Fit, unit: str, floor: float) -> SharedErro
     conditions, n = problem.conditions, len(problem.conditions)
     if not 0 < 3 * n <= MOST_SIGNALS or fit.noise.source != "repeats":
         return SharedErrorFit(fit)
-    if fit.noise.reading**2 <= DIGITS * floor**2:  # rounding repeats itself, and stands in no other number
+    if fit.noise.reading**2 <= DIGITS * floor**2:  # rounding repeats exactly, as if shared
         return SharedErrorFit(fit)
     basic = _basic(fit)
     base = len(basic)
@@ -91,20 +95,20 @@ def _searched(problem: Problem, fit: Fit, unit: str, floor: float) -> SharedErro
     shared = _shared(problem, fit, own, terms, theta, at, chance, base, unit)
     found_drifts = np.zeros(3)
     for component in shared.components:
-        if component.what == DRIFT:  # one run has few degrees of freedom of it
+        if component.what == DRIFT:  # a single run determines it with few degrees of freedom
             found_drifts[CHANNELS.index(component.channels)] = component.size * widening(component.dof)
     wander = np.where(found_drifts > 0, found_drifts, open_to)
-    # one run tells little of a walk, and the three of a block are of one kind: none is below their mean
+    # one run shows little of a random walk, and the three channels are alike: none gets less than their rms
     return replace(shared, wander=np.maximum(wander, rms(wander)))
 
 
 def _taken_in(
     problem: Problem, fit: Fit, basic: list[_Term], further: list[_Term], floor: float
 ) -> tuple[list[_Term], Floats, Floats, Floats]:
-    """Return the accepted terms, their variances and probabilities (k,), and the possible bias wander (3,).
+    """Return the accepted terms, their variances and p-values (k,), and each bias's possible wander (3,).
 
-    All kinds of component form one family of tests with the familywise error rate `ASKED_P`. By Holm's
-    step-down method each further kind is tested beside the accepted ones.
+    All kinds of component form one family of tests with the familywise error rate `ASKED_P`. By Holm's step-down
+    method each further kind is tested in a model with the accepted ones.
     """
     terms, left, chance = list(basic), list(further), np.zeros(len(basic))
     theta = np.ones(len(basic))
@@ -132,9 +136,9 @@ def _taken_in(
 
 
 def _most_asked(terms: list[_Term], chance: Floats) -> tuple[str, float]:
-    """Return the most significant kind, and the probability that chance makes any kind as significant.
+    """Return the most significant kind and its p-value, adjusted for the number of kinds (Bonferroni).
 
-    The channels of a kind are tested together (Fisher's combination of their probabilities).
+    The p-values of a kind's channels are combined by Fisher's method.
     """
     kinds = list(dict.fromkeys(t.what for t in terms))
     of = np.array([kinds.index(t.what) for t in terms], dtype=np.int64)
@@ -145,7 +149,7 @@ def _most_asked(terms: list[_Term], chance: Floats) -> tuple[str, float]:
 
 
 def _wander(terms: list[_Term], variances: Floats) -> Floats:
-    """Return the rms of each bias about its mean (3,) for the variances of the candidates, in the unit."""
+    """Return the rms wander of each bias (3,), in the unit of the signal, from the variances of the drift terms."""
     size = np.zeros(3)
     for term, variance in zip(terms, variances.tolist(), strict=True):
         if term.what == DRIFT:
@@ -157,7 +161,7 @@ def _wander(terms: list[_Term], variances: Floats) -> Floats:
 
 
 def _basic(fit: Fit) -> list[_Term]:
-    """Return the noise of each channel and the setting error, in units of the sizes from the repeats."""
+    """Return the noise of each channel and the setting error as terms, scaled to the sizes in `fit`."""
     n = len(fit.residuals)
     free = fit.system.free
     terms = []
@@ -180,7 +184,7 @@ def _typical(fit: Fit) -> float:
 
 
 def _further(conditions: Conditions, fit: Fit) -> Iterator[_Term]:
-    """Yield the candidates for shared variance. Channels have sizes of their own only with enough repeats."""
+    """Yield the candidate components: setting, angle and visit for all channels, pass and drift for each."""
     settings = repeat_groups(conditions)
     passes = _labels(conditions.mount, conditions.pass_number)
     visits = _visits(conditions)
@@ -207,7 +211,7 @@ def _labels(*of: Ints) -> Ints:
 
 
 def _visits(conditions: Conditions) -> Ints:
-    """Number the stays at a setting: readings that follow each other at one point of one pass."""
+    """Return the visit number of each reading (n,): a visit is a stay at one point of one pass."""
     same = np.ones(max(len(conditions) - 1, 0), dtype=bool)
     for column in (conditions.mount, conditions.pass_number, conditions.point):
         same &= column[1:] == column[:-1]
@@ -235,7 +239,7 @@ def _along(groups: Ints, fit: Fit, further: int) -> Floats:
 
 
 def _walk(time_s: Floats) -> Floats:
-    """Return the first shapes (n, q) of a random walk about its mean over the readings, of unit mean variance."""
+    """Return the leading principal components (n, q) of a centred random walk of unit mean variance."""
     if not np.ptp(time_s) > 0:
         return np.zeros((len(time_s), 0))
     walk = np.minimum.outer(time_s, time_s) - time_s.min()
@@ -246,9 +250,10 @@ def _walk(time_s: Floats) -> Floats:
 
 
 def walk_since(time_s: Floats, later_s: Floats) -> Floats:
-    """Return the covariance (v, v) of a random walk at later times about its mean over readings at `time_s` (n,).
+    """Return the covariance (v, v) of a random walk at `later_s` (v,) about its mean over times `time_s` (n,).
 
-    It is in units of the walk's mean variance over these readings, in which the size of a drift is stated.
+    Its unit is the walk's mean variance over `time_s`, the times of the readings, in which the size of a drift is
+    stated.
     """
     begin = min(float(time_s.min()), float(later_s.min()))
     at, then = time_s - begin, later_s - begin
@@ -263,7 +268,7 @@ def walk_since(time_s: Floats, later_s: Floats) -> Floats:
 
 
 def _mixed(problem: Problem, fit: Fit, Z: list[Floats]) -> Mixed:
-    """Return the linear system of the fit as a mixed model; unknowns with a prior are a known covariance."""
+    """Return the linear system of the fit as a mixed model; unknowns with a prior enter as a known covariance."""
     system, others = fit.system, fit.others
     rows = np.concatenate([system.jacobian.reshape(-1, system.jacobian.shape[2]), system.free.jacobian])
     fixed = rows.shape[1] - len(others)
@@ -312,7 +317,7 @@ def _noise(fit: Fit, terms: list[_Term], theta: Floats, dof: Floats, base: int) 
 def _drift(
     problem: Problem, mixed: Mixed, at: Projection, drifts: list[tuple[_Term, Floats, float]], n: int
 ) -> BiasWander:
-    """Return the best linear prediction of each bias over time, and of the straight line through it."""
+    """Return the best linear unbiased prediction of each bias over time, with its straight-line slope per hour."""
     time_h = problem.conditions.elapsed_s / HOUR
     line = time_h - time_h.mean()
     size, course = np.zeros(3), np.zeros((n, 3))
@@ -325,9 +330,10 @@ def _drift(
 
 
 def heavy_tails(problem: Problem, fit: Fit) -> float:
-    """Return the probability of so many large deviations of repeats where the noise is Gaussian; NaN if too few.
+    """Return the p-value of heavy tails among the repeats, for Gaussian noise; NaN if the repeats are too few.
 
-    It tests the excess kurtosis of normalised deviations of repeats, whose standard deviation is sqrt(24/N).
+    The statistic is the excess kurtosis of normalised deviations of repeats, whose standard deviation is
+    sqrt(24/N).
     """
     if not len(problem.conditions) or fit.noise.source != "repeats":
         return float("nan")
@@ -337,23 +343,23 @@ def heavy_tails(problem: Problem, fit: Fit) -> float:
     count = np.bincount(groups)
     means = np.stack([np.bincount(groups, column) for column in fit.residuals.T], axis=1) / count[:, None]
     kept = count[groups] > 1
-    # a deviation from the mean of m has (m - 1)/m of the variance
+    # a deviation from the mean of m readings has (m - 1)/m of the variance
     left = (fit.residuals - means[groups])[kept] / np.sqrt(1.0 - 1.0 / count[groups][kept])[:, None]
     size = np.sqrt(fit.noise.by_channel**2 + (fit.noise.setting_rad * fit.slope[kept]) ** 2)
     z = left / size
     if not np.any(z):
         return float("nan")
     excess = float(np.mean(z**4) / np.mean(z**2) ** 2 - 3.0)
-    # repeats of a group are correlated: deviations count only as often as they are free
+    # deviations within a group are correlated: N is their degrees of freedom
     free = 3.0 * float((count - 1)[count > 1].sum())
     return float(special.ndtr(-excess / np.sqrt(24.0 / free)))
 
 
 UNEQUAL_P: Final = 0.001
-"""Unequal noise of the channels, or heavy tails, are reported below this probability: rarely by chance."""
+"""P-value below which unequal noise of the channels, or heavy tails, are reported."""
 
 DISAGREES_P: Final = 0.05
-"""A contradiction to the stated noise is reported below this probability: few readings seldom show one."""
+"""P-value below which a contradiction to the stated noise is reported: few readings seldom show one."""
 
 _SHARED_BY: Final = {
     "setting": "the readings at a setting (installation and point) in all passes",
@@ -366,7 +372,7 @@ _SHARED_BY: Final = {
 def notes_on_noise(
     noise: Noise, tails: float, shared: SharedErrorFit, birge: float, unit: str
 ) -> tuple[str, ...]:
-    """Return sentences on the noise; `tails` is the p-value of heavy tails, `birge` the factor on u."""
+    """Return notes on the noise; `tails` is the p-value of heavy tails, `birge` the Birge ratio that widened u."""
     notes = [*note_on_prior(noise, unit)]
     if noise.channels is not None and noise.p_equal < UNEQUAL_P:
         sizes = ", ".join(f"{c} {size:.2g} {unit}" for c, size in zip(CHANNELS, noise.channels, strict=True))
@@ -391,7 +397,7 @@ def notes_on_noise(
 
 
 def note_on_prior(noise: Noise, unit: str) -> tuple[str, ...]:
-    """Return a sentence if u depends on stated noise, and say whether the readings agree with it."""
+    """Return a note if u depends on a prior of the noise; it says whether the readings agree with the prior."""
     return () if noise.prior is None else (_on_prior(noise.prior, unit),)
 
 

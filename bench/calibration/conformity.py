@@ -1,10 +1,10 @@
-"""Whether a measured value conforms to a tolerance of ±limit, and with which risk the decision is wrong.
+"""Conformity of a measured value with a tolerance ±limit, and the risk of a wrong decision.
 
-The measured value y with its standard uncertainty u is the best estimate of what is measured, whose distribution
-is normal, or a scaled and shifted Student t where u has finite degrees of freedom (JCGM 101:2008, 6.4.9). Where
-nothing else is known, this is the distribution after the measurement; a population that is stated is the prior,
-and Bayes' theorem gives the distribution after it (JCGM 106:2012, 6.2 and A.4). The conformance probability is its
-part within the tolerance (JCGM 106:2012, 7). Rules and statements: JCGM 106:2012, 8 and ILAC-G8:09/2019.
+A measured value y with standard uncertainty u gives the measurand a normal distribution, or a scaled and shifted
+Student t for finite degrees of freedom (JCGM 101:2008, 6.4.9). Without further knowledge this is the posterior. A
+stated population is the prior, and Bayes' theorem gives the posterior (JCGM 106:2012, 6.2 and A.4). The conformance
+probability is the posterior probability of the tolerance interval (JCGM 106:2012, 7). Rules and statements: JCGM
+106:2012, 8 and ILAC-G8:09/2019.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ RULES: Final = (SIMPLE, GUARDED, NON_BINARY)
 FALSE_ACCEPTANCE: Final = 0.05
 """Largest probability of a false acceptance at a point under the default decision rule."""
 NOMINAL_BAND: Final = float(special.ndtri(1.0 - FALSE_ACCEPTANCE)) / 2.0
-"""Guard band of the default rule, in U, for a normal distribution with the other limit far away: 1.645 u."""
+"""Guard band of the default rule, in U, for a normal distribution far from the other limit: 1.645 u."""
 
 COVERAGE_FACTOR: Final = 2.0
 """Coverage factor k of U = k u for infinite degrees of freedom."""
 
 _COVERAGE: Final = float(special.ndtr(COVERAGE_FACTOR) - special.ndtr(-COVERAGE_FACTOR))
 _SEED: Final = 106
-"""Seed of the random draws that give the joint probability of several values."""
+"""Seed of the Monte Carlo draws for the joint probability of several values."""
 _DRAWS: Final = 100_000
 _AT_ONCE: Final = 10_000
 _NEGLIGIBLE: Final = 1e-9
@@ -45,9 +45,9 @@ _SCALES: Final = 201
 """Number of normal distributions in the mixture that approximates a t distribution."""
 _FARTHEST: Final = 30.0
 _ALIKE: Final = {1.0: 0.8, 0.0: 0.2}
-"""Prior probabilities of the correlation between the points of a block in its population.
+"""Prior probability of each correlation between the errors at the points of one block.
 
-One error common to all points of a block is the more probable case; one for each point is possible.
+One error common to all points (correlation 1) is more probable than independent errors (0).
 """
 _HALVINGS: Final = 50
 _FAR: Final = 12.0
@@ -55,7 +55,7 @@ _FAR: Final = 12.0
 
 
 class Statement(StrEnum):
-    """A statement of conformity (ILAC-G8:09/2019, 4.2), or the reason for none; from best to worst."""
+    """A statement of conformity (ILAC-G8:09/2019, 4.2), or the reason why none is made; from best to worst."""
 
     PASS = "pass"
     CONDITIONAL_PASS = "conditional pass"
@@ -69,10 +69,10 @@ class Statement(StrEnum):
 class DecisionRule:
     """A decision rule: `name` is one of `RULES`, the guard band is w = `guard_band` · U.
 
-    Simple acceptance takes nothing off the limit; its statements have a guard band of U. The guarded rule accepts
-    up to limit − w. The non-binary rule does so, too, and rejects beyond limit + w; values between are stated
-    as conditional, and only the customer can accept them. A `guard_band` of None means the default rule,
-    whose w makes the probability of a false acceptance equal to `FALSE_ACCEPTANCE`.
+    Simple acceptance accepts up to the limit, and uses w = U only for its statements. The guarded rule accepts up
+    to limit − w. So does the non-binary rule; it leaves values up to the limit to the customer as conditional
+    passes, and rejects values beyond the limit, as conditional fails up to limit + w. If `guard_band` is None (the
+    default rule), w makes the probability of a false acceptance equal to `FALSE_ACCEPTANCE`.
     """
 
     name: str = NON_BINARY
@@ -80,10 +80,10 @@ class DecisionRule:
 
     @classmethod
     def of(cls, asked: str | DecisionRule | None, guard_band: float | None = None) -> DecisionRule:
-        """Return the rule for the name that a person typed: "simple" is simple acceptance.
+        """Return the rule for a name as typed by the user; "simple" means simple acceptance.
 
-        None gives the default rule, or with a guard band the non-binary rule with this guard band. A
-        named rule without a guard band has w = U. Raises `CalibrationError` for an unknown rule.
+        None gives the default rule, or with a guard band the non-binary rule. A named rule without a guard band has
+        w = U. Raises `CalibrationError` for an unknown rule or an unsuitable guard band.
         """
         if isinstance(asked, DecisionRule):
             return asked
@@ -106,7 +106,7 @@ class DecisionRule:
 
     @property
     def false_acceptance(self) -> float | None:
-        """The probability of a false acceptance that sets the guard band; None for a multiple of U."""
+        """The probability of a false acceptance that sets the guard band; None if the band is a multiple of U."""
         return FALSE_ACCEPTANCE if self.guard_band is None else None
 
     def to_json(self) -> dict[str, str | float | None]:
@@ -116,7 +116,7 @@ class DecisionRule:
 
     @classmethod
     def of_json(cls, told: Mapping[str, Any]) -> DecisionRule:
-        """Return the rule from its JSON form in a result, which may be of an earlier version."""
+        """Return the rule from its JSON form, which an earlier version may have written."""
         return cls(told["rule"], None if told.get("false_acceptance") else told["guard_band"])
 
     @property
@@ -128,11 +128,10 @@ class DecisionRule:
         return self.name if self.name == SIMPLE else f"{self.name} (w = {times}U)"
 
     def acceptance_limit(self, limit: float, known: MeasuredValues) -> Floats:
-        """Return the largest |y| that is accepted, (n,).
+        """Return the largest |y| that is accepted, for each of n measured values, (n,).
 
-        It is negative if no value is accepted: if U is more than the limit, not even 0 can be
-        stated to conform.
-        Source: JCGM 106:2012, 8.2.1 and 8.3.2.1.
+        It is negative where no value is accepted, as where U exceeds the limit. Source: JCGM 106:2012, 8.2.1 and
+        8.3.2.1.
         """
         sure = self.pass_limit(limit, known)
         return np.where(known.expanded <= limit, limit, sure) if self.name == SIMPLE else sure
@@ -148,9 +147,9 @@ class DecisionRule:
         )
 
     def rejects(self, statement: Statement) -> bool:
-        """Return whether a value with this statement, if it is not accepted, is rejected.
+        """Return whether the rule rejects a value with this statement, given that it does not accept the value.
 
-        A value without a decision is not rejected, nor is a conditional pass under the non-binary rule.
+        It does not reject an inconclusive value, nor under the non-binary rule a conditional pass.
         """
         left_open = statement is Statement.CONDITIONAL_PASS and self.name == NON_BINARY
         return statement is not Statement.INCONCLUSIVE and not left_open
@@ -158,9 +157,8 @@ class DecisionRule:
     def statements(self, value: Floats, limit: float, known: MeasuredValues) -> list[Statement]:
         """Return the statements on measured values (n,).
 
-        If U exceeds the limit, the only statement is "fail", for a value beyond the limit by more than the
-        guard band and U.
-        Beyond the limit the guard band is that of the measurement alone, also where a population is stated.
+        Where U exceeds the limit, a value beyond the limit by more than the guard band and U fails, any other is
+        inconclusive. Beyond the limit the guard band ignores the population: it comes from the measurement alone.
         """
         if self.guard_band is None:
             guard = _quantile(1.0 - FALSE_ACCEPTANCE, known.dof) * known.u
@@ -186,7 +184,7 @@ def _statement(size: float, guard: float, expanded: float, passes_to: float, lim
 
 @dataclass(frozen=True)
 class MeasuredValues:
-    """Uncertainties of n measured values: u, U and degrees of freedom, each (n,), and a population."""
+    """Uncertainties of n measured values: u, U and degrees of freedom, each (n,), and a population as prior."""
 
     u: Floats
     expanded: Floats
@@ -197,7 +195,7 @@ class MeasuredValues:
     def of(
         cls, u: ArrayLike, dof: ArrayLike = np.inf, population: Population | None = None
     ) -> MeasuredValues:
-        """Return the uncertainties, with U at the coverage probability of k = 2."""
+        """Return the uncertainties, with U = k u at the coverage probability of k = 2 for a normal distribution."""
         size, nu = (np.atleast_1d(np.asarray(one, dtype=np.float64)) for one in (u, dof))
         nu = np.broadcast_to(nu, size.shape)
         return cls(size, coverage_factor(nu) * size, nu, population)
@@ -207,15 +205,15 @@ class MeasuredValues:
         return replace(self, u=times * self.u, expanded=times * self.expanded)
 
     def outside(self, value: ArrayLike, limit: float) -> Floats:
-        """Return `probability_outside` of values (n,)."""
+        """Return `probability_outside` for measured values (n,)."""
         return probability_outside(value, self.u, limit, self.dof, self.population)
 
 
 def _largest_sure(limit: float, known: MeasuredValues) -> Floats:
-    """Return the largest |y| (n,) at which, on either side, the probability of a false acceptance is not too large.
+    """Return the largest |y| (n,) at which a false acceptance is at most as probable as `FALSE_ACCEPTANCE`.
 
-    It is at most the limit, and −limit if even y = 0 has a larger probability. Found by bisection, since the
-    probability on the worse side grows with |y|.
+    That holds for both signs of y. It is at most the limit, and −limit if not even y = 0 qualifies. Bisection finds
+    it, since the probability for the worse sign grows with |y|.
     """
 
     def sure(size: Floats) -> Mask:
@@ -232,7 +230,7 @@ def _largest_sure(limit: float, known: MeasuredValues) -> Floats:
 
 
 def coverage_factor(dof: ArrayLike) -> Floats:
-    """Return k of U = k u for degrees of freedom, of any shape: 2 if infinite, else of equal probability.
+    """Return the coverage factor k for degrees of freedom of any shape: 2 if infinite, else of equal probability.
 
     Source: JCGM 100:2008, G.3.
     """
@@ -253,11 +251,11 @@ def probability_outside(
     dof: ArrayLike = np.inf,
     population: Population | None = None,
 ) -> Floats:
-    """Return the probability that what was measured lies outside ±limit; 1 less it is the conformance probability.
+    """Return the probability that the measurand lies outside ±limit: one minus the conformance probability.
 
-    `value`, `u` and `dof` have one shape. It is the probability of a false acceptance where the value is accepted,
-    and 1 less it that of a false rejection where not: the specific risks. A `population` is the distribution before
-    the measurement. Source: JCGM 106:2012, 7.4, 9.3 and A.4.
+    `value`, `u` and `dof` are broadcast to one shape. The result is the specific consumer's risk of an accepted
+    value; one minus the result is the specific producer's risk of a rejected value. `population` is the prior of
+    the measurand. Source: JCGM 106:2012, 7.4, 9.3 and A.4.
     """
     y, size, nu = np.broadcast_arrays(*(np.asarray(each, dtype=np.float64) for each in (value, u, dof)))
     if population is not None:
@@ -271,14 +269,14 @@ def probability_outside(
 
 
 def _beyond(mean: Floats, size: Floats, limit: float, dof: Floats) -> Floats:
-    """Return the part outside ±limit of a distribution about `mean`, (…)."""
+    """Return the probability (…) outside ±limit of a t distribution about `mean`; 0 or 1 where `size` is 0."""
     spread, y = np.where(size > 0.0, size, 1.0), np.abs(mean)
     beyond = _below((y - limit) / spread, dof) + _below((-y - limit) / spread, dof)
     return np.where(size > 0.0, beyond, np.where(y > limit, 1.0, 0.0))
 
 
 def _mixture(y: Floats, u: Floats, dof: Floats, population: Population) -> tuple[Floats, Floats]:
-    """Return sizes (m, …) and posterior weights, given y, of the normal distributions that make up the t."""
+    """Return standard deviations and posterior weights, each (m, …), of the normals whose mixture is the t."""
     if np.all(np.isinf(dof)):
         return u[None], np.ones((1, *y.shape))
     factors, log_weights = _scales(dof)
@@ -289,9 +287,9 @@ def _mixture(y: Floats, u: Floats, dof: Floats, population: Population) -> tuple
 
 
 def _scales(dof: Floats) -> tuple[Floats, Floats]:
-    """Return factors (m, …) of the variance that make normal distributions a t, with the logarithms of the weights.
+    """Return variance factors and log weights, each (m, …), of normal distributions whose mixture approximates a t.
 
-    Quantiles of chi-square, evenly spaced in the logit of their probability, so that far tails are among them.
+    The factors are quantiles of chi-square at probabilities evenly spaced in the logit, which covers the far tails.
     """
     logit = np.linspace(-_FARTHEST, _FARTHEST, _SCALES).reshape(-1, *[1] * np.ndim(dof))
     nu = np.where(np.isinf(dof), 1.0, dof)[None]
@@ -312,13 +310,14 @@ def probability_one_outside(
     dof: ArrayLike = np.inf,
     population: Population | None = None,
 ) -> float:
-    """Return the probability that of n quantities at least one lies outside ±limit.
+    """Return the probability that at least one of n quantities lies outside ±limit.
 
-    `value` (n,) with `covariance` (n, n) and `dof`, of which the least counts for all: they were found together.
-    A `population` is the distribution of each before the measurement. Whether the points of one block have one
-    error or each its own is not stated with it: the values tell, after what `_ALIKE` holds probable before.
-    By `_DRAWS` draws with a seed of its own, the same at each call: a probability of 0.01 is found to 0.0003.
-    Rarer ones are held by those of the single quantities: at least the largest, at most their sum.
+    `value` (n,) has the covariance `covariance` (n, n); the least of `dof` holds for all, since they were estimated
+    together. `population` is the prior of each quantity. It does not state whether the points of one block share
+    one error: the values decide, with the prior `_ALIKE`.
+
+    The result is from `_DRAWS` draws with a fixed seed, hence reproducible; a probability of 0.01 is accurate to
+    0.0003. Rare events are bounded by the single probabilities: at least the largest, at most their sum.
     """
     nu = float(np.min(np.asarray(dof)))
     if population is None:
@@ -343,13 +342,16 @@ def probability_one_outside(
 def probability_worst_outside(
     value: Floats, covariance: Floats, limit: float, dof: ArrayLike, population: Population
 ) -> float:
-    """Return the largest probability of any one quantity, given all values; arguments as for all together."""
+    """Return the largest probability that any single quantity lies outside ±limit, given all values.
+
+    The arguments are those of `probability_one_outside`.
+    """
     parts = _after(value, covariance, float(np.min(np.asarray(dof))), population)
     return float(np.max(_each_outside(parts, limit)))
 
 
 def _each_outside(parts: Sequence[tuple[float, Floats, Floats]], limit: float) -> Floats:
-    """Return the probability of each quantity (n,) that it lies outside ±limit, of a mixture of distributions."""
+    """Return the probability (n,) outside ±limit of each quantity, for a mixture of (weight, mean, covariance)."""
     return np.asarray(sum(w * probability_outside(mean, _sizes(c), limit) for w, mean, c in parts))
 
 
@@ -395,7 +397,7 @@ class Population:
     standard_deviation: float
 
     def __post_init__(self) -> None:
-        """Raise `CalibrationError` for values that are not a distribution."""
+        """Raise `CalibrationError` unless both are finite and the standard deviation is positive."""
         sizes = (self.mean, self.standard_deviation)
         if not all(map(math.isfinite, sizes)) or self.standard_deviation <= 0.0:
             raise CalibrationError(
@@ -411,7 +413,7 @@ class Population:
 
 @dataclass(frozen=True)
 class GlobalRisk:
-    """Global risks: parts of a population that are accepted but do not conform, and rejected but conform."""
+    """Global risks: the parts of a population accepted without conforming, and rejected although they conform."""
 
     false_accept: float
     false_reject: float
@@ -420,10 +422,10 @@ class GlobalRisk:
 def global_risk(
     population: Population, u: float, limit: float, accepted_up_to: float, dof: float = math.inf
 ) -> GlobalRisk:
-    """Return the global risks of accepting measured values up to ±`accepted_up_to`, measured with u.
+    """Return the global risks of accepting measured values up to ±`accepted_up_to`.
 
-    It is the double integral over true and measured value, whose inner integral has a closed form. Source:
-    JCGM 106:2012, 9.5.
+    `u` and `dof` are those of the measurement. The double integral over true and measured value has an inner
+    integral in closed form. Source: JCGM 106:2012, 9.5.
     """
     from scipy.integrate import quad
 

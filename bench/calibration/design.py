@@ -1,4 +1,4 @@
-"""The forward model made linear about a point, for any estimator: unknowns, their priors, derivatives."""
+"""The linearised forward model that all estimators use: unknowns, their priors, derivatives."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from bench.model.forward import ForwardModel
 from bench.model.geometry import STAND_ANGLES, Block
 
 FIXED = 12
-"""The coefficients come first among the unknowns and have no prior."""
+"""Number of coefficients: they come first among the unknowns and have no prior."""
 
 UPPER = np.array([0, 1, 2, 4, 5, 8, 9, 10, 11])
-"""Places of the coefficients that are unknown where K is upper triangular by convention."""
+"""Indices of the coefficients that remain unknown if K is upper triangular by convention."""
 
 STEP_RAD = 1e-5
-"""Step of the central differences: their error and that of rounding are both about 1e-11 of a derivative."""
+"""Step of the central differences: truncation and rounding error are both about 1e-11 of the derivative."""
 
 WEAK = 10.0
-"""Prior u of an effect parameter without stated size, in plausible sizes: wide, so that the data decide."""
+"""Prior u of an effect parameter without stated u, over its plausible size: wide, so that the data decide."""
 
 SYMBOLS: Mapping[str, str] = {
     "axis_tilt": "alpha1",
@@ -36,19 +36,19 @@ SYMBOLS: Mapping[str, str] = {
     "mounting_offset": "mounting_offset",
     "mounting_roll": "alpha5",
 }
-"""The paper's symbols of the stand angles (alpha5 is the one that it leaves out)."""
+"""Symbols of the stand angles, after the paper (which has no alpha5)."""
 
 
 AFTER_FORCE: Final = (Stage.BLOCK_OUTPUT, Stage.VOLTMETER_READING)
-"""Effects of these stages leave the specific force as it is."""
+"""Stages whose effects do not change the specific force."""
 MOST_KEPT: Final = 3
 
 
 @dataclass(frozen=True)
 class StandUnknown:
-    """A stand angle of one mounting, with mean and standard deviation of its prior, rad.
+    """An unknown stand angle of one mounting, with mean and standard deviation of its prior, rad.
 
-    It is `measured` where a level showed it, else the bench file limits it.
+    `mount` indexes the mountings, `column` indexes `STAND_ANGLES`. If `measured`, the prior comes from a level.
     """
 
     mount: int
@@ -60,7 +60,10 @@ class StandUnknown:
 
 @dataclass(frozen=True)
 class EffectUnknown:
-    """A parameter of an effect (of one channel, or of all), with its prior, SI, `stated` or merely weak."""
+    """An unknown parameter of an effect, for one channel or for all (None), with its prior in SI.
+
+    `effect` indexes the model's effects. `stated` is false for the weak default prior.
+    """
 
     effect: int
     parameter: str
@@ -72,7 +75,7 @@ class EffectUnknown:
 
 @dataclass(frozen=True)
 class FreeRows:
-    """Readings of which only the modulus of the specific force is known, 1 g: `signal` (m, 3)."""
+    """Readings `signal` (m, 3) in unknown orientations, for which only the modulus |a| = 1 g is known."""
 
     signal: Floats
     conditions: Conditions
@@ -80,9 +83,9 @@ class FreeRows:
 
 @dataclass(frozen=True)
 class Linearisation:
-    """The linearised model: its predictions (n, 3) and its derivatives by all unknowns (n, 3, 12 + q).
+    """The linearised model: its predictions (n, 3) and their derivatives by all unknowns (n, 3, 12 + q).
 
-    `slope` (n, 3) is du/dphi, how a setting error of the head shows in the signals, unit/rad.
+    `slope` (n, 3) is du/dphi, the sensitivity of the signals to a setting error of the head, unit/rad.
     """
 
     predicted: Floats
@@ -94,9 +97,9 @@ class Linearisation:
 class Problem:
     """The unknowns of a fit: 12 coefficients, then stand angles, then parameters of effects.
 
-    `free` are readings that join by the modulus alone; `upper` fixes K as upper triangular, which a fit to
-    free readings alone needs. `hang` (q, q) is the lower root of the correlation of the priors, None where
-    they are independent. `noise` is prior knowledge of the sizes of the noise, None if there is none.
+    `free` are readings that join by the modulus alone. `upper` constrains K to upper triangular, as a fit to free
+    readings alone needs. `hang` (q, q) is the lower Cholesky factor of the priors' correlation matrix, None if they
+    are independent. `noise` is prior knowledge of the noise, or None.
     """
 
     model: ForwardModel
@@ -110,7 +113,7 @@ class Problem:
 
     @property
     def active(self) -> Ints:
-        """Places of the coefficients that are unknown."""
+        """Indices of the coefficients that are unknown."""
         return UPPER if self.upper else np.arange(FIXED)
 
     @property
@@ -125,26 +128,26 @@ class Problem:
 
     @property
     def prior_rows(self) -> Floats:
-        """The matrix (q, q) that turns unknowns over their prior u into independent parts of unit u."""
+        """The matrix (q, q) that whitens unknowns divided by their prior u: independent, with unit variance."""
         q = len(self.stand) + len(self.effects)
         return np.eye(q) if self.hang is None else np.asarray(np.linalg.solve(self.hang, np.eye(q)))
 
     def pulls(self, others: Floats) -> Floats:
-        """Return how far unknowns (q,) are from their priors, in independent parts of unit u, shape (q,)."""
+        """Return the deviations (q,) of the unknowns `others` from their prior means, whitened by the prior."""
         off = (others - self.prior_mean) / self.prior_u
         return off if self.hang is None else np.asarray(np.linalg.solve(self.hang, off))
 
     def by_prior(self, columns: Floats) -> Floats:
-        """Return derivatives (..., q) by unknowns as derivatives by independent prior parts of unit u."""
+        """Return derivatives (..., q) by the unknowns as derivatives by the whitened unknowns of the prior."""
         scaled = columns * self.prior_u
         return scaled if self.hang is None else np.asarray(scaled @ self.hang)
 
     def names(self) -> list[str]:
-        """Names of the unknowns after the coefficients: "alpha3[2]", "quadratic_nonlinearity.K2[y]".
+        """Return the names of the unknowns after the coefficients: "alpha3[2]", "quadratic_nonlinearity.K2[y]".
 
-        An effect of certain mountings ends with them: "turn_on_shift.step[y][2]"; if an effect
-        occurs in several shapes, its shape follows the name: "axis_wobble.sine(harmonic 2)". What is open of a
-        shape is "warm_up in other shapes (1)".
+        An effect limited to some installations ends with these: "turn_on_shift.step[y][2]". If an effect occurs in
+        several shapes, the shape follows: "axis_wobble.sine(harmonic 2)". An open part of a shape is "warm_up in
+        other shapes (1)".
         """
         stand = [f"{SYMBOLS[STAND_ANGLES[s.column]]}[{self.conditions.mounts[s.mount]}]" for s in self.stand]
         effects = []
@@ -160,23 +163,23 @@ class Problem:
         return stand + [f"{name}({shape})" if effects.count(name) > 1 else name for name, shape in named]
 
     def parameter(self, unknown: EffectUnknown) -> Parameter:
-        """Return the parameter of an effect for an unknown."""
+        """Return the catalogue parameter of an effect unknown."""
         parameters = self.model.effects[unknown.effect].effect.parameters
         return next(p for p in parameters if p.name == unknown.parameter)
 
     def predict(self, block: Block, others: Floats, setting_rad: float = 0.0) -> Floats:
-        """Return the readings (n, 3) that the model predicts for these values of the unknowns."""
+        """Return the readings (n, 3) that the model predicts, with a setting error of the head `setting_rad`."""
         return self._model_at(others).readings(block, self.conditions, self.stand_matrix(others), setting_rad)
 
     def stand_matrix(self, others: Floats) -> Floats:
-        """Return the stand angles (mounts, 5) in rad."""
+        """Return the stand angles (mounts, 5), rad, from the unknowns `others` (q,); other angles are zero."""
         matrix = np.zeros((len(self.conditions.mounts), len(STAND_ANGLES)))
         for value, unknown in zip(others, self.stand, strict=False):
             matrix[unknown.mount, unknown.column] = value
         return matrix
 
     def effects_at(self, others: Floats) -> tuple[AppliedEffect, ...]:
-        """Return the model's effects with these values of their parameters."""
+        """Return the model's effects with the parameter values in `others` (q,)."""
         values = [applied.complete_values() for applied in self.model.effects]
         for value, unknown in zip(others[len(self.stand) :], self.effects, strict=True):
             if unknown.channel is None:
@@ -188,7 +191,7 @@ class Problem:
         return tuple(replace(a, values=v) for a, v in zip(self.model.effects, values, strict=True))
 
     def slope(self, block: Block, others: Floats) -> Floats:
-        """Return du/dphi (n, 3): how a setting error of the head shows in the three signals, unit/rad."""
+        """Return du/dphi (n, 3), the sensitivity of the signals to a setting error of the head, unit/rad."""
         forward, back = (self.predict(block, others, step) for step in (STEP_RAD, -STEP_RAD))
         return (forward - back) / (2 * STEP_RAD)
 
@@ -197,10 +200,10 @@ class Problem:
         return self.linear(block, others).jacobian
 
     def linear(self, block: Block, others: Floats) -> Linearisation:
-        """Return the model made linear about a point.
+        """Return the model linearised about a point.
 
-        It takes central differences of the forward model itself, so there is no second formula to maintain.
-        They are exact for the coefficients, in which a model without effects is linear.
+        It takes central differences of the forward model itself, so there is no second formula to maintain. They
+        are exact for the coefficients, in which a model without effects is linear.
         """
         if not len(self.conditions):
             nothing = np.zeros((0, 3))
@@ -216,10 +219,10 @@ class Problem:
         return Linearisation(block.output(force), columns, by_angle @ block.K.T)
 
     def forces(self, block: Block, others: Floats) -> tuple[Floats, Floats, dict[int, Floats]]:
-        """Return specific forces (n, 3), their derivatives by the head's angle and by each stand angle in use.
+        """Return specific forces (n, 3), and their derivatives by the head angle and by each unknown stand angle.
 
-        The latter have the column in `STAND_ANGLES` as key, each for the mounting of the row. All steps go
-        through the forward model at once: every step is a set of mountings of its own.
+        The last item maps a column of `STAND_ANGLES` to derivatives (n, 3) by that angle of the row's own mounting.
+        All steps go through the forward model in one call: each step is a further set of mountings.
         """
         n, used = len(self.conditions), self._columns
         stand = self.stand_matrix(others)
@@ -242,7 +245,7 @@ class Problem:
 
     @cached_property
     def _many_conditions(self) -> Conditions:
-        """The conditions once for each step of the differences, with mountings of their own."""
+        """The conditions repeated for each step of the differences, with mountings of their own."""
         return self.conditions.repeated(3 + 2 * len(self._columns))
 
     @cached_property
@@ -291,13 +294,13 @@ class Problem:
         return replace(self.model, effects=self.effects_at(others)) if self.effects else self.model
 
     def _read(self, model: ForwardModel, block: Block, stand: Floats, force: Floats | None) -> Floats:
-        """Return the readings (n, 3) of a model, for the acting specific `force` (n, 3) if it is known."""
+        """Return the model's readings (n, 3), from the specific `force` (n, 3) if it is already known."""
         if force is None:
             return model.readings(block, self.conditions, stand)
         return model.voltmeter_readings(model.output(force, self.conditions, block), self.conditions, block)
 
     def other_step(self, j: int) -> Floats:
-        """Return the step (q,) of the differences by unknown `j` after the coefficients."""
+        """Return the difference step (q,) for unknown `j` after the coefficients: zero in all other elements."""
         step = np.zeros(len(self.stand) + len(self.effects))
         step[j] = 1e-3 * self.prior_u[j] if j >= len(self.stand) else STEP_RAD
         return step
@@ -321,15 +324,14 @@ def make_problem(
 ) -> Problem:
     """Return the problem with its unknowns: stand angles with a non-zero u, and the sizes of all effects.
 
-    Shapes of effects (`Parameter.is_shape`) are not unknowns: they keep the values of the model. Level
-    readings of a mounting replace the size that the bench file states.
+    Shape parameters (`Parameter.is_shape`) are not unknowns: they keep the values of the model. A level reading of
+    a mounting replaces the u that the bench file states.
 
-    `stand_u` are standard uncertainties by the names in `STAND_ANGLES`, rad, and of the noise where it is stated:
-    "setting_error" (rad) and "voltmeter_error" (in the unit of the signals). The prior of an effect's
-    parameter lies about the value in the model with the standard uncertainty stated there, which must come
-    from other readings than those to be fitted; where none (or zero) is stated, with `WEAK` times the
-    catalogue's plausible size. `known` is the knowledge from other runs. Its angles replace `stand_u`
-    if no level measured the angle; its noise replaces the stated noise.
+    `stand_u` maps names in `STAND_ANGLES` to standard uncertainties, rad. It may also state the noise:
+    "setting_error" (rad) and "voltmeter_error" (unit of the signals). The prior of an effect parameter has the
+    model's value as mean and the u stated there, which must come from readings other than those to be fitted.
+    Without a stated u the prior u is `WEAK` times the catalogue's plausible size. `known` is prior knowledge from
+    other runs: it replaces `stand_u` for angles that no level measured, and the stated noise.
     """
     levels = conditions.levels()
     stand = tuple(
@@ -350,7 +352,7 @@ def make_problem(
 
 
 def _with_known(problem: Problem, known: KnownStand) -> Problem:
-    """Return the problem with the known priors for all angles that no level measured."""
+    """Return the problem with the priors of other runs for all angles that no level measured."""
     stand, mounts = problem.stand, problem.conditions.mounts
     told = [j for j, unknown in enumerate(stand) if not unknown.measured]
     if not told:

@@ -1,6 +1,6 @@
-"""The estimators, each once: what `calibrate`, `budget`, `require` and their help texts know of them.
+"""The registry of estimators, which `calibrate`, `budget`, `require` and their help texts use.
 
-A further one is a module of this folder with an `ESTIMATOR`, and its name in `MODULES`.
+To add an estimator, write a module in this folder with an `ESTIMATOR` and add its name to `MODULES`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ CLOSED_FORM: Final = "closed-form"
 ROBUST: Final = "robust"
 
 MODULES: Final = ("gls", "closed_form", "linear", "outliers")
-"""The modules that have an estimator, in the order in which help texts list them."""
+"""The modules that define an estimator, in the order of the help texts."""
 
 
 def _of(module: str) -> Estimator:
@@ -30,7 +30,7 @@ ESTIMATORS: Final[Mapping[str, Estimator]] = {found.name: found for found in map
 
 
 def find_estimator(asked: str) -> Estimator:
-    """Return the estimator of a name. Raises `CalibrationError` for an unknown name."""
+    """Return the estimator with this name or alias. Raises `CalibrationError` for an unknown name."""
     for estimator in ESTIMATORS.values():
         if asked in {estimator.name, *estimator.also}:
             return estimator
@@ -38,13 +38,13 @@ def find_estimator(asked: str) -> Estimator:
 
 
 def in_a_budget(asked: str) -> Estimator:
-    """Return the estimator that represents the requested one in a budget. Raises `CalibrationError`."""
+    """Return the estimator that represents the requested one in a budget. Raises `CalibrationError` if unknown."""
     estimator = find_estimator(asked)
     return ESTIMATORS[estimator.counts_as or estimator.name]
 
 
 def estimators_in_words(*, budget: bool = False) -> str:
-    """Return a help text with names and phrases; `budget` adds which one represents another in a budget."""
+    """Return a help text that lists the estimators; with `budget` it says which represents which in a budget."""
     phrases = [f"{' or '.join((e.name, *e.also))} ({e.phrase})" for e in ESTIMATORS.values()]
     text = f"{', '.join(phrases[:-1])}, or {phrases[-1]}"
     counted = [f"{e.name} counts as {e.counts_as}" for e in ESTIMATORS.values() if e.counts_as]

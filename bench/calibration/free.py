@@ -1,7 +1,7 @@
-"""Readings of which only the modulus is known: free positions, and verification points where they join.
+"""Readings for which only the modulus is known: free positions, and verification points that join the fit.
 
-A reading U at rest gives |N(U - U0)| = 1 g whatever the orientation (paper (9)). Its row of the fit is
-1 - |a|, with the noise of the three signals seen through d|a|/dU.
+At rest |N(U - U0)| = 1 g in any orientation (paper (9)). Such a reading adds the row 1 - |a| to the fit, with the
+noise of the three signals propagated through d|a|/dU.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ STANDS_STILL_G: Final = 1e-14
 LEAST_POSITIONS: Final = 10
 """Least number of free positions: nine unknowns, and one more position to estimate the noise."""
 LEAST_PART: Final = 1e-3
-"""Least singular value, as a part of the largest, with which positions determine the ellipsoid."""
+"""Least ratio of the smallest to the largest singular value with which positions determine the ellipsoid."""
 PRODUCTS: Final = ("xx", "yy", "zz", "xy", "xz", "yz", "x", "y", "z")
 
 
@@ -31,7 +31,8 @@ PRODUCTS: Final = ("xx", "yy", "zz", "xy", "xz", "yz", "x", "y", "z")
 class Modulus:
     """The linearised rows of the modulus in a fit, in g.
 
-    `left` (m,) is 1 - |a|, `jacobian` (m, 12 + q) d|a| by the unknowns, `by_signal` (m, 3) d|a|/dU, g/unit.
+    `left` (m,) is 1 - |a|, `jacobian` (m, 12 + q) are the derivatives of |a| by the unknowns, `by_signal` (m, 3) is
+    d|a|/dU, g/unit.
     """
 
     left: Floats
@@ -39,7 +40,7 @@ class Modulus:
     by_signal: Floats
 
     def noise(self, sizes: Noise) -> Floats:
-        """Return the noise of each row, g, shape (m,)."""
+        """Return the standard deviation (m,) of each row, g, for the noise `sizes` of the signals."""
         return np.asarray(np.linalg.norm(self.by_signal * sizes.by_channel, axis=1))
 
 
@@ -47,7 +48,7 @@ NO_MODULI: Final = Modulus(np.zeros(0), np.zeros((0, 0)), np.zeros((0, 3)))
 
 
 def modulus_rows(problem: Problem, block: Block, others: Floats) -> Modulus:
-    """Return the rows of the problem's free readings about a point."""
+    """Return the rows of the problem's free readings, linearised about the point (`block`, `others`)."""
     if problem.free is None:
         return Modulus(np.zeros(0), np.zeros((0, FIXED + len(others))), np.zeros((0, 3)))
     force = _force(problem, problem.free, block, others)
@@ -59,7 +60,7 @@ def modulus_rows(problem: Problem, block: Block, others: Floats) -> Modulus:
 
 
 def _differences(problem: Problem, block: Block, others: Floats, columns: Floats) -> None:
-    """Fill in the derivatives of |a| by central differences; those by stand angles are zero."""
+    """Fill `columns` with the derivatives of |a| by central differences; those by stand angles stay zero."""
     step = 1e-4 * float(np.max(np.abs(block.K)))
 
     def size(vector: Floats, values: Floats) -> Floats:
@@ -77,9 +78,9 @@ def _differences(problem: Problem, block: Block, others: Floats, columns: Floats
 
 
 def _force(problem: Problem, free: FreeRows | None, block: Block, others: Floats) -> Floats:
-    """Return the specific force (m, 3) of free readings, by inverting the model from force to reading.
+    """Return the specific force (m, 3) of free readings, found by iteration on the forward model.
 
-    Raises `CalibrationError` where an effect needs data that these readings lack.
+    Raises `CalibrationError` if an effect needs data that these readings lack, such as a head angle.
     """
     assert free is not None  # noqa: S101 - the callers have it
     force = block.specific_force(free.signal)
@@ -104,10 +105,10 @@ def _force(problem: Problem, free: FreeRows | None, block: Block, others: Floats
 
 
 def first_guess_free(signal: Floats) -> Block:
-    """Return a block with upper triangular K from signals (m, 3) of free positions alone.
+    """Return a first guess of the block, with upper triangular K, from signals (m, 3) of free positions alone.
 
-    It fits the ellipsoid (U - b)^T A (U - b) = 1 by linear least squares, A = N^T N with N upper triangular.
-    Raises `CalibrationError` where the positions do not determine the nine coefficients.
+    It fits the ellipsoid (U - b)^T A (U - b) = 1 by linear least squares, A = N^T N with N upper triangular. Raises
+    `CalibrationError` if the positions do not determine the nine coefficients.
     """
     if len(signal) < LEAST_POSITIONS:
         raise CalibrationError(
@@ -134,7 +135,7 @@ def first_guess_free(signal: Floats) -> Block:
 
 
 def _block_of_ellipsoid(matrix: Floats, linear: Floats, middle: Floats, size: Floats) -> Block:
-    """Return the block whose unit sphere is the ellipsoid v^T matrix v + linear v = 1, v = (U - middle)/size."""
+    """Return the block that maps the unit sphere to v^T matrix v + linear v = 1, v = (U - middle)/size."""
     centre = -np.linalg.solve(matrix, linear) / 2
     shape = matrix / (1 + centre @ matrix @ centre)
     if np.min(np.linalg.eigvalsh(shape)) <= 0:
@@ -147,9 +148,9 @@ def _block_of_ellipsoid(matrix: Floats, linear: Floats, middle: Floats, size: Fl
 
 
 def triangular(block: Block, covariance: Floats, g_m_s2: float) -> Triangular:
-    """Return a block with upper triangular K and its covariance (12, 12) in the form a = T S (U - b).
+    """Convert a block with upper triangular K and its covariance (12, 12) to the form a = T S (U - b), m/s^2.
 
-    Source: Tedaldi, Pretto, Menegatti (ICRA 2014), equation (10), whose convention imu_tk keeps.
+    Source: Tedaldi, Pretto, Menegatti (ICRA 2014), equation (10), whose convention imu_tk uses.
     """
     inverse = np.linalg.inv(block.K)
     scale = np.diag(inverse)

@@ -1,9 +1,9 @@
-"""Generalised least squares on all readings, the stand's errors as random effects.
+"""Generalised least squares on all readings, with the stand's errors as random effects.
 
-The setting error is common to the three channels of a point; axis tilt, zero offset and mounting error are
-common to a mounting and have the sizes that the bench file states. The exact forward model is made linear
-about the current estimate until the estimate converges (maximum a posteriori; for these small angles its
-covariance is that of generalised least squares).
+The setting error is common to the three channels of a point. Axis tilt, zero offset and mounting error are common
+to a mounting and have the sizes that the bench file states. The exact forward model is linearised about the current
+estimate until the estimate converges. The result is the maximum a posteriori estimate; for these small angles its
+covariance is that of generalised least squares.
 """
 
 from __future__ import annotations
@@ -35,26 +35,26 @@ from bench.readings.table import Readings
 
 MOST_ITERATIONS: Final = 20
 STANDS_STILL: Final = 5e-3
-"""The fit has converged when no unknown moves by more than this part of its standard uncertainty.
+"""The fit has converged when no unknown moves by more than this fraction of its standard uncertainty.
 
-The remaining error is smaller still by the curvature of the model, about 1e-5.
+The remaining error is smaller still because of the small curvature of the model, about 1e-5.
 """
 NEARLY_STILL: Final = 1e-2
-"""Below this part the sizes of the noise are no longer estimated anew: they would not change."""
+"""Below this fraction the noise is no longer re-estimated: it would not change."""
 ESTIMATIONS: Final = 8
-"""Number of steps that estimate the noise: its sizes may alternate between two maxima of their likelihood."""
+"""Most iterations that re-estimate the noise: its sizes may alternate between two likelihood maxima."""
 FAR_FROM_STILL: Final = 0.1
-"""The fit has failed if, after the last iteration, an unknown still moves by more than this part of its u."""
+"""The fit has failed if an unknown still moves by more than this fraction of its u in the last iteration."""
 LEAST_NOISE: Final = 1e-11
-"""Least noise believed, as a part of the largest signal: keeps noise-free data solvable."""
+"""Lower limit of the noise as a fraction of the largest signal: it keeps noise-free data solvable."""
 
 
 @dataclass(frozen=True)
 class Shift:
     """An additional unknown offset of one signal, which removes the weight of this signal in the fit.
 
-    `channel` 0, 1, 2 is a channel of row `row` of the oriented readings. `SETTING` is the setting of the head
-    in that row, which moves all three along du/dphi. `MODULUS` is the modulus of free reading `row`.
+    `channel` 0, 1, 2 is a channel of row `row` of the oriented readings. `SETTING` is the setting of the head in
+    that row, which moves all three signals along du/dphi. `MODULUS` is the modulus of free reading `row`.
     """
 
     row: int
@@ -69,12 +69,12 @@ MODULUS: Final = 4
 class Fit:
     """Estimates of all unknowns of a problem and their joint covariance (12 + q, 12 + q).
 
-    `noise` is as estimated, the covariance has it widened. `gain` (12 + q, n, 3) is the linear map from
-    oriented readings to unknowns, `free_gain` (12 + q, m, 3) that from free ones; `misfit` the
-    chi-square left, the priors' part included; `residuals` (n, 3)
-    in the unit of the signal, `modulus` (m,) |a| - 1 of the free readings in g; what is shifted stays in both.
-    `shift` and `u_shift` (k,) are the estimates of `shifts`, with u from the noise as it is; `system` is that
-    of the last point.
+    `noise` has the estimated sizes; the covariance uses them widened for their degrees of freedom. `gain` (12 + q,
+    n, 3) and `free_gain` (12 + q, m, 3) are the linear maps from oriented and free readings to the unknowns.
+    `misfit` is the chi-square of residuals and priors, without shifted signals. `residuals` (n, 3) are in the unit
+    of the signal, `modulus` (m,) is |a| - 1 of the free readings, g; both include the shifts. `slope` (n, 3) is
+    du/dphi. `shift` and `u_shift` (k,) are the estimates of `shifts` and their u for the noise without widening.
+    `system` is the linear system of the last step, with the final residuals.
     """
 
     block: Block
@@ -103,11 +103,12 @@ def fit(
     *,
     one_size: bool = False,
 ) -> Fit:
-    """Fit the problem to readings `signal` (n, 3) from a first guess; noise sizes not given are estimated.
+    """Fit the problem to readings `signal` (n, 3), starting from the block `start`.
 
-    Noise is never believed below that of rounding to `resolution`, a rectangular distribution of that width.
-    Each of `shifts` is an additional unknown without prior. With `one_size` all channels have noise of one
-    size; without it each has its own where they differ. Raises `CalibrationError` if there is no convergence.
+    The noise is estimated unless given. It is never taken below the rounding to `resolution`, a rectangular
+    distribution of that width. Each of `shifts` is an additional unknown without prior. With `one_size` all
+    channels have equal noise; otherwise each has its own size if they differ. Raises `CalibrationError` if the fit
+    does not converge.
     """
     block, others = start, problem.prior_mean
     floor = noise_floor(signal, resolution, problem.free)
@@ -129,7 +130,7 @@ def fit(
         step[places.unknowns] = own.step[places.own]
         block = Block.from_vector(block.vector + step[:FIXED])
         others = others + step[FIXED:]
-        # a shift enters no derivative, so it has no part in whether the point stands still
+        # a shift enters no derivative, so convergence does not depend on it
         steps = np.abs(own.step[places.own]) / np.sqrt(np.diag(own.covariance)[places.own])
         moved = float(np.max(steps))
         if moved <= STANDS_STILL:
@@ -142,7 +143,7 @@ def fit(
 
 
 def _not_converged(problem: Problem, system: System, unknown: int, moved: float) -> CalibrationError:
-    """Return the error of a fit that did not converge, with the moving unknown and the residuals."""
+    """Return the error of a fit that did not converge; it names the unknown that still moves."""
     names = (*COEFFICIENTS, *problem.names())
     left = rms(system.left) if len(system.left) else rms(system.free.left)
     unit = "" if len(system.left) else " g"
@@ -156,10 +157,10 @@ def _not_converged(problem: Problem, system: System, unknown: int, moved: float)
 
 @dataclass(frozen=True)
 class System:
-    """The linear system of one step: unknowns are the active coefficients, the shifts, then the others.
+    """The linear system of one step; its p unknowns are the active coefficients, the shifts, then the others.
 
-    `left` (n, 3) measured minus predicted; `jacobian` (n, 3, p) has the unknowns with a prior last; `slope`
-    (n, 3); `free` the rows of moduli.
+    `left` (n, 3) is measured minus predicted, `jacobian` (n, 3, p) are the derivatives of the readings, `slope` (n,
+    3) is du/dphi, `free` are the rows of moduli.
     """
 
     left: Floats
@@ -171,7 +172,7 @@ class System:
 def linearise(
     problem: Problem, signal: Floats, block: Block, others: Floats, shifts: tuple[Shift, ...] = ()
 ) -> System:
-    """Return the linear system about a point."""
+    """Return the linear system for readings `signal` (n, 3) about the point (`block`, `others`)."""
     linear = problem.linear(block, others)
     free = modulus_rows(problem, block, others)
     jacobian, by_free = linear.jacobian, free.jacobian
@@ -210,9 +211,9 @@ def _places(problem: Problem, shifts: int, others: int) -> _Places:
 
 
 def finish(problem: Problem, fit: Fit, covariance: Floats, noise: Noise) -> Fit:
-    """Return the fit after repeating its last step with a covariance (3n + m, 3n + m) of all its readings.
+    """Return the fit after repeating its last step with the covariance (3n + m, 3n + m) of its readings and moduli.
 
-    `noise` has the sizes that belong to this covariance. The step is linear about the point of the fit.
+    `noise` has the sizes that belong to this covariance. The linearisation about the point of the fit is kept.
     """
     system, others = fit.system, fit.others
     places = _places(problem, len(fit.shifts), len(others))
@@ -241,7 +242,7 @@ def finish(problem: Problem, fit: Fit, covariance: Floats, noise: Noise) -> Fit:
 
 
 def noise_floor(signal: Floats, resolution: float, free: FreeRows | None = None) -> float:
-    """Return the least noise that is believed for signals (n, 3) given to `resolution`, in their unit."""
+    """Return the lower limit of the noise of signals (n, 3) rounded to `resolution`, in their unit."""
     largest = float(np.max(np.abs(signal), initial=0.0))
     if free is not None:
         largest = max(largest, float(np.max(np.abs(free.signal), initial=0.0)))
@@ -249,7 +250,7 @@ def noise_floor(signal: Floats, resolution: float, free: FreeRows | None = None)
 
 
 def _groups_without(problem: Problem, shifts: tuple[Shift, ...]) -> Ints:
-    """Number the groups of repeats; a reading with a shift forms a group of its own without scatter."""
+    """Return the repeat group of each reading (n,); a reading with a shift is alone in its group."""
     if not len(problem.conditions):
         return np.zeros(0, dtype=np.int64)
     groups = repeat_groups(problem.conditions)
@@ -264,7 +265,7 @@ def _result(
     problem: Problem, system: System, block: Block, others: Floats, sizes: Noise, places: _Places,
     found: Floats, covariance: Floats, gain: Floats, shifts: tuple[Shift, ...],
 ) -> Fit:  # fmt: skip
-    """Return the fit from its last step, which is so small that the residuals are linear in it.
+    """Return the fit from its last step `found`, which is so small that the residuals are linear in it.
 
     The misfit excludes shifted signals.
     """
@@ -294,16 +295,17 @@ def _result(
 
 
 def estimate_noise(problem: Problem, system: System, groups: Ints, others: Floats, floor: float) -> Noise:
-    """Estimate the sizes of the noise from repeats within `groups`, or where those are few from all residuals.
+    """Estimate the noise from repeats within `groups` (n,), or from all residuals if the repeats are too few.
 
-    Prior knowledge of the sizes in the problem counts beside the residuals.
+    The estimate from residuals also uses the problem's prior of the noise. `floor` (unit of the signal) is the
+    lower limit of the noise.
     """
     left, slope, free, known = system.left, system.slope, system.free, problem.noise
     if len(left):
         scatter = scatter_of_repeats(left, slope, groups)
         if scatter.settings >= LEAST_REPEATS:
             return noise_from_repeats(scatter, floor)
-    # the likelihood has the random effects about their prior means, so their estimates are not taken off
+    # in the likelihood random effects scatter about their prior means: put their estimates back
     fixed = system.jacobian.shape[2] - len(others)
     off = others - problem.prior_mean
     whole = left + system.jacobian[:, :, fixed:] @ off
@@ -313,7 +315,7 @@ def estimate_noise(problem: Problem, system: System, groups: Ints, others: Float
         moduli = np.column_stack([free.jacobian, free.left + free.jacobian[:, fixed:] @ off])
     for of in (columns, moduli):
         of[..., fixed:-1] = problem.by_prior(of[..., fixed:-1])
-    # so few residuals tell one size: of channels that other runs found unlike, each in its ratio
+    # few residuals determine one size only, so known ratios between the channels are kept
     ratio = np.ones(3) if known is None else known.channels / rms(known.channels)
     moduli = moduli / np.linalg.norm(free.by_signal * ratio, axis=1)[:, None]
     found = noise_from_residuals(
@@ -329,7 +331,7 @@ def estimate_noise(problem: Problem, system: System, groups: Ints, others: Float
 class Solution:
     """One step of the fit: the change of the unknowns (p,), their covariance (p, p), and factors of the gain.
 
-    `inverse` (p, p) and `q` (3n + m + priors, p): the unknowns are inverse q^T times the whitened rows.
+    The change is `inverse` (p, p) times the transpose of `q` (3n + m + priors, p) times the whitened residuals.
     """
 
     step: Floats
@@ -338,7 +340,7 @@ class Solution:
     q: Floats
 
     def gain(self, system: System, noise: Noise) -> Floats:
-        """Return the linear map from rows to unknowns, (p, 3n + m)."""
+        """Return the linear map (p, 3n + m) from the rows of signals and moduli to the unknowns."""
         n, _, p = system.jacobian.shape
         whitened = (self.inverse @ self.q[: 3 * n].T).reshape(p, n, 3)
         gain = np.moveaxis(whiten_back(np.moveaxis(whitened, 0, 2), system.slope, noise), 2, 0)
@@ -348,7 +350,7 @@ class Solution:
 
 
 def solve(problem: Problem, system: System, noise: Noise, others: Floats) -> Solution:
-    """Return one step of the fit, for noise of these sizes."""
+    """Return one step of the fit from the values `others` (q,), for noise of these sizes."""
     rows, target, scale = whitened_rows(problem, system, noise, others)
     q, r = np.linalg.qr(rows)
     inverse = np.linalg.solve(r, np.eye(len(r))) * scale[:, None]
@@ -358,9 +360,10 @@ def solve(problem: Problem, system: System, noise: Noise, others: Floats) -> Sol
 def whitened_rows(
     problem: Problem, system: System, noise: Noise, others: Floats
 ) -> tuple[Floats, Floats, Floats]:
-    """Return rows (3n + m + q, p), target and scale (p,) of a step: signals, moduli, priors, each of unit noise.
+    """Return the rows (3n + m + q, p) of a step, their targets, and the scale of each unknown (p,).
 
-    Column j belongs to unknown j divided by its scale.
+    The rows are signals, moduli, then priors, each of unit noise. Column j belongs to unknown j divided by its
+    scale.
     """
     n, _, p = system.jacobian.shape
     free = system.free
@@ -382,7 +385,7 @@ def whitened_rows(
 
 
 def lack_of_fit(problem: Problem, result: Fit) -> LackOfFit:
-    """Compare the residuals of the model with the scatter of repeats (F test), or with given noise."""
+    """Test the residuals of a fit against the scatter of repeats (F test), or against given noise (chi-square)."""
     # a stated prior adds as much to the misfit as its unknown takes away; a weak one adds nothing
     unknowns = len(problem.active) + len(result.shifts) + sum(not e.stated for e in problem.effects)
     unknowns -= len(result.modulus)
@@ -393,9 +396,9 @@ def lack_of_fit(problem: Problem, result: Fit) -> LackOfFit:
 def misfit_test(
     misfit: float, residuals: Floats, slope: Floats, noise: Noise, groups: Ints, unknowns: int
 ) -> LackOfFit:
-    """Judge the chi-square that a fit leaves; `unknowns` counts those without a prior of their own.
+    """Test the chi-square `misfit` of a fit; `unknowns` counts its unknowns without a prior of their own.
 
-    `residuals`, `slope` (n, 3) and `groups` (n,) of repeats as in `scatter_of_repeats`.
+    `residuals` and `slope` (n, 3) and the repeat `groups` (n,) are as in `scatter_of_repeats`.
     """
     size = rms(residuals)
     dof = residuals.size - unknowns
@@ -411,15 +414,15 @@ def misfit_test(
     own = across + noise.setting_rad**2 * scatter.slope[:, :, None] * scatter.slope[:, None, :]
     pure_error = float(np.einsum("gij,gji->", np.linalg.inv(own), scatter.matrix))
     chi2 = max(misfit - pure_error, 0.0)
-    # the scatter over its own freedom is 1 by construction: the noise was estimated from it
+    # the denominator is 1 by construction: the noise was estimated from the scatter of repeats
     return LackOfFit(size, chi2, dof, float(special.fdtrc(dof, noise.dof, chi2 / dof)))
 
 
 @dataclass(frozen=True)
 class WeightingTask:
-    """Readings to weigh: their `signal` (n, 3) in V, `fit` by generalised least squares, and how to fit anew.
+    """The input of an estimator's weighting: `signal` (n, 3) and its `fit` by generalised least squares.
 
-    `refit` repeats the fit with shifts for the readings that are to have no weight.
+    `refit` repeats this fit with shifts for the signals that are to have no weight.
     """
 
     problem: Problem
@@ -434,14 +437,13 @@ def _as_it_is(task: WeightingTask) -> Fit:
 
 @dataclass(frozen=True)
 class Estimator:
-    """An estimator of the coefficients; `phrase` describes it in a few words, `also` are further names.
+    """An estimator of the coefficients; `phrase` describes it in a few words, `also` are aliases.
 
-    `gain` gives the map (12, n, 3) of an estimator with fixed weights; such an estimator uses oriented
-    readings alone. Without it `weigh` gives the fit. Its map in a budget is then the one at which it comes to
-    rest from readings without errors, in which nothing is an outlier: a budget is linear, and so shows what the
-    estimator does to usual errors, not what it gains or loses where a reading is an outlier. Where that map is
-    another estimator's, `counts_as` names it. `angles_rad` gives the angles (n,) that the estimator assumes
-    and raises `CalibrationError` for other readings; left out, they are those of the readings.
+    An estimator with fixed weights has `gain`, which returns its linear map (12, n, 3), and uses oriented readings
+    alone. Any other has `weigh`, which returns its fit. A budget uses the map of this fit to readings without
+    errors, in which nothing is an outlier: being linear, it shows the effect of usual errors, not of outliers. If
+    that map is another estimator's, `counts_as` names it. `angles_rad` returns the angles (n,) that the estimator
+    assumes, and raises `CalibrationError` for unsuitable readings; None stands for the angles of the readings.
     """
 
     name: str
@@ -455,7 +457,7 @@ class Estimator:
 
     @property
     def weighs_all(self) -> bool:
-        """Whether the estimator can use readings of which only the modulus is known."""
+        """Whether the estimator can use readings for which only the modulus is known."""
         return self.gain is None
 
 

@@ -1,4 +1,4 @@
-"""Estimators that are a fixed weighting of the readings: the paper's (8), and ordinary least squares."""
+"""Estimators with fixed weights, such as the paper's (8) and ordinary least squares."""
 
 from __future__ import annotations
 
@@ -27,13 +27,12 @@ def least_squares_gain(problem: Problem) -> Floats:
 def linear_estimate(
     problem: Problem, signal: Floats, fit: gls.Fit, gain: Floats, shared: Floats | None = None
 ) -> gls.Fit:
-    """Return the estimate by a gain (12, n, 3), with its covariance from the errors of the bench.
+    """Return the estimate by a `gain` (12, n, 3), with its covariance from the errors of the bench.
 
-    `fit` is that of generalised least squares on the same readings: it has the noise, and the point at which
-    effects of the model are taken off at their stated values, and the stand's angles as a level showed them.
-    `shared` (3n, 3n) is the covariance of the readings where it is not that of the noise alone. The misfit stays
-    that of `fit`: a fixed weighting leaves the stand's angles in its residuals, where they would pass for a lack
-    of fit of the model.
+    `fit` is the generalised least squares fit to the same readings. It provides the noise, and the point at which
+    effects (at their stated values) and stand angles (as measured by a level) are subtracted. `shared` (3n, 3n) is
+    the covariance of the readings if they share errors. The misfit remains that of `fit`: fixed weights leave the
+    stand angles in the residuals, where they would look like a lack of fit.
     """
     others = problem.prior_mean
     taken_off = np.zeros_like(signal)

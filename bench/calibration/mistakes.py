@@ -1,4 +1,4 @@
-"""Mistakes in a table of readings that must stop a fit: angles, saturation, units; an implausible block."""
+"""Checks for mistakes in a table of readings (angle unit, saturation, signal unit) and for an implausible block."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from bench.readings.columns import OVERLOAD
 from bench.readings.table import REFERENCE, SHORTED, Readings
 
 POINTS: Final = 9
-"""Test points of the paper."""
+"""Number of test points in the paper."""
 NOMINAL_RAD: Final = np.radians(45.0) * np.arange(POINTS)
 
 OTHER_UNITS: Final = {"radians": 180.0 / np.pi, "gon": 0.9, "whole turns": 360.0}
 BADLY: Final = 1e-3
-"""Unexplained part of the signals' variance: more in a wrong unit of angle, less in the right one."""
+"""Unexplained fraction of the signal variance: more with a wrong unit of angle, less with the right one."""
 MUCH_BETTER_ANGLES: Final = 1e-2
 
 CLIPPED: Final = 3
@@ -31,10 +31,10 @@ CLIPPED: Final = 3
 CLIPPED_FREE: Final = 4
 FAR_APART: Final = 0.05
 LEAST_CLIPPED: Final = 1e-4
-"""Least excess beyond the range, as a part of it, that counts as saturation: repeats may be equal."""
+"""Least excess of the predicted signal, as a fraction of the range, for saturation: repeats may be equal."""
 
 COPLANAR: Final = 0.02
-"""Least singular value of K with rows of unit length: a block's axes are orthogonal within arcminutes."""
+"""Least singular value of K, its rows scaled to unit length: real axes are orthogonal within arcminutes."""
 ALIKE: Final = 0.999
 NO_ANSWER: Final = 5.0
 
@@ -42,7 +42,7 @@ FARTHEST_NOMINAL_RAD: Final = np.radians(1.0)
 
 
 def require_numbers(rows: Readings, *, angles: bool) -> None:
-    """Raise `CalibrationError` for overload, or a non-numeric signal (or angle if `angles` matter)."""
+    """Raise `CalibrationError` for a signal that is overloaded or no number; with `angles` for an angle, too."""
     bad = np.asarray(~np.isfinite(rows.signal).all(axis=1))
     if angles:
         bad |= ~np.isfinite(rows.angle_rad)
@@ -64,9 +64,9 @@ def _place(rows: Readings, mask: Mask) -> str:
 
 
 def refuse_wrong_angle_unit(problem: Problem, signal: Floats, residuals: Floats) -> None:
-    """Refuse angles in another unit than degrees: a poor fit as they are, a good one in that unit.
+    """Raise `CalibrationError` if the angles fit poorly in degrees, but well in another unit.
 
-    `residuals` (n, 3) are what ordinary least squares leave of the signals.
+    `residuals` (n, 3) are those of ordinary least squares to `signal` (n, 3).
     """
     whole = float(np.sum((signal - signal.mean(axis=0)) ** 2))
     as_given = float(np.sum(residuals**2))
@@ -82,14 +82,14 @@ def refuse_wrong_angle_unit(problem: Problem, signal: Floats, residuals: Floats)
 
 
 def _left(problem: Problem, signal: Floats, factor: float) -> float:
-    """Return the residual sum of squares of ordinary least squares, with the angles times a factor."""
+    """Return the residual sum of squares of ordinary least squares, with the angles multiplied by `factor`."""
     turned = replace(problem.conditions, angle_rad=problem.conditions.angle_rad * factor)
     _, left = least_squares(force_columns(replace(problem, conditions=turned)), signal)
     return float(np.sum(left**2))
 
 
 def force_columns(problem: Problem) -> Floats:
-    """Return the specific force at the nominal stand, and ones, shape (n, 4)."""
+    """Return the design matrix (n, 4): specific force at the nominal stand, and a column of ones."""
     still = np.zeros((len(problem.conditions.mounts), len(STAND_ANGLES)))
     force = problem.model.specific_force(problem.conditions, still, Block(np.eye(3), np.zeros(3)))
     return linear_columns(force)
@@ -101,7 +101,7 @@ def still_channels(signal: Floats) -> list[str]:
 
 
 def refuse_still(signal: Floats) -> None:
-    """Refuse a channel whose signal is the same in every reading."""
+    """Raise `CalibrationError` for a channel whose signal is the same in every reading."""
     still = still_channels(signal)
     if still:
         raise CalibrationError(
@@ -111,9 +111,9 @@ def refuse_still(signal: Floats) -> None:
 
 
 def refuse_saturated(columns: Floats, signal: Floats, resolution: float) -> None:
-    """Refuse a channel that stays at the end of its range where the other readings say it went beyond.
+    """Raise `CalibrationError` for a channel that stays at the end of its range, where a fit predicts more.
 
-    `columns` (n, 4) are the specific force and ones.
+    The fit is to the readings within the range. `columns` (n, 4) are the specific force and ones.
     """
     for i, axis in enumerate("xyz"):
         at_end, sides = np.zeros(len(signal), dtype=bool), np.zeros(len(signal))
@@ -136,7 +136,7 @@ def refuse_saturated(columns: Floats, signal: Floats, resolution: float) -> None
 
 
 def _equal_where_forces_differ(columns: Floats, signal: Floats, sides: Floats) -> bool:
-    """Return whether readings at one end are equal although the fit to all predicts them far apart."""
+    """Return whether readings at one end are equal although a fit to all predicts them far apart."""
     expected = columns @ least_squares(columns, signal)[0]
     return any(
         np.ptp(expected[sides == side]) > FAR_APART * np.ptp(expected)
@@ -146,7 +146,7 @@ def _equal_where_forces_differ(columns: Floats, signal: Floats, sides: Floats) -
 
 
 def refuse_saturated_free(signal: Floats) -> None:
-    """Refuse a channel with many equal readings at an end: in free positions no two are alike."""
+    """Raise `CalibrationError` for many equal readings at an end: signals of free positions all differ."""
     for i, axis in enumerate("xyz"):
         ends = (signal[:, i] == signal[:, i].max(), signal[:, i] == signal[:, i].min())
         there = max(ends, key=np.count_nonzero)
@@ -163,9 +163,9 @@ def _raise_saturated(axis: str, count: int, signal: Floats) -> None:
 
 
 def refuse_singular(block: Block, u: Floats | None = None) -> None:
-    """Refuse a block whose channels do not span three axes: one does not respond, or two are parallel.
+    """Raise `CalibrationError` if the channels do not span three axes: one does not respond, or two are parallel.
 
-    `u` (12,) are the standard uncertainties, where they are known.
+    `u` (12,) are the standard uncertainties of the coefficients, if known.
     """
     length = np.linalg.norm(block.K, axis=1)
     # rows of coefficients that are fixed by convention have no u
@@ -193,9 +193,9 @@ def refuse_singular(block: Block, u: Floats | None = None) -> None:
 
 
 def at_nominal_angles(rows: Readings) -> Readings:
-    """Return the rows at their target angles in place of those read back; without targets, at the paper's.
+    """Return the rows with target angles in place of those read back; without a target, with the paper's angles.
 
-    Raises `CalibrationError` where a row has neither.
+    Raises `CalibrationError` for a row that has neither.
     """
     nominal = rows.target_rad.copy()
     missing = ~np.isfinite(nominal)
@@ -213,13 +213,14 @@ def at_nominal_angles(rows: Readings) -> Readings:
 
 
 FARTHEST: Final = 0.2
-"""A scale factor further from its nominal value than this part of it is no tolerance of manufacture."""
+"""Largest relative deviation of a scale factor from nominal that manufacturing tolerance explains."""
 
 
 def implausible(result: Calibration, nominal: Sequence[float]) -> tuple[str, ...]:
     """Return a sentence for each scale factor that contradicts its nominal value (x, y, z; V/g, with sign).
 
-    Signals in another unit than volts are not compared; free positions alone do not show a sign.
+    Only signals in volts are compared. The sign is not compared for free positions alone, which do not determine
+    it.
     """
     if result.unit != "V":
         return ()
@@ -253,14 +254,14 @@ PREFIX: Final = 3.0
 NEAR: Final = 0.3
 """Tolerance in log10 (a factor of 2) within which a ratio of sizes counts as a power of 1000."""
 LEAST_SPAN_G: Final = 0.5
-"""Least span of specific force along a channel, g, from which a part of the table shows its signal size."""
+"""Least span of specific force along a channel, g, in a part of the table that shows its signal per g."""
 PREFIXES: Final = (-2, -1, 0, 1, 2)
 MUCH_BETTER: Final = 1e-4
-"""Residual sum of squares, relative to the unit as read, below which a still part has another unit."""
+"""A still part is in another unit if that reduces the residual sum of squares below this fraction."""
 CLEARLY: Final = 30.0
-"""Ratio to the usual signal norm, up or down, from which a row is taken to be in another unit."""
+"""Ratio of a row's signal norm to the median (or its inverse) from which the row is in another unit."""
 FITS: Final = 0.02
-"""Largest unexplained part of the signals' variance if the units are right."""
+"""Largest unexplained fraction of the signal variance if the units are right."""
 
 _NAMES: Final = {
     "V": {1: "mV", 2: "µV"},
@@ -269,13 +270,32 @@ _NAMES: Final = {
 }
 
 
+def in_another_unit(channels: Sequence[str], part: str, unit: str, tens: int) -> str:
+    """Return in words that signals are 10 to the power of `tens` times too large.
+
+    `part` names their part of the table (" of pass 2"), empty for all of it; `unit` is that of the file.
+    """
+    everything = len(channels) == len(CHANNELS)
+    what = "all signals" if everything else f"the signals of channel {', '.join(channels)}"
+    than = "the data sheet, if that is of this block" if everything and not part else "the others"
+    prefix, left = divmod(tens, round(PREFIX))
+    name = _NAMES.get(unit, {}).get(prefix)
+    said = f"in {name}, where the file says {unit}" if name else "in another unit than the file says"
+    if left:
+        said = "read with another range or decimal point than the file says"
+    return (
+        f"{what}{part} seem to be {said}: they are {10 ** abs(tens)} times too "
+        f"{'large' if tens > 0 else 'small'} beside {than}"
+    )
+
+
 @dataclass(frozen=True)
 class WrongUnit:
-    """The signals that are in another unit: `power` (n, 3) of 1000 by which each is too large.
+    """The signals in another unit than the rest: each is too large by 1000 to the `power` (n, 3).
 
-    `part` names the affected part of the table in words, empty for all rows; `channels` are those affected;
-    `pass_number` and `installation` are set if the part is one of these. `whole` says that all signals are
-    affected, which only the data sheet shows.
+    `part` names the affected part of the table in words, empty for all rows; `channels` are the affected channels.
+    `unit` is the stated unit, `size` the power of the affected signals. `pass_number` or `installation` is set if
+    the part is one of these.
     """
 
     power: Ints
@@ -288,25 +308,16 @@ class WrongUnit:
 
     @property
     def whole(self) -> bool:
-        """Whether all signals are in another unit."""
+        """Whether all signals are in another unit, which only the data sheet reveals."""
         return not self.part and len(self.channels) == len(CHANNELS)
 
     @property
     def words(self) -> str:
-        """Return in words which signals are in another unit, and in which."""
-        what = (
-            "all signals" if len(self.channels) == 3 else f"the signals of channel {', '.join(self.channels)}"
-        )
-        than = "the data sheet, if that is of this block" if self.whole else "the others"
-        name = _NAMES.get(self.unit, {}).get(self.size)
-        said = f"in {name}, where the file says {self.unit}" if name else "in another unit than the file says"
-        return (
-            f"{what}{self.part} seem to be {said}: they are {10 ** (3 * abs(self.size))} times too "
-            f"{'large' if self.size > 0 else 'small'} beside {than}"
-        )
+        """A sentence on which signals are affected, and on their likely unit."""
+        return in_another_unit(self.channels, self.part, self.unit, round(PREFIX) * self.size)
 
     def corrected(self, readings: Readings) -> Readings:
-        """Return a copy with these signals in the unit of the others."""
+        """Return a copy of the readings with the affected signals in the unit of the others."""
         factor = 10.0 ** (-PREFIX * self.power)
         return replace(
             readings,
@@ -317,10 +328,10 @@ class WrongUnit:
 
 
 def wrong_unit(readings: Readings, model: ForwardModel, nominal: Sequence[float] | None) -> WrongUnit | None:
-    """Return which signals are in another unit, None where none are or it is not clear which.
+    """Return which signals are in another unit; None if none are, or if it is not clear which.
 
-    `nominal` (3,) are the scale factors of the data sheet, in the unit of the signal per g; without them signals
-    are compared among themselves.
+    `nominal` (3,) are the data sheet's scale factors, in the unit of the signal per g; without them the signals are
+    compared with each other.
     """
     oriented = readings.oriented()
     if (
@@ -346,7 +357,7 @@ def wrong_unit(readings: Readings, model: ForwardModel, nominal: Sequence[float]
 
 
 def refuse_mixed_units(readings: Readings, model: ForwardModel, nominal: Sequence[float] | None) -> None:
-    """Refuse signals of which some are in another unit. Raises `CalibrationError`."""
+    """Raise `CalibrationError` if some of the signals, but not all, are in another unit."""
     found = wrong_unit(readings, model, nominal)
     if found is not None and not found.whole:
         raise CalibrationError(
@@ -355,14 +366,14 @@ def refuse_mixed_units(readings: Readings, model: ForwardModel, nominal: Sequenc
 
 
 def _groupings(readings: Readings) -> Iterator[tuple[str, list[str]]]:
-    """Yield the groupings of rows by which units may differ: all rows together, by pass, by installation."""
+    """Yield the groupings by which units may differ, as name and label of each row: none, pass, installation."""
     yield "", [""] * len(readings)
     yield "pass", [str(number) for number in readings.pass_number]
     yield "installation", [str(label) for label in readings.installation]
 
 
 def _powers(signal: Floats, force: Floats, labels: list[str], nominal: Sequence[float] | None) -> Ints:
-    """Return the power of 1000 by which each signal is too large, (n, 3)."""
+    """Return the power of 1000 (n, 3) by which each signal is too large, judged by group of rows."""
     names = sorted(set(labels))
     rows = {name: np.array([label == name for label in labels]) for name in names}
     size = np.array([_sizes(signal[rows[name]], force[rows[name]]) for name in names])
@@ -373,14 +384,14 @@ def _powers(signal: Floats, force: Floats, labels: list[str], nominal: Sequence[
     power = np.zeros((len(signal), 3), dtype=np.int64)
     for k, name in enumerate(names):
         told = np.unique(whole[k][known[k]])
-        # a channel that hardly moves there goes with the others, where these agree
+        # a channel that hardly moves in this group follows the others, if they agree
         one = np.where(known[k], whole[k], told[0] if len(told) == 1 else 0.0)
         power[rows[name]] = one.astype(np.int64)
     return power
 
 
 def _with_still_parts(power: Ints, signal: Floats, force: Floats, labels: list[str]) -> None:
-    """Fill in `power` for parts in which a channel hardly moves, by the unit that fits all rows best."""
+    """Correct `power` for groups in which a channel hardly moves, by the unit that fits all rows best."""
     for i in range(3):
         own = signal[:, i : i + 1] * 10.0 ** (-PREFIX * power[:, i : i + 1])
         if _unexplained(force, own) <= FITS:
@@ -404,7 +415,7 @@ def _left_over(force: Floats, signal: Floats) -> float:
 
 
 def _sizes(signal: Floats, force: Floats) -> Floats:
-    """Return log10 of each channel's signal per g, (3,); NaN where it hardly moves."""
+    """Return log10 of each channel's signal per g, (3,); NaN for a channel that hardly moves."""
     low, high = np.percentile(signal, [5, 95], axis=0)
     from_g, to_g = np.percentile(force, [5, 95], axis=0)
     moves = (to_g - from_g >= LEAST_SPAN_G) & (high > low)
@@ -413,7 +424,7 @@ def _sizes(signal: Floats, force: Floats) -> Floats:
 
 
 def _unexplained(force: Floats, signal: Floats) -> float:
-    """Return the unexplained part of the variance of the worst channel, at the nominal geometry."""
+    """Return the largest unexplained fraction of a channel's variance, fitted at the nominal geometry."""
     _, left = least_squares(linear_columns(force), signal)
     whole = np.sum((signal - signal.mean(axis=0)) ** 2, axis=0)
     return float(np.max(np.sum(left**2, axis=0) / np.maximum(whole, 1e-300)))
@@ -441,7 +452,7 @@ def _described(
 
 
 def _of_other(readings: Readings, row: int, power: Ints, scaled: Floats, *, everywhere: bool) -> Ints:
-    """Return the power (3,) for a row that is not oriented: that of all rows, or by its signal size."""
+    """Return the power of 1000 (3,) for a row that is not oriented: that of all rows, or from its signal norm."""
     if everywhere or readings.installation[row] in {REFERENCE, SHORTED}:
         return power[0] if everywhere else np.zeros(3, dtype=np.int64)
     usual = float(np.median(np.linalg.norm(scaled, axis=1)))
@@ -453,5 +464,5 @@ def _of_other(readings: Readings, row: int, power: Ints, scaled: Floats, *, ever
 
 
 def sheet_of(unit: str, scale_factors: Sequence[float]) -> Sequence[float] | None:
-    """Return the nominal signal per g in a unit: `scale_factors` for V, constants for g, m/s^2; else None."""
+    """Return the nominal signal per g in a unit: `scale_factors` for V, constants for g and m/s^2, else None."""
     return {"V": scale_factors or None, "g": (1.0, 1.0, 1.0), "m/s^2": (9.81, 9.81, 9.81)}.get(unit)

@@ -1,8 +1,8 @@
-"""Sizes of the noise, estimated from repeats rather than taken from a statement.
+"""The noise of the readings, estimated from repeats rather than assumed.
 
-A reading is the model plus a setting error common to its three channels, which acts along
-d = du/dphi, plus noise fresh in each channel and of a size of its own there: its covariance is
-diag(sigma_x^2, sigma_y^2, sigma_z^2) + sigma_phi^2 d d^T. The sizes are those of the restricted likelihood.
+A reading is the model plus a setting error, which acts on its three channels along d = du/dphi, plus independent
+noise in each channel with a size of its own. Its covariance is diag(sigma_x^2, sigma_y^2, sigma_z^2) + sigma_phi^2
+d d^T. The sizes maximise the restricted likelihood.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from bench.model.conditions import Conditions
 from bench.stats.repeats_likelihood import LEAST_DOF, believed_sizes
 
 CONTRADICTS_P: Final = 0.01
-"""Below this probability the noise of a run contradicts the known noise, and the run's own noise is used."""
+"""P-value below which a run's noise contradicts the known noise, and the run's own noise is used."""
 
 LEAST_SIGNALS: Final = 1.5 * LEAST_DOF
-"""Residual signals that give `LEAST_DOF`: of three, two show the reading noise, the third the setting."""
+"""Residual signals that give `LEAST_DOF`: two of three determine the reading noise, the third the setting."""
 
 
 @dataclass(frozen=True)
@@ -33,8 +33,8 @@ class KnownNoise:
     """Prior knowledge of the noise: channels (3,) in the unit, setting in rad, each with degrees of freedom.
 
     Each variance has a scaled inverse chi-square distribution: it counts like repeats with as many degrees of
-    freedom. Degrees of freedom from other runs include the variation of noise between runs. Those of a
-    statement (`stated`) count only as far as the readings lack them.
+    freedom. Those from other runs allow for the variation of noise between runs. Sizes that the bench file states
+    (`stated`) count only as far as the readings lack degrees of freedom.
     """
 
     channels: Floats
@@ -52,7 +52,11 @@ class KnownNoise:
         return cls(np.full(3, reading), np.full(3, LEAST_DOF), setting, LEAST_DOF, stated=True)
 
     def beside(self, signals: float) -> KnownNoise | None:
-        """Return the part that counts beside a fit with so many residual signals; None if these suffice."""
+        """Return the prior to use beside a number of residual signals; None if these suffice.
+
+        A stated prior keeps only the degrees of freedom that the signals lack; a prior of other runs counts in
+        full.
+        """
         if not self.stated:
             return self
         lacking = LEAST_DOF * (1.0 - max(signals, 0.0) / LEAST_SIGNALS)
@@ -62,11 +66,11 @@ class KnownNoise:
 
     @property
     def dof(self) -> float:
-        """Degrees of freedom of the reading noise, as those of `Noise.reading_dof`."""
+        """Degrees of freedom of the reading noise, as in `Noise.reading_dof`."""
         return float(np.mean(self.channel_dof))
 
     def given(self) -> Noise:
-        """Return these sizes as the noise of future readings, taken as exactly known (infinite dof)."""
+        """Return these sizes as the noise of future readings, exactly known (infinite degrees of freedom)."""
         x, y, z = self.channels.tolist()
         return Noise(rms(self.channels), self.setting_rad, np.inf, "given", channels=(x, y, z))
 
@@ -75,7 +79,7 @@ class KnownNoise:
         return replace(self, channels=part * self.channels, setting_rad=part * self.setting_rad)
 
     def joined(self, own: Noise) -> Noise:
-        """Return a run's sizes combined with the known ones; the run's own where the two contradict."""
+        """Return a run's own noise combined with this prior, or the run's own noise if the two contradict."""
         if np.isinf(own.dof) or self.beside(own.dof) is None:
             return own
         dof = np.asarray(own.channel_dof) if own.channel_dof is not None else np.full(3, own.reading_dof)
@@ -91,14 +95,14 @@ class KnownNoise:
         )  # fmt: skip
 
     def contradicts(self, sizes: Floats, dof: Floats) -> bool:
-        """Return whether sizes (3,) of a run with degrees of freedom (3,) contradict the known ones."""
+        """Return whether a run's sizes (3,) with degrees of freedom (3,) contradict the known ones (F tests)."""
         ratio = np.square(sizes / self.channels)
         above = special.fdtrc(dof, self.channel_dof, ratio)
         chance = 2.0 * np.minimum(above, 1.0 - above)
         return bool(np.min(chance) < CONTRADICTS_P / 3)
 
     def _setting(self, own: Noise) -> float:
-        """Return the setting error, rad, from both variances, weighted by their uncertainties."""
+        """Return the setting error, rad, from the mean of both variances, weighted by their uncertainties."""
         known = self.setting_rad**2
         if own.setting_limits_rad is None or not np.isfinite(own.setting_limits_rad[1]):
             return self.setting_rad
@@ -117,11 +121,11 @@ def _pooled(one: Floats, dof: Floats, other: Floats, other_dof: Floats) -> tuple
 
 @dataclass(frozen=True)
 class KnownStand:
-    """Prior knowledge of the stand's angles by kind and, where means differ, by installation.
+    """Prior knowledge of the stand's angles from other runs, by kind and, where means differ, by installation.
 
-    `keys` (k,) are pairs of a name in `STAND_ANGLES` and an installation (empty: of all), `mean` (k,) rad,
-    `covariance` (k, k) rad^2 that of the means; `remount` are standard deviations of a mounting's own departure by
-    the name, rad. `noise` is the knowledge of the noise, None if there is none.
+    `keys` (k,) are pairs of a name in `STAND_ANGLES` and an installation ("" for all). `mean` (k,), rad, are mean
+    angles and `covariance` (k, k), rad^2, is their covariance. `remount` maps a name to the standard deviation of
+    single mountings about the mean, rad. `noise` is prior knowledge of the noise, or None.
     """
 
     keys: tuple[tuple[str, str], ...]
@@ -131,14 +135,17 @@ class KnownStand:
     noise: KnownNoise | None = None
 
     def place(self, name: str, installation: str) -> int | None:
-        """Return the index of the mean of an angle of a mounting, None where no mean is known."""
+        """Return the index in `keys` of an angle in an installation, or None if no mean is known."""
         for key in ((name, ""), (name, installation)):
             if key in self.keys:
                 return self.keys.index(key)
         return None
 
     def prior(self, unknowns: Sequence[tuple[str, str]], stated_u: Floats) -> tuple[Floats, Floats]:
-        """Return means (q,) and covariance (q, q) of angles (name, installation); as stated where none is known."""
+        """Return prior means (q,) and covariance (q, q) of angles, each given as (name, installation).
+
+        An angle without a known mean has mean zero and the standard uncertainty `stated_u`.
+        """
         places = [self.place(name, installation) for name, installation in unknowns]
         known = np.array([place is not None for place in places], dtype=bool)
         at = np.array([place or 0 for place in places], dtype=np.int64)
@@ -152,7 +159,7 @@ class KnownStand:
 
 
 METERS_DRIFT: Final = timedelta(days=90)
-"""Time in which a meter may drift through its limits: data sheets state 90-day limits."""
+"""Time in which a meter may drift through its full limits: data sheets state 90-day limits."""
 ONE_SITTING: Final = timedelta(days=1)
 """Time within which a meter does not drift: data sheets state separate limits for 24 hours."""
 
@@ -160,10 +167,10 @@ ONE_SITTING: Final = timedelta(days=1)
 def drifted(
     first: tuple[Sequence[str], datetime | None], later: tuple[Sequence[str], datetime | None]
 ) -> float:
-    """Return the part of the meters' limits by which their errors may differ, from 0 (they cancel) to 1.
+    """Return the fraction of the meters' limits by which their errors may differ, from 0 (they cancel) to 1.
 
-    Each side is the identities of its meters and the time; with different or unnamed meters, or unknown
-    times, nothing cancels.
+    Each argument holds the identities of the meters and the time of use. Different or unnamed meters, and unknown
+    times, give 1.
     """
     (meters, when), (other, then) = first, later
     if not meters or tuple(meters) != tuple(other) or when is None or then is None:
@@ -186,8 +193,8 @@ SAME_SCATTER: Final = 1e-3
 class RepeatScatter:
     """Scatter within groups of repeats.
 
-    `matrix` (groups, 3, 3) is the sum of d d^T over the deviations of a group from its mean, unit^2; `freedom`
-    (groups,) readings less one, `slope` (groups, 3) the mean of du/dphi, unit/rad.
+    `matrix` (groups, 3, 3), unit^2, sums the outer products of a group's deviations from its mean. `freedom`
+    (groups,) is the number of its readings minus one, `slope` (groups, 3) its mean du/dphi, unit/rad.
     """
 
     matrix: Floats
@@ -196,11 +203,11 @@ class RepeatScatter:
 
     @property
     def settings(self) -> int:
-        """Repeats in all, in settings of the head (each has three signals)."""
+        """Degrees of freedom of all repeats, in settings of the head (three signals each)."""
         return int(self.freedom.sum())
 
     def is_close_to(self, other: RepeatScatter) -> bool:
-        """Whether another scatter of the same groups would give the same sizes, to a part in a thousand."""
+        """Return whether another scatter of the same groups gives the same noise, to a part in a thousand."""
         return all(
             float(np.abs(a - b).sum()) <= SAME_SCATTER * float(np.abs(b).sum())
             for a, b in ((self.matrix, other.matrix), (self.slope, other.slope))
@@ -208,16 +215,16 @@ class RepeatScatter:
 
 
 def repeat_groups(conditions: Conditions) -> Ints:
-    """Return a group number per reading, shape (n,): same mounting, point and direction of approach."""
+    """Return a group number per reading (n,): repeats share mounting, point and direction of approach."""
     points = int(conditions.point.max(initial=0)) + 1
     key = (conditions.mount * points + conditions.point) * 3 + conditions.direction
     return np.asarray(np.unique(key, return_inverse=True)[1])
 
 
 def scatter_of_repeats(residuals: Floats, slope: Floats, groups: Ints) -> RepeatScatter:
-    """Return the scatter of residuals (n, 3) about their group's mean; `slope` (n, 3) is d = du/dphi.
+    """Return the scatter of residuals (n, 3) about their group means; `slope` (n, 3) is du/dphi.
 
-    Residuals, not readings: the angle read back differs a little from repeat to repeat.
+    Residuals are used, not readings, because the angle read back differs slightly between repeats.
     """
     count = np.bincount(groups)
     deviation = residuals - (_group_sum(residuals, groups) / count[:, None])[groups]
@@ -237,7 +244,7 @@ def _group_sum(values: Floats, groups: Ints) -> Floats:
 def noise_from_repeats(scatter: RepeatScatter, floor: float, *, one_size: bool = False) -> Noise:
     """Return the noise from repeats by restricted maximum likelihood, for each channel if they differ.
 
-    `floor` (unit of the signal) is the least noise that is believed: the last digit of a reply.
+    `floor` (unit of the signal) is the lower limit of the noise, given by the last digit of a reading.
     """
     found = believed_sizes(
         scatter.matrix[None], scatter.freedom, scatter.slope[None], floor, one_size=one_size
@@ -263,10 +270,9 @@ def _three(values: Floats) -> tuple[float, float, float]:
 
 
 class RepeatedNoise:
-    """Noise from repeats during an iterative fit: estimated anew only where their scatter has changed.
+    """The noise from repeats during an iterative fit, re-estimated only if the scatter of repeats changes.
 
-    Deviations of a repeat from its group hardly depend on the point of the fit, for the angles read back are
-    nearly alike.
+    The scatter hardly depends on the point of the fit, because repeats have nearly equal angles.
     """
 
     def __init__(self, floor: float, groups: Ints, *, one_size: bool = False) -> None:
@@ -276,7 +282,7 @@ class RepeatedNoise:
         self._known: tuple[RepeatScatter, Noise] | None = None
 
     def sizes(self, residuals: Floats, slope: Floats) -> Noise | None:
-        """Return the sizes for residuals (n, 3) and du/dphi (n, 3); None where there are too few repeats."""
+        """Return the noise for residuals (n, 3) and du/dphi (n, 3); None if the repeats are too few."""
         if not len(residuals):
             return None
         scatter = scatter_of_repeats(residuals, slope, self._groups)
@@ -288,13 +294,14 @@ class RepeatedNoise:
 
 
 LEAST_SETTING: Final = 1e-3
-"""Least setting error, as a part of the reading noise, both as they show in the signals."""
+"""Lower limit of the setting error as a fraction of the reading noise, both as seen in the signals."""
 
 
 def setting_limits(reading: float, setting_rad: float, slope2: float, freedom: float) -> tuple[float, float]:
-    """Return limits of the setting error (about 95 %), rad, from the freedom of the scatter along d.
+    """Return the limits of the setting error (about 95 %), rad.
 
-    The variance along d, sigma_u^2 + sigma_phi^2 |d|^2, is known to a part sqrt(2/freedom) of itself.
+    The variance along d = du/dphi, sigma_u^2 + sigma_phi^2 |d|^2, has the relative standard uncertainty
+    sqrt(2/freedom). `slope2` is the mean of |d|^2.
     """
     if slope2 <= 0.0:
         return 0.0, float("inf")
@@ -305,17 +312,17 @@ def setting_limits(reading: float, setting_rad: float, slope2: float, freedom: f
 
 OF_RESIDUALS: Final = "residuals"
 LEAST_PART: Final = 1e-4
-"""Least reading noise that residuals can show, as a part of their size: below it the sums cancel."""
+"""Lower limit of the reading noise from residuals, as a fraction of their size: below it the sums cancel."""
 MOST_PART: Final = 10.0
 
 
 @dataclass(frozen=True)
 class LikelihoodResiduals:
-    """Residuals of the model, for the restricted likelihood of the two sizes of the noise.
+    """Linearised residuals, for the restricted likelihood of reading noise and setting error.
 
-    `columns` (n, 3, p + 1) are the derivatives by the unknowns, and the response last; those from `fixed` on are
-    random effects scaled to unit prior standard deviation. `slope` (n, 3) is du/dphi. `free` (m, p + 1) are
-    the columns of moduli, in the unit of the signal, with reading noise alone.
+    `columns` (n, 3, p + 1) are the derivatives by the p unknowns, then the residuals. Unknowns from index `fixed`
+    on are random effects, scaled to unit prior standard deviation. `slope` (n, 3) is du/dphi. `free` (m, p + 1) are
+    such columns of the moduli, in the unit of the signal; moduli have reading noise alone.
     """
 
     columns: Floats
@@ -356,7 +363,7 @@ class LikelihoodResiduals:
         return np.einsum("nip,ni->np", self.columns, unit), length
 
     def likelihood(self, log_sizes: Floats) -> tuple[float, Floats, float]:
-        """Return -2 log L, its derivatives by the logarithms of the two sizes, and y^T P y, a part of it."""
+        """Return -2 ln L, its gradient by the logarithms of both sizes, and its term y^T P y."""
         along, length = self._along
         p = self.unknowns
         reading, setting = np.exp(2 * log_sizes)
@@ -383,10 +390,10 @@ class LikelihoodResiduals:
 
 
 def noise_from_residuals(of: LikelihoodResiduals, floor: float, known: KnownNoise | None = None) -> Noise:
-    """Return the two sizes of the noise by restricted maximum likelihood from the residuals of the model.
+    """Return reading noise and setting error by restricted maximum likelihood from the residuals of the model.
 
-    It serves data without enough repeats. `known` sizes count as a prior: stated ones with the degrees of
-    freedom that the residuals lack, those of other runs in full unless the residuals contradict them.
+    This serves data without enough repeats. A stated `known` prior counts with the degrees of freedom that the
+    residuals lack; one of other runs counts in full, unless the residuals contradict it.
     """
     signals = max(of.count - of.unknowns, 0)
     known = None if known is None else known.beside(signals)
@@ -397,7 +404,7 @@ def noise_from_residuals(of: LikelihoodResiduals, floor: float, known: KnownNois
 
 
 def require_told(noise: Noise) -> None:
-    """Refuse sizes of the noise with hardly any degrees of freedom and no prior: u would be arbitrary."""
+    """Raise `CalibrationError` if the noise has too few degrees of freedom and no prior: u would be arbitrary."""
     if noise.source == OF_RESIDUALS and noise.prior is None and noise.reading_dof < LEAST_DOF:
         raise CalibrationError(
             "so few readings tell nothing of their noise, and nobody stated it in the unit of the signals: measure "
@@ -406,7 +413,7 @@ def require_told(noise: Noise) -> None:
 
 
 def _prior(of: LikelihoodResiduals, known: KnownNoise, floor: float) -> NoisePrior:
-    """Return the prior with its test by y^T P y: chi-square for stated sizes, F for estimated ones."""
+    """Return the prior with its test by y^T P y: chi-square for stated sizes, F for those of other runs."""
     reading, freedom = max(rms(known.channels), floor), of.count - of.fixed
     prior = NoisePrior(reading, known.setting_rad, known.dof, freedom, np.nan, np.nan, known.stated)
     if freedom <= 0:
@@ -463,7 +470,7 @@ def whiten(columns: Floats, slope: Floats, noise: Noise) -> Floats:
 
 
 def whiten_back(columns: Floats, slope: Floats, noise: Noise) -> Floats:
-    """Return W^T times columns (n, 3, p), W as in `whiten`: from whitened readings back to raw ones."""
+    """Return W^T times columns (n, 3, p), W as in `whiten`; it makes a map of whitened readings one of raw ones."""
     sizes = noise.by_channel
     return np.asarray(_shrunk(columns, slope / sizes, noise.setting_rad) / sizes[:, None])
 

@@ -1,4 +1,4 @@
-"""Which unknowns the readings determine, which are assumed, and what a wrong assumption costs."""
+"""Observability: which unknowns the readings determine, which are assumed, and the cost of a wrong assumption."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from bench.model.conditions import Conditions
 from bench.model.geometry import COEFFICIENTS, STAND_ANGLES, Block, hidden_axes
 
 MEMBER: Final = 0.02
-"""An unknown belongs to a direction when it is more than this part of the largest in it."""
+"""An unknown belongs to a null direction if its part exceeds this fraction of the largest part."""
 _IN_SPAN: Final = 1e-3
 _NOTHING: Final = 1e-6
 _MOST_NAMED: Final = 4
 
 
 class DirectionKind(StrEnum):
-    """Kinds of directions in the unknowns that leave no trace in the readings."""
+    """Kinds of null directions: changes of the unknowns that leave all readings unchanged."""
 
     UNSEEN = "no reading depends on it"
     TURN = "a common turn of the block's axes"
@@ -34,12 +34,12 @@ class DirectionKind(StrEnum):
 
 @dataclass(frozen=True)
 class Direction:
-    """A change of unknowns that no reading shows.
+    """A null direction: a change of unknowns that no reading shows.
 
-    `members` are the changes by name, in SI and the unit of the signals, angles and effects before
-    coefficients, the largest first: for one radian of a turn, else for one unit of the first member. `axis` is
-    that of a turn, on block axes, up to its sign. `only` says what of two angles is shown ("sum" or
-    "difference"), and is empty otherwise.
+    `members` maps names to changes, in SI and the unit of the signals: angles and effects before coefficients, the
+    largest first. They are for one radian of a turn, else for one unit of the first member. `axis` is the axis of a
+    turn, on block axes, up to its sign. `only` is the combination of two angles that the readings do show ("sum" or
+    "difference"), else empty.
     """
 
     kind: DirectionKind
@@ -49,12 +49,12 @@ class Direction:
 
     @property
     def others(self) -> list[str]:
-        """Stand angles, settings and effects in the direction; small parts are left out."""
+        """Stand angles, settings and effects in the direction, without small parts."""
         return self._telling([name for name in self.members if name not in COEFFICIENTS])
 
     @property
     def coefficients(self) -> list[str]:
-        """The coefficients in the direction; small parts are left out."""
+        """The coefficients in the direction, without small parts."""
         return self._telling([name for name in self.members if name in COEFFICIENTS])
 
     def _telling(self, names: list[str]) -> list[str]:
@@ -90,7 +90,7 @@ class Direction:
         return f"{', '.join(names[:_MOST_NAMED])} as ({ratios}){more}"
 
     def _changed(self, unit: str) -> str:
-        """Return the changes of coefficients in words, for one arcsecond if an angle is the first member."""
+        """Return the changes of coefficients in words, per arcsecond if the first member is an angle."""
         angle = self.kind is DirectionKind.TURN or self.others[0].startswith(("alpha", "mounting"))
         size, per = (ARCSEC, "1 arcsec") if angle else (1.0, f"1 of {self.others[0]} (SI)")
         micro, shown_unit = (1e6, "µV") if unit == "V" else (1.0, unit)
@@ -102,10 +102,10 @@ class Direction:
 
 
 class _Directions:
-    """Extraction of nameable directions that span a null space (p, d), the plainest first.
+    """A null space (p, d) resolved into directions that have a name, the plainest first.
 
-    `null` is an orthonormal basis in unknowns scaled by `length` (p,), the lengths of their columns; so are all
-    vectors.
+    `null` is an orthonormal basis of it. All vectors are in scaled unknowns: the unknowns times `length` (p,), the
+    norms of their columns.
     """
 
     def __init__(self, null: Floats, length: Floats, names: tuple[str, ...], block: Block) -> None:
@@ -130,7 +130,7 @@ class _Directions:
         return tuple(found)
 
     def _take_turns(self) -> list[Direction]:
-        """Return the turns of the block whose change of the coefficients lies in the null space."""
+        """Remove from the null space, and return, the turns of the block that it contains."""
         part = self._null[self._fixed]
         if not part.shape[1]:
             return []
@@ -145,13 +145,15 @@ class _Directions:
         return found
 
     def _take_out(self, vectors: Floats) -> None:
-        """Reduce the null space to its part orthogonal to these vectors."""
+        """Reduce the null space to its part orthogonal to `vectors` (p, k)."""
         if vectors.shape[1]:
             self._null = self._null @ _null_space(vectors.T @ self._null)
 
     def _sparse(self, basis: Floats) -> list[Floats]:
-        """Return vectors that span the same space, each led by an unknown that the others lack;
-        coefficients lead last."""
+        """Return a basis of the same space in which each vector has an unknown that is zero in all others.
+
+        That unknown is a coefficient only if no other will do.
+        """
         vectors = basis.copy()
         free = np.ones(len(vectors), dtype=bool)
         for k in range(basis.shape[1]):
@@ -181,7 +183,7 @@ class _Directions:
         return replace(found, only=self._only([self._names.index(name) for name in found.others], change))
 
     def _only(self, pair: list[int], change: Floats) -> str:
-        """Return the combination of two unknowns that no null vector changes: sum, difference, or none."""
+        """Return which combination of two unknowns no null vector changes: "sum", "difference" or ""."""
         if len(pair) != 2:
             return ""
         ratio = change[pair[1]] / change[pair[0]]
@@ -202,14 +204,14 @@ def _turns(block: Block) -> Floats:
 
 
 def _null_space(matrix: Floats) -> Floats:
-    """Return an orthonormal basis (n, d) of the vectors that `matrix` (m, n) takes to nearly zero."""
+    """Return an orthonormal basis (n, d) of the vectors that `matrix` (m, n) maps to nearly zero."""
     _, size, directions = np.linalg.svd(matrix)
     size = np.concatenate([size, np.zeros(len(directions) - len(size))])
     return np.asarray(directions[size < _IN_SPAN].T)
 
 
 def _plain_basis(axes: Floats) -> Floats:
-    """Return a basis of the span of axes (3, d), with x, y and z themselves as far as they lie in it."""
+    """Return a basis of the span of axes (3, d) that contains those of x, y and z that lie in the span."""
     within = [k for k in range(3) if np.linalg.norm(axes[k]) > 1 - _IN_SPAN]
     plain = np.eye(3)[:, within]
     rest = axes @ _null_space(plain.T @ axes) if within else axes
@@ -226,16 +228,19 @@ def axis_in_words(axis: tuple[float, float, float] | None) -> str:
 
 
 TRACELESS: Final = 1e-4
-"""A direction leaves no trace when its singular value is below this part of the largest.
+"""A direction is null if its singular value is below this fraction of the largest.
 
-Angles read back differ from the nominal ones by arcseconds, which lends a null vector about 1e-5 of size.
+Angles read back differ from nominal ones by arcseconds, which gives a null vector a singular value of about 1e-5.
 """
 _NO_COLUMN: Final = 1e-8
 
 
 @dataclass(frozen=True)
 class Observability:
-    """Rank of `columns` unknowns, and the directions that leave no trace (as many as the rank falls short)."""
+    """The rank of the columns of the unknowns `names`, and as many null directions as the rank falls short.
+
+    `null` (p, d) is an orthonormal basis of the null space, in unknowns scaled to columns of unit length.
+    """
 
     names: tuple[str, ...]
     rank: int
@@ -249,7 +254,7 @@ class Observability:
 
     @property
     def undetermined(self) -> tuple[str, ...]:
-        """The unknowns that take part in a direction without trace: the data alone do not determine them."""
+        """The unknowns that take part in a null direction: the data alone do not determine them."""
         weight = np.abs(self.null).max(axis=1, initial=0.0)
         return tuple(n for n, w in zip(self.names, weight, strict=True) if w > MEMBER)
 
@@ -276,7 +281,7 @@ def with_angles(problem: Problem, names: Collection[str]) -> Problem:
 
 @dataclass(frozen=True)
 class Sensitivities:
-    """Derivatives of readings by unknowns: `rows` (m, p) in unit per SI, one row a signal, and `names` (p,)."""
+    """Derivatives of the readings by unknowns: `rows` (m, p), unit/SI, one row per signal; `names` (p,)."""
 
     rows: Floats
     names: tuple[str, ...]
@@ -291,7 +296,7 @@ class Sensitivities:
         return Sensitivities(self.rows[:, kept], tuple(self.names[j] for j in kept))
 
     def observability(self, block: Block) -> Observability:
-        """Return the observability from these rows; `block` defines the effect of a turn of its axes."""
+        """Return the observability from these rows; `block` gives the coefficients changed by a turn."""
         length = np.linalg.norm(self.rows, axis=0)
         seen = length > _NO_COLUMN * max(float(length.max()), 1e-300)
         length = np.where(seen, length, 1.0)
@@ -311,12 +316,12 @@ def observability(
     common: Collection[str] = (),
     settings: bool = False,
 ) -> Observability:
-    """Return which of the problem's unknowns readings under its conditions determine.
+    """Return which of the problem's unknowns are determined by readings under its conditions.
 
-    It is taken at zero stand angles, where the null vectors are exact, and at the coefficients of `block`.
-    `modulus` are further readings of which only |a| = 1 g is used; stand angles named in `common` are one
-    unknown for all mountings; with `settings` the setting error of each point is an unknown, the same in every
-    pass. Raises `KeyError` for an installation that the model lacks.
+    The derivatives are at zero stand angles, where the null vectors are exact, and at the coefficients of `block`.
+    `modulus` are further readings of which only |a| = 1 g is used. A stand angle named in `common` is one unknown
+    for all mountings. With `settings` the setting error of each point is an unknown, the same in every pass. Raises
+    `KeyError` for an installation that the model lacks.
     """
     columns = columns_of(problem, block, modulus)
     for name in common:
@@ -370,7 +375,7 @@ def _with_settings(columns: Sensitivities, problem: Problem, block: Block) -> Se
 
 
 MATTERS: Final = 0.02
-"""A coefficient is named when it takes more than this part of the largest effect of an assumption."""
+"""A coefficient is named if it changes by more than this fraction of the largest change."""
 MOST_NAMED: Final = 8
 """Largest number of stand angles that are named in words; more are listed by their symbols."""
 
@@ -382,9 +387,9 @@ GRAVITY: Final = (
 
 
 def require_rank(force: Floats) -> None:
-    """Refuse readings whose specific forces (n, 3) do not determine the twelve coefficients.
+    """Raise `CalibrationError` if specific forces (n, 3) do not determine the twelve coefficients.
 
-    Raises `CalibrationError` naming what is missing.
+    The error names the coefficients and axes that are not determined.
     """
     hidden = hidden_axes(force)
     if not hidden:
@@ -399,7 +404,7 @@ def require_rank(force: Floats) -> None:
 
 
 def assumptions(problem: Problem, block: Block, gain: Floats, unit: str) -> tuple[str, ...]:
-    """Return sentences on the assumptions of the fit, with the cost of each if it is wrong.
+    """Return sentences on the assumptions of the fit, each with the change of coefficients if it is wrong.
 
     `gain` (12, n, 3) is the estimator's map from readings to coefficients.
     """
@@ -427,7 +432,7 @@ def _is_unknown(problem: Problem, name: str) -> bool:
 def _absent(
     problem: Problem, columns: Sensitivities, block: Block, gain: Floats, unit: str, name: str
 ) -> str:
-    """Return sentences on the change of coefficients by one arcsecond of stand angles assumed zero."""
+    """Return a sentence on a stand angle assumed zero, with the change of coefficients per arcsecond."""
     oriented = gain[:FIXED].reshape(FIXED, -1)
     mounts = problem.conditions.mounts
     parts = []
@@ -451,7 +456,7 @@ def _absent(
 
 
 def _shown(columns: Sensitivities, oriented: int, block: Block, name: str) -> str:
-    """Return whether readings show an angle that is no unknown, apart from common turns of the block's axes.
+    """Return in words how far the readings show an assumed angle, apart from common turns of the block's axes.
 
     The first `oriented` rows of `columns` are signals, the rows after them moduli.
     """
@@ -492,7 +497,7 @@ def _together(names: list[str]) -> str:
 
 
 def _undetermined(found: Observability, unit: str) -> list[str]:
-    """Return sentences on unknowns that only their limits determine: one on turns, one on each other."""
+    """Return sentences on unknowns that only their limits hold: one on all turns, one per other direction."""
     turns = [d for d in found.directions if d.kind is DirectionKind.TURN]
     sentences = []
     if turns:

@@ -1,12 +1,11 @@
-"""Outliers: readings that the model and all the others contradict, found one by one.
+"""Outliers: readings that contradict the model and all other readings, found one by one.
 
-Candidates are each signal of each reading, each setting of the head (which moves three signals along
-du/dphi), each modulus of a free position. In a step the candidate with the largest studentised residual gets a
-shift of its own, and noise and fit are estimated again without it. A reading with a shift
-does not count for the noise.
-After the last step the readings up to the last significant one are outliers: several may hide each other.
-The level allows for all tests. Source: Rosner, Technometrics 25 (1983) 165 (generalised extreme studentised
-deviate), with the residuals of a regression.
+Candidates are each signal, each setting of the head (which moves three signals along du/dphi) and the modulus of
+each free position. A step gives the candidate with the largest studentised residual a shift of its own, and
+estimates noise and fit again; a shifted reading does not count for the noise. After the last step the readings up
+to the last significant one are outliers, since several may mask each other. The critical value allows for all
+tests. Source: Rosner, Technometrics 25 (1983) 165 (generalised extreme studentised deviate), here with the
+residuals of a regression.
 """
 
 from __future__ import annotations
@@ -26,15 +25,15 @@ from bench.calibration.result import Outlier
 from bench.readings.table import Readings
 
 LEVEL: Final = 0.01
-"""Probability that an outlier is found in readings without outliers."""
+"""Probability of finding an outlier in readings without outliers."""
 QUIET: Final = 3.0
-"""Studentised residual below which no search begins: outliers that hide each other leave larger ones."""
+"""Studentised residual below which no search begins: outliers that mask each other leave larger ones."""
 LOUD: Final = 3.8
-"""Studentised residual that a single outlier exceeds: its own part in the noise is small."""
+"""The same for a search for a single outlier, which is larger: it hardly inflates the noise."""
 PLAINER: Final = 1.05
 """Factor by which the residual of a setting must exceed that of one of its three signals to be chosen."""
 LEAST_PART: Final = 1e-6
-"""A signal is no candidate if the fit absorbs all but this part of its shift."""
+"""A signal is no candidate if the fit absorbs all but this fraction of the variance of its shift."""
 
 
 @dataclass(frozen=True)
@@ -54,9 +53,9 @@ def most_outliers(problem: Problem) -> int:
 
 
 def search(problem: Problem, fit: Fit, refit: Callable[[tuple[Shift, ...]], Fit], most: int) -> Fit:
-    """Return the fit with a shift for each outlier; `fit` itself where there is none.
+    """Return the fit with a shift for each outlier, or `fit` itself if there is none.
 
-    `fit` has no shifts, `refit` repeats the fit with shifts, and `most` limits the number of outliers.
+    `fit` has no shifts, `refit` repeats it with given shifts, and `most` limits the number of outliers.
     """
     fits, significant = [fit], 0
     for step in range(most):
@@ -73,20 +72,20 @@ def search(problem: Problem, fit: Fit, refit: Callable[[tuple[Shift, ...]], Fit]
 
 
 def looks(problem: Problem) -> int:
-    """Return the number of candidates."""
+    """Return the number of candidates for an outlier."""
     return 4 * len(problem.conditions) + (0 if problem.free is None else len(problem.free.signal))
 
 
 def critical(candidates: int, dof: float) -> float:
-    """Return the size of a studentised residual that chance exceeds anywhere among the candidates at `LEVEL`."""
+    """Return the studentised residual that chance exceeds among all candidates with probability `LEVEL`."""
     p = 1.0 - LEVEL / (2 * candidates)
     return float(special.ndtri(p) if np.isinf(dof) else special.stdtrit(dof, p))
 
 
 def most_extreme(problem: Problem, fit: Fit) -> tuple[Shift, float]:
-    """Return the candidate with the largest studentised residual, and its size."""
+    """Return the candidate with the largest studentised residual, and that residual."""
     system, n = fit.system, len(problem.conditions)
-    # the priors' rows take part in the fit, and so in what it leaves
+    # the rows of the priors are part of the fit, and so of its residuals
     rows, target, _ = whitened_rows(problem, system, fit.noise, fit.others)
     q, _ = np.linalg.qr(rows)
     left = target - q @ (q.T @ target)
@@ -97,7 +96,7 @@ def most_extreme(problem: Problem, fit: Fit) -> tuple[Shift, float]:
     own = np.einsum("nij,nij->nj", ways, ways)
     found = np.einsum("nij,ni->nj", ways, left[: 3 * n].reshape(n, 3))
     signals = _studentised(found, own - np.einsum("npj,npj->nj", taken, taken), own)
-    # where du/dphi lies along one channel, a setting and that signal look alike: the signal is the plainer
+    # if du/dphi lies along one channel, setting and signal look alike: prefer the signal
     signals[:, SETTING] /= PLAINER
     m = len(system.free.left)
     free = q[3 * n : 3 * n + m]
@@ -111,7 +110,7 @@ def most_extreme(problem: Problem, fit: Fit) -> tuple[Shift, float]:
 
 
 def listed(fit: Fit, chosen: FittedRows) -> tuple[Outlier, ...]:
-    """Return the shifts of a fit as outliers, with their rows in the table."""
+    """Return the shifts of a fit as outliers, with their row numbers in the table (from 1)."""
     found = []
     for shift, size, u in zip(fit.shifts, fit.shift, fit.u_shift, strict=True):
         free = shift.channel == MODULUS

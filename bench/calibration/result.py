@@ -1,4 +1,4 @@
-"""What a calibration returns: coefficients with covariance, and everything needed to judge them."""
+"""The result of a calibration: coefficients with covariance, and everything needed to judge them."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from bench.stats.repeats_likelihood import LEAST_DOF
 class SourceOfError:
     """An error source that the readings do not show, with its `covariance` (12, 12) of the coefficients.
 
-    `size` is its size in words, `origin` the source of this size; `prior` marks one not stated for this
-    bench. `cancels` marks an error that is equal wherever the same meters read the block. `of_block` (12, q)
-    is for an error of the block itself: the change of the coefficients by each draw of size u.
+    `size` is its size in words, `origin` the source of this size; `prior` marks a size not stated for this bench.
+    `cancels` marks an error that cancels if the same meters read the block later. `of_block` (12, q) is set for an
+    error of the block itself: the change of the coefficients by each random draw of size u.
     """
 
     name: str
@@ -40,18 +40,18 @@ COVERAGE_FACTOR: Final = 2.0
 """Coverage factor k of U = k u."""
 
 LACK_OF_FIT_P: Final = 0.01
-"""Least p-value of the misfit with which a model fits the readings."""
+"""P-value of the misfit below which a model does not fit the readings."""
 
 NOT_ACCEPTED_P: Final = 1e-4
 """P-value below which no calibration is accepted: u widens with the misfit, but the cause is unknown."""
 
 HARDLY_BETTER = 0.95
-"""Ratio of u after the data to u before them, from which the data have not improved an estimate."""
+"""Ratio of posterior to prior u from which the data have not improved an estimate."""
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A value with its standard uncertainty, both in `unit`; `prior_u` is its u before the data."""
+    """A value with its standard uncertainty, both in `unit`; `prior_u` is the prior standard uncertainty."""
 
     value: float
     u: float
@@ -69,9 +69,9 @@ class NoisePrior:
     """Prior sizes of the noise, which count beside the readings.
 
     Each variance has a scaled inverse chi-square distribution about its size: `reading` (unit of the signal) and
-    `setting_rad`, 1 sigma, with `dof` degrees of freedom. `readings_dof` are those of the residuals;
-    `ratio` is their scatter over the stated noise, with the two-sided probability `p` of being so far from
-    1 (NaN where they leave no degree of freedom). Sizes that are not `stated` are those of other runs.
+    `setting_rad`, 1 sigma, with `dof` degrees of freedom. The residuals have `readings_dof`. `ratio` is their
+    scatter over the prior noise, `p` its two-sided p-value (both NaN without degrees of freedom). `stated` sizes
+    are from the bench file, others from other runs.
     """
 
     reading: float
@@ -91,15 +91,14 @@ class NoisePrior:
 
 @dataclass(frozen=True)
 class Noise:
-    """Sizes of the noise that is independent at each reading, 1 sigma.
+    """Sizes of the noise that is independent from reading to reading, 1 sigma.
 
-    `reading` (unit of the signal) is fresh in each channel of each reading, `setting_rad` in each setting
-    of the head and common to its three channels. `dof` are the degrees of freedom of the estimate (counted
-    in single signals), infinite when given. `source` says where the sizes come from. `setting_limits_rad` are
-    the values between which the setting error lies with about 95 %: repeats often tell little of it.
-    `channels` are the sizes in x, y, z where they are not of one size, with degrees of freedom `channel_dof`;
-    `reading` is their root mean square. `p_equal` is the probability of such a difference where all three are of
-    one size (NaN where not tested). `prior` is what was stated and counts beside too few readings, else None.
+    `reading` (unit of the signal) acts on each channel of each reading. `setting_rad` acts on each setting of the
+    head, common to its three channels; `setting_limits_rad` contain it with about 95 %. `dof` are the degrees of
+    freedom of the estimate, counted in single signals, infinite for given sizes. `source` says where the sizes come
+    from. If the channels differ, `channels` are their sizes in x, y, z with `channel_dof`, and `reading` is the
+    root mean square. `p_equal` is the p-value of equal channels (NaN if not tested). `prior` is the prior used, or
+    None.
     """
 
     reading: float
@@ -114,24 +113,25 @@ class Noise:
 
     @property
     def by_channel(self) -> Floats:
-        """Sizes in x, y and z, shape (3,): `reading` where they were not told apart."""
+        """Sizes in x, y and z, shape (3,): all `reading` if the channels do not differ."""
         return np.full(3, self.reading) if self.channels is None else np.array(self.channels)
 
     @property
     def reading_dof(self) -> float:
-        """Degrees of freedom of the reading noise: two of three signals show it, the third the setting.
+        """Degrees of freedom of the reading noise, counted in single signals.
 
-        Without a known setting all three show it; channels with sizes of their own have the mean of theirs.
+        Two of three signals determine it, the third the setting error; all three if the setting error is zero.
+        Channels of different size have the mean of theirs.
         """
         if self.channel_dof is not None:
             return float(np.mean(self.channel_dof))
         return 2 * self.dof / 3 if self.setting_rad > 0 else self.dof
 
     def widened(self) -> Noise:
-        """Return the sizes as they enter an uncertainty: larger where they are estimates themselves.
+        """Return the sizes as they enter an uncertainty: larger if they are estimates.
 
-        An estimate s with nu degrees of freedom stands for a scaled t distribution, whose standard deviation
-        is s sqrt(nu/(nu - 2)) (JCGM 101:2008, 6.4.9.4).
+        An estimate s with nu degrees of freedom leads to a scaled t distribution, whose standard deviation is s
+        sqrt(nu/(nu - 2)) (JCGM 101:2008, 6.4.9.4).
         """
         if np.isinf(self.dof):
             return self
@@ -144,20 +144,19 @@ class Noise:
 
 
 def widening(dof: float) -> float:
-    """Return sqrt(nu/(nu - 2)), the factor that widens a size with nu (at least `LEAST_DOF`) dof."""
+    """Return sqrt(nu/(nu - 2)), the factor that widens a size with nu = `dof` (at least `LEAST_DOF`)."""
     nu = max(dof, LEAST_DOF)
     return 1.0 if np.isinf(nu) else float(np.sqrt(nu / (nu - 2)))
 
 
 @dataclass(frozen=True)
 class LackOfFit:
-    """Residuals of the fit: their root mean square, and the part that repeats cannot explain.
+    """Residuals of the fit: their root mean square, and the misfit beyond the scatter of repeats.
 
-    `chi2` with `dof` is the misfit beyond the scatter of repeats, in units of that scatter; `p` is
-    the probability of a larger one (F test against the scatter). NaN where there are not enough repeats.
-    Where the noise was given, all that is left is compared with it. The closed form has `chi2` and `p` of
-    the least squares on the same readings: they judge the model, not the estimator. `rounding` is the
-    residual from the rounding of readings without noise, which no model can explain.
+    `chi2` with `dof` is this misfit in units of the scatter, `p` its p-value (F test); NaN without enough repeats.
+    If the noise was given, the whole misfit is tested against it. The closed form has `chi2` and `p` of the
+    least-squares fit to the same readings: they judge the model, not the estimator. `rounding` is the residual that
+    rounding leaves in readings without noise, which no model can explain.
     """
 
     rms: float
@@ -168,15 +167,15 @@ class LackOfFit:
 
     @property
     def shown(self) -> bool:
-        """Whether a lack of fit is shown; what cannot be judged shows none."""
+        """Whether the lack of fit is significant; False if it cannot be tested."""
         return self.p < LACK_OF_FIT_P
 
     def accepted(self, *, strict: bool = False) -> bool:
-        """Return whether commands accept the coefficients; with `strict` no lack of fit may be shown."""
+        """Return whether commands accept the coefficients; with `strict` any significant lack of fit forbids it."""
         return self.rms <= self.rounding or not (self.shown if strict else self.p < NOT_ACCEPTED_P)
 
     def diagnose(self, source: str) -> tuple[str, ...]:
-        """Return hints at the cause if the fit is not accepted; nothing if it is."""
+        """Return a hint at how to find the cause if the fit is not accepted, else nothing."""
         if self.accepted():
             return ()
         return (
@@ -187,11 +186,11 @@ class LackOfFit:
 
 @dataclass(frozen=True)
 class Outlier:
-    """A signal that the model and the other readings contradict; it keeps its place in the record.
+    """A signal that contradicts the model and the other readings; it keeps its place in the record.
 
-    `row` counts the rows of the table from 1; `channel` is x, y, z, "head" for a setting that was off by
-    `size`, or "modulus" for a free position. `sigma` is the size over its standard uncertainty, `weight` what
-    is left of the signal's weight in the fit.
+    `row` counts the rows of the table from 1. `channel` is x, y, z, "head" for a wrong setting of the head, or
+    "modulus" for a free position. `size` is the error in `unit`, `sigma` this error over its standard uncertainty,
+    `weight` the remaining weight of the signal in the fit.
     """
 
     row: int
@@ -233,10 +232,10 @@ class Triangular:
 
 @dataclass(frozen=True)
 class Component:
-    """A variance that readings share; `size` is its standard deviation in the unit of the signal, rad of an angle.
+    """A variance component that readings share; `size` is its standard deviation in `unit` (rad for an angle).
 
-    `what` says what shares it, `channels` in which; `dof` are its degrees of freedom, and `p` is the probability
-    that chance alone asks for any component as much.
+    `what` names the kind ("setting", "visit", "pass", …), `channels` the channels, `dof` the degrees of freedom.
+    `p` is the p-value, adjusted for all candidate components.
     """
 
     what: str
@@ -249,9 +248,9 @@ class Component:
 
 @dataclass(frozen=True)
 class BiasWander:
-    """How far the biases wander about their mean over the run: `size` (3,) rms in the unit, over `hours`.
+    """Wander of the biases about their mean over a run of `hours`: `size` (3,) rms, in the unit of the signal.
 
-    `course` (n, 3) is the estimate at each reading, `per_hour` (3,) the slope of its best line.
+    `course` (n, 3) is the estimate at each reading, `per_hour` (3,) the slope of its straight-line fit.
     """
 
     size: Floats
@@ -264,20 +263,18 @@ class BiasWander:
 class Calibration(HasCovariance):
     """The result of a calibration: the twelve coefficients, their covariance, residuals and notes.
 
-    `covariance` (12, 12) in the order of `COEFFICIENTS` is the combined one, as far as `sources` go, and
-    `covariance_readings` the part of these readings and of the stand as it is stated; K in unit/g with
-    g = `g_m_s2`, biases in unit.
-    `stand` holds the estimated stand angles ("alpha1[1]"), `effects` the fitted parameters of effects.
-    `fitted` are the readings used, `residuals` (n, 3) measured minus fitted with the stand's angles and the
-    effects at their estimates. `free` are the readings that joined by their modulus, `modulus_error` (m,)
-    |a| - 1 of each in g. `outliers` have no weight in the estimate; `notes` says what a reader should know.
-    `gain` (12, N, 3) is the map from the signals of the whole table to the coefficients, `slope`
-    (N, 3) du/dphi of them, zero for rows that are not oriented. `shared` are variances
-    that readings share, `drift` how the biases wander, `wander` (3,) how far they may, rms, `birge` by how much u
-    was widened where the model does not fit, `p_tails` the probability of such tails in Gaussian noise. `sources`
-    are the errors in the covariance that no reading shows; `gravity_u`, relative, is in none of these: K is per
-    local g. `dof` (12,) are effective degrees of freedom.
-    `triangular` is there for free positions alone. `assume` gives the sentences of `assumed`.
+    `covariance` (12, 12), in the order of `COEFFICIENTS`, is the combined one, including `sources`, the errors that
+    no reading shows. `covariance_readings` is the part of the readings and the stated stand errors. K is in unit/g
+    with g = `g_m_s2`, biases are in unit. `gravity_u`, relative, is in neither covariance: K is per local g. `dof`
+    (12,) are effective degrees of freedom. `stand` holds the estimated stand angles ("alpha1[1]"), `effects` the
+    fitted parameters of effects. `fitted` are the readings used, `residuals` (n, 3) measured minus fitted, with
+    stand angles and effects at their estimates. `free` are the readings that joined by their modulus,
+    `modulus_error` (m,) their |a| - 1, g. `outliers` have no weight in the estimate. `gain` (12, N, 3) is the
+    linear map from the signals of the whole table to the coefficients, `slope` (N, 3) du/dphi, zero for rows that
+    are not oriented. `shared` are the variance components that readings share, `drift` the wander of the biases if
+    one was found, `wander` (3,) its possible rms. `birge` is the factor that widened u for a lack of fit, `p_tails`
+    the p-value of heavy tails. `triangular` is set for free positions alone. `assume` returns the sentences of
+    `assumed`; `notes` are sentences for the user.
     """
 
     estimator: str
@@ -314,12 +311,12 @@ class Calibration(HasCovariance):
 
     @property
     def u_readings(self) -> Floats:
-        """Standard uncertainties that these readings and the stand as it is stated give, shape (12,)."""
+        """Standard uncertainties (12,) from these readings and the stated stand errors alone."""
         return u_of(self.covariance_readings)
 
     @property
     def U(self) -> Floats:  # noqa: N802 - the symbol of the field
-        """Expanded uncertainties k u with k = `COVERAGE_FACTOR`, shape (12,): u is widened for finite freedom."""
+        """Expanded uncertainties k u (12,) with k = `COVERAGE_FACTOR`; u is widened for finite dof."""
         return COVERAGE_FACTOR * self.u
 
     @property
@@ -335,7 +332,7 @@ class Calibration(HasCovariance):
 
     @cached_property
     def assumed(self) -> tuple[str, ...]:
-        """Sentences on the assumptions that these data cannot test, with their cost; cached."""
+        """Sentences on assumptions that these data cannot test, with the cost of an error in each."""
         return self.assume()
 
     @property
@@ -362,7 +359,7 @@ class Calibration(HasCovariance):
 INVERSE: Final = (
     "Nxx", "Nxy", "Nxz", "Nyx", "Nyy", "Nyz", "Nzx", "Nzy", "Nzz", "U0x", "U0y", "U0z",
 )  # fmt: skip
-"""The twelve numbers of a = N (U - U0), in the order of every vector and table of them."""
+"""Names of the twelve numbers of a = N (U - U0), in the order of all vectors and tables of them."""
 
 MISALIGNMENTS: Final = {
     "alpha_yx": ("Kxy", "Kxx", 1.0),
@@ -372,10 +369,10 @@ MISALIGNMENTS: Final = {
     "alpha_xz": ("Kzx", "Kzz", 1.0),
     "alpha_yz": ("Kzy", "Kzz", -1.0),
 }
-"""Each angle by name: its K_ij, its K_ii and (-1)^n.
+"""Misalignment angles by name: their K_ij, their K_ii and the sign (-1)^n.
 
-Source: the paper, K_ij = (-1)^n K_ii alpha_ji, n = 2 where j follows i in x -> y -> z -> x, else 1. So alpha_ji is
-the right-hand turn of the input axis of channel i about the third axis, in the plane of i and j.
+Source: the paper, K_ij = (-1)^n K_ii alpha_ji, n = 2 if j follows i in x -> y -> z -> x, else 1. So alpha_ji is the
+right-hand turn of the input axis of channel i about the third axis, in the plane of i and j.
 """
 
 
@@ -383,7 +380,7 @@ the right-hand turn of the input axis of channel i about the third axis, in the 
 class Derived(HasCovariance):
     """Numbers computed from the coefficients: `values` (m,) and their `covariance` (m, m), by `names`.
 
-    `jacobian` (m, 12) are their derivatives by `COEFFICIENTS`: 1 of these themselves.
+    `jacobian` (m, 12) are their derivatives by `COEFFICIENTS`, by default the identity.
     """
 
     names: tuple[str, ...]
@@ -403,7 +400,7 @@ def inverse(block: Block, covariance: Floats) -> Derived:
 
 
 def inverse_jacobian(N: Floats) -> Floats:
-    """Return the derivatives (12, 12) of `INVERSE` by `COEFFICIENTS`: dN_ij/dK_kl = -N_ik N_lj, U0 itself."""
+    """Return the derivatives (12, 12) of `INVERSE` by `COEFFICIENTS`: dN_ij/dK_kl = -N_ik N_lj, 1 for U0."""
     jacobian = np.eye(len(COEFFICIENTS))
     jacobian[:9, :9] = -np.kron(N, N.T)
     return jacobian

@@ -1,8 +1,8 @@
-"""Readings over several temperatures sorted into plateaus; the coefficients as functions of temperature.
+"""Readings at several temperatures, sorted into plateaus, and the coefficients as functions of temperature.
 
-A mounting is what has the same stand angles: it lasts while the installation stays the same, whatever the
-temperature does meanwhile. Where the block is mounted anew at the same temperature, the column `series`
-marks it."""
+A mounting has one set of stand angles. It lasts while the installation stays the same, at any temperature. If the
+block is mounted anew at the same temperature, a change of the column `series` marks the new mounting.
+"""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ RISING, FALLING, UNTOLD = 1, -1, 0
 class Plateau:
     """A temperature plateau that was reached from one side.
 
-    `temperature_c` is the mean over its readings; `branch` is +1 when it was reached from below, -1 from above,
-    0 when it was the first after mounting; `level` numbers the temperatures, both sides alike, from the
-    lowest; `rows` is a mask over the readings.
+    `temperature_c` is the mean over its readings. `branch` is +1 if it was reached from below, -1 from above, 0 if
+    it was the first after mounting. `level` numbers the temperatures from the lowest, the same for both branches.
+    `rows` is a mask over the readings.
     """
 
     temperature_c: float
@@ -45,8 +45,8 @@ class Plateau:
 class ThermalReadings:
     """The oriented rows of one or several tables, sorted into mountings, visits and plateaus.
 
-    `mounting` (n,) numbers the mountings from 1, `visit` (n,) the stays at one temperature within a mounting
-    from 0, `branch` (n,) and `level` (n,) are those of the plateau of each row.
+    `mounting` (n,) numbers the mountings from 1. `visit` (n,) numbers the stays at one temperature in one mounting,
+    from 0. `branch` (n,) and `level` (n,) are those of each row's plateau.
     """
 
     rows: Readings
@@ -80,7 +80,7 @@ class ThermalReadings:
 
 
 def separate_temperatures(readings: Readings) -> list[float]:
-    """Return the separate temperatures of a table's oriented rows, °C, rising; none where one is unknown."""
+    """Return the separate temperatures of a table's oriented rows, °C, ascending; empty if one is unknown."""
     rows = readings.oriented()
     if not len(rows) or not np.isfinite(rows.temperature_c).all():
         return []
@@ -89,9 +89,10 @@ def separate_temperatures(readings: Readings) -> list[float]:
 
 
 def sort_readings(tables: Sequence[Readings]) -> ThermalReadings:
-    """Sort the oriented rows of tables that belong together, each in the order of measurement.
+    """Sort the oriented rows of tables into mountings, visits and plateaus.
 
-    Raises `CalibrationError` when the tables differ in unit, or an oriented row has no temperature.
+    Each table is in the order of measurement. Raises `CalibrationError` if the tables differ in unit, have no
+    oriented row, or an oriented row has no temperature.
     """
     units = sorted({table.unit for table in tables})
     if len(units) > 1:
@@ -126,7 +127,7 @@ def sort_readings(tables: Sequence[Readings]) -> ThermalReadings:
 
 
 def _walk(rows: Readings) -> tuple[Ints, Ints, Ints, Floats]:
-    """Return mounting, visit, branch and the mean temperature of the visit for each row, in order."""
+    """Return mounting, visit, branch and mean temperature of the visit, for each row in measurement order."""
     unknown = _oriented(rows) & ~np.isfinite(rows.temperature_c)
     if np.any(unknown):
         i = int(np.argmax(unknown))
@@ -161,7 +162,7 @@ def _oriented(rows: Readings) -> Mask:
 
 
 def _levels(temperature_c: Floats) -> Ints:
-    """Number the separate temperatures (n,) from the lowest; none is wider than `PLATEAU_K`."""
+    """Return the level of each temperature (n,), numbered from the lowest; none is wider than `PLATEAU_K`."""
     level = np.zeros(len(temperature_c), dtype=np.int64)
     number, lowest = -1, -np.inf
     for i in np.argsort(temperature_c, kind="stable"):
@@ -176,9 +177,9 @@ def _levels(temperature_c: Floats) -> Ints:
 
 @dataclass(frozen=True)
 class PlateauResult:
-    """The result of one plateau alone: temperature, the side it was reached from (+1, -1, 0), coefficients.
+    """The coefficients from one plateau alone, with its temperature and `branch` (+1, -1, 0).
 
-    `value`, `u` (12,) are None where its readings alone do not determine all twelve.
+    `value` and `u` (12,) are None if its readings alone do not determine all twelve.
     """
 
     temperature_c: float
@@ -192,8 +193,8 @@ class PlateauResult:
 class ThermalHysteresis(HasCovariance):
     """Thermal hysteresis (rising minus falling at one temperature): `size` (12,) with `covariance` (12, 12).
 
-    One size holds for all temperatures reached from both sides. `p` is the p-value of all twelve together
-    (chi-square), `p_each` (12,) are those of single coefficients times twelve (Bonferroni).
+    One size holds for all temperatures reached from both sides. `p` is the p-value of all twelve together (F test),
+    `p_each` (12,) are those of single coefficients times twelve (Bonferroni).
     """
 
     size: Floats
@@ -203,10 +204,9 @@ class ThermalHysteresis(HasCovariance):
 
     @property
     def scatter(self) -> Floats:
-        """Covariance (12, 12) of the coefficients if the side is unknown.
+        """Covariance (12, 12) of the coefficients if the branch is unknown.
 
-        It is half the size either way, reduced by the part that noise alone explains (its chi-square is
-        twelve).
+        It is that of half the size either way, less the part that noise alone explains (its chi-square is twelve).
         """
         chi2 = float(self.size @ np.linalg.solve(self.covariance, self.size))
         real = max(1.0 - len(self.size) / chi2, 0.0) if chi2 > 0 else 0.0
@@ -228,15 +228,14 @@ class Compensated:
 
 @dataclass(frozen=True)
 class TemperatureModel:
-    """Polynomials of the coefficients in temperature.
+    """The coefficients as polynomials in temperature.
 
     Coefficient j at temperature T is the sum over d of `values[j, d]` (T - `reference_c`)^d.
 
-    `values` (12, D + 1) in unit/g/K^d and unit/K^d, zero above `degrees` (12,); `covariance`
-    (12 (D + 1), 12 (D + 1)) of `values` row after row: it includes the doubt about terms that
-    were left out. Valid from `minimum_c` to `maximum_c`. `fitted` tests the fit against the noise,
-    `curve` the polynomials against coefficients free at each plateau (None where plateaus alone do not
-    determine them).
+    `values` (12, D + 1) are in unit/g/K^d and unit/K^d, zero above `degrees` (12,). `covariance` (12 (D + 1), 12 (D
+    + 1)) is that of `values` row after row; it includes the uncertainty due to omitted terms. The model is valid
+    from `minimum_c` to `maximum_c`. `fitted` tests the fit against the noise, `curve` tests the polynomials against
+    coefficients free at each plateau (None if plateaus alone do not determine them).
     """
 
     unit: str
@@ -276,18 +275,18 @@ class TemperatureModel:
         return covariance if self.hysteresis is None else covariance + self.hysteresis.scatter
 
     def outside(self, temperature_c: float | Floats) -> Mask:
-        """Return whether temperatures lie outside the valid range, where no reading supports it."""
+        """Return whether temperatures (…) lie outside the valid range, where no reading supports the model."""
         t = np.asarray(temperature_c, dtype=np.float64)
         return ~((t >= self.minimum_c) & (t <= self.maximum_c))
 
     def compensate(
         self, signal: Floats, temperature_c: float | Floats, u_temperature_k: float = 0.0
     ) -> Compensated:
-        """Return the specific forces for signals (n, 3) measured at temperatures (n,) or one for all.
+        """Return the specific forces for signals (n, 3) measured at one temperature or at temperatures (n,).
 
-        The covariance includes the coefficients, hysteresis, and the thermometer, whose error against that
-        of the calibration is `u_temperature_k` (K, 1 sigma). It excludes the noise of the signals, which the
-        caller adds. Raises `CalibrationError` for a temperature outside the valid range.
+        The covariance includes the coefficients, the hysteresis and the thermometer, whose standard uncertainty
+        relative to the calibration's thermometer is `u_temperature_k`, K. It excludes the noise of the signals,
+        which the caller adds. Raises `CalibrationError` for a temperature outside the valid range.
         """
         rows = np.asarray(signal, dtype=np.float64).reshape(-1, 3)
         temperature = np.broadcast_to(np.asarray(temperature_c, dtype=np.float64), (len(rows),))
@@ -321,7 +320,7 @@ class TemperatureModel:
 
 MOST_STEPS: Final = 1024
 SMALL: Final = 0.1
-"""The table is fine enough when its error at 1 g is below this part of the least standard uncertainty there."""
+"""The table is fine enough if its error at 1 g is below this fraction of the least standard uncertainty."""
 ROUNDING: Final = 1e-12
 """Error, g, below which a table error is only the rounding of double precision."""
 LOOKS: Final = 16
@@ -330,10 +329,10 @@ LOOKS: Final = 16
 
 @dataclass(frozen=True)
 class TableError:
-    """Largest differences of the table from the polynomials that were found, g.
+    """Largest differences found between the table and the polynomials, g.
 
-    `bias` is the one at 0 g, `per_g` the addition for each g, along any axis, both from the steps. `single`
-    is what single precision adds at any acceleration up to `reach_g`; `looks` counts the temperatures tested.
+    `bias` is the interpolation error at 0 g, `per_g` its increase per g along any axis. `single` is the further
+    error of single precision at accelerations up to `reach_g`. `looks` counts the temperatures tested.
     """
 
     bias: float
@@ -345,7 +344,7 @@ class TableError:
 
 @dataclass(frozen=True)
 class CompensationTable:
-    """Compensation table: N (1/(unit/g)) and U0 (unit), (nodes, 12), at `first_c` + k `step_k`."""
+    """A compensation table: `entries` (nodes, 12) are N (1/(unit/g)) and U0 (unit) at `first_c` + k `step_k`."""
 
     first_c: float
     step_k: float
@@ -375,11 +374,11 @@ class CompensationTable:
 
 
 def make_table(model: TemperatureModel, reach_g: float, step_k: float | None = None) -> CompensationTable:
-    """Make the table over the model's valid range, for accelerations up to `reach_g`.
+    """Return the table over the model's valid range, for accelerations up to `reach_g`.
 
     Without `step_k` the steps are halved until the table's error at 1 g is a tenth of the least standard
-    uncertainty of a compensated acceleration. Raises `CalibrationError` for an invalid or too fine
-    step, and where K is singular at a temperature.
+    uncertainty of a compensated acceleration. Raises `CalibrationError` for an invalid or too fine step, and if K
+    is singular at a temperature.
     """
     low, high = model.minimum_c, model.maximum_c
     span = high - low
@@ -424,7 +423,7 @@ def _table(model: TemperatureModel, reach_g: float, steps: int) -> CompensationT
 def _by_steps(
     model: TemperatureModel, nodes_c: Floats, exact: Floats, between: Floats
 ) -> tuple[float, float, Floats]:
-    """Return the errors of linear interpolation, and the interpolated entries (m, 12) in double precision."""
+    """Return the interpolation errors at 0 g and per g, and the interpolated entries (m, 12)."""
     entries = np.stack([np.interp(between, nodes_c, column) for column in exact.T], axis=1)
     truth = model.coefficients(between)
     inverse = entries[:, :9].reshape(-1, 3, 3)
@@ -438,7 +437,7 @@ def _by_steps(
 def _by_rounding(
     model: TemperatureModel, table: CompensationTable, entries: Floats, between: Floats, reach_g: float
 ) -> float:
-    """Return the largest difference of single from double precision, on 26 directions at 1 g and full reach."""
+    """Return the largest error of single precision, g, over 26 directions at 1 g and at `reach_g`."""
     whole = [np.array(d) for d in itertools.product((-1.0, 0.0, 1.0), repeat=3) if any(d)]
     worst = 0.0
     truth = model.coefficients(between)
@@ -462,7 +461,7 @@ def _least_u(model: TemperatureModel) -> float:
 
 
 def approximation(table: CompensationTable) -> dict[str, float | int]:
-    """Return the errors, in g, that the table adds."""
+    """Return the errors of the table by name, in g."""
     error = table.error
     return {
         "interpolation_bias_g": error.bias,
@@ -474,7 +473,7 @@ def approximation(table: CompensationTable) -> dict[str, float | int]:
 
 
 def facts(model: TemperatureModel, table: CompensationTable, of: str) -> list[str]:
-    """Return the head lines of each file: its content, its valid range, and its errors."""
+    """Return the header lines of an exported file: content (compensation of `of`), valid range and errors."""
     error = table.error
     return [
         f"Compensation of {of}",
@@ -490,7 +489,7 @@ def facts(model: TemperatureModel, table: CompensationTable, of: str) -> list[st
 
 
 def c_header(model: TemperatureModel, table: CompensationTable, of: str) -> str:
-    """Return a C99 header that needs nothing else: the table and a function that compensates a reading."""
+    """Return a self-contained C99 header: the table and a function that compensates a reading."""
     head = comment(facts(model, table, one_line(of)))
     rows = ",\n".join("    {" + ", ".join(single(entry) for entry in row) + "}" for row in table.entries)
     return f"""/*

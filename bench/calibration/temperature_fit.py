@@ -1,4 +1,4 @@
-"""From readings over several temperatures to polynomials, the degree of each coefficient chosen by the data."""
+"""The fit of temperature polynomials to readings; the data choose the degree of each coefficient."""
 
 from __future__ import annotations
 
@@ -39,15 +39,15 @@ from bench.model.geometry import Block, linear_columns
 from bench.readings.table import Readings
 
 WEAKEST: Final = 1e-3
-"""Columns of unit length whose least singular value is below this part of the largest are not determined."""
+"""Least ratio of the smallest to the largest singular value of unit columns that determine all terms."""
 
 
 @dataclass(frozen=True)
 class ThermalProblem:
-    """The task of a fit: readings (n, 3), basis functions of their rows (n, m), and unknown terms (12, m).
+    """The input of a fit: readings (n, 3), basis functions of their rows (n, m), and unknown terms (12, m).
 
-    `problem` has the conditions, with a mount for each mounting, and the stand's angles; `groups` (n,)
-    numbers the repeats; `floor` is the least noise believed, in the unit of the signal.
+    `terms` is a mask. `problem` has the conditions, with a mount for each mounting, and the stand's angles.
+    `groups` (n,) numbers the repeats. `floor` is the lower limit of the noise, in the unit of the signal.
     """
 
     problem: Problem
@@ -66,7 +66,7 @@ class ThermalProblem:
         )
 
     def predict(self, values: Floats, others: Floats, setting_rad: float = 0.0) -> Floats:
-        """Return the readings (n, 3) for values (12, m) of the terms and others (q,) of the stand's angles."""
+        """Return the readings (n, 3) for values (12, m) of the terms and stand angles `others` (q,)."""
         coefficients = self.basis @ values.T
         return row_outputs(coefficients, self.force(others, setting_rad))
 
@@ -76,7 +76,7 @@ class ThermalProblem:
         return (forward - back) / (2 * STEP_RAD)
 
     def jacobian(self, values: Floats, others: Floats) -> Floats:
-        """Return the derivatives of the readings by the unknown terms, then the angles, (n, 3, t + q)."""
+        """Return the derivatives (n, 3, t + q) of the readings by the unknown terms, then by the angles."""
         one_each = coefficient_columns(self.force(others))
         coefficient, function = np.nonzero(self.terms)
         by_term = one_each[:, :, coefficient] * self.basis[:, None, function]
@@ -89,7 +89,7 @@ class ThermalProblem:
         return np.concatenate([by_term, by_angle], axis=2)
 
     def determined(self) -> bool:
-        """Return whether the rows determine all terms if every coefficient has all functions of the basis."""
+        """Return whether the rows determine all terms if every coefficient uses all basis functions."""
         force = self.force(self.problem.prior_mean)
         columns = linear_columns(force)
         whole = (columns[:, :, None] * self.basis[:, None, :]).reshape(len(force), -1)
@@ -106,8 +106,8 @@ class ThermalProblem:
 class ThermalFit:
     """A fit over temperature: estimates `values` (12, m), zero for terms not fitted, and `covariance` (t, t).
 
-    The covariance has the fitted terms in the order of `numpy.nonzero(terms)`. `misfit` is the chi-square of
-    the residuals and of the priors; `residuals` and `slope` (n, 3).
+    The covariance has the fitted terms in the order of `numpy.nonzero(terms)`. `others` (q,) are the stand angles.
+    `misfit` is the chi-square of residuals and priors; `residuals` and `slope` are (n, 3).
     """
 
     values: Floats
@@ -126,13 +126,13 @@ class ThermalFit:
 
 
 def row_outputs(coefficients: Floats, force: Floats) -> Floats:
-    """Return U = K a + U0, shape (n, 3); each row has its own coefficients (n, 12) and force (n, 3)."""
+    """Return U = K a + U0 (n, 3); each row has coefficients (12,) and a force (3,) of its own."""
     scale = coefficients[:, :9].reshape(-1, 3, 3)
     return np.asarray(np.einsum("nij,nj->ni", scale, force) + coefficients[:, 9:], dtype=np.float64)
 
 
 def fit(task: ThermalProblem, noise: Noise | None = None) -> ThermalFit:
-    """Return the fit of the terms; the sizes of the noise are estimated from the readings unless given."""
+    """Return the fit of the terms; the noise is estimated from the readings unless given."""
     values, others = _first_guess(task), task.problem.prior_mean
     count = int(task.terms.sum())
     sizes = noise or _estimated_noise(task, values, others)
@@ -180,14 +180,14 @@ def _first_guess(task: ThermalProblem) -> Floats:
 
 
 def judge(task: ThermalProblem, result: ThermalFit) -> LackOfFit:
-    """Compare the residuals of a fit with the scatter of repeats at the same temperature (F test)."""
+    """Test the residuals of a fit against the scatter of repeats at the same temperature (F test)."""
     return misfit_test(
         result.misfit, result.residuals, result.slope, result.noise, task.groups, int(task.terms.sum())
     )
 
 
 STAYS_P: Final = 0.05
-"""Significance level: a highest term is kept if chance makes one so large less often than this."""
+"""Significance level: the highest term of a coefficient is kept if its p-value is at most this."""
 
 NEXT: Final = 2
 """Number of terms above the chosen degree whose omission counts in the uncertainty."""
@@ -195,10 +195,10 @@ NEXT: Final = 2
 
 @dataclass(frozen=True)
 class DegreeChoice:
-    """The chosen degrees (12,), and doubts (2, 12, D + 1): the changes if a further term were kept.
+    """The chosen `degrees` (12,), and `doubts` (2, 12, D + 1): the changes if one more term were kept.
 
-    They are given for the next two terms: one is even and one is odd in temperature. Doubts are zero if no
-    term is left out.
+    The doubts are for the next two terms, one even and one odd in temperature. They are zero if no term is left
+    out.
     """
 
     degrees: Ints
@@ -208,8 +208,8 @@ class DegreeChoice:
 def choose_degrees(full: ThermalFit, highest: int) -> DegreeChoice:
     """Choose the degrees from a fit in which every coefficient has powers 0…`highest` (the first columns).
 
-    The least significant of the highest terms is dropped, one at a time, until an F test with the noise's
-    degrees of freedom finds each of them larger than chance.
+    The least significant of the highest terms is dropped, one at a time, until all of them are significant in an F
+    test with the noise's degrees of freedom.
     """
     coefficient, function = np.nonzero(full.terms)
     degrees = np.full(len(full.terms), highest, dtype=np.int64)
@@ -228,7 +228,7 @@ def choose_degrees(full: ThermalFit, highest: int) -> DegreeChoice:
 
 
 def held_at_zero(value: Floats, covariance: Floats, keep: Mask) -> tuple[Floats, Floats]:
-    """Return the least-squares estimate and covariance of the terms kept (t,), the others held at zero."""
+    """Return the least-squares estimate (t,) and covariance of the terms kept, with the others held at zero."""
     pull = np.linalg.solve(covariance[np.ix_(~keep, ~keep)], covariance[np.ix_(~keep, keep)])
     return value[keep] - value[~keep] @ pull, covariance[np.ix_(keep, keep)] - covariance[
         np.ix_(keep, ~keep)
@@ -259,7 +259,7 @@ HIGHEST_DEGREE: Final = 4
 
 @dataclass(frozen=True)
 class _Body:
-    """All readings with the data for every fit; `scale_k` is the unit of temperature inside the fits."""
+    """All readings, prepared for every fit; `scale_k` is the unit of temperature inside the fits, K."""
 
     sorted: ThermalReadings
     problem: Problem
@@ -269,9 +269,9 @@ class _Body:
     scale_k: float
 
     def powers(self, degree: int, *, of_levels: bool = False) -> Floats:
-        """Return powers 0…degree (n, degree + 1) of the scaled temperature, or of its mean at that level.
+        """Return powers 0…degree (n, degree + 1) of the scaled temperature, or of its level mean.
 
-        Temperature variation within a level is too small to count as a second temperature.
+        `of_levels` asks for the mean: within a level the temperature varies too little to count as a second one.
         """
         rows = self.sorted
         temperature = rows.rows.temperature_c
@@ -299,10 +299,10 @@ def temperature_model(
 ) -> TemperatureModel:
     """Fit the twelve coefficients as polynomials in temperature to the readings of all tables.
 
-    `stand_u` as for `calibrate`. Without `degree` each coefficient has its own: starting at the highest that
-    the temperatures allow, the highest term is dropped as long as an F test finds it no larger than chance
-    (p > 0.05), and the doubt about what was dropped stays in the covariance. Raises `CalibrationError` if a
-    temperature is missing, if there are fewer than two, if they do not determine the polynomials, or if the
+    `stand_u` is as for `calibrate`. Without `degree` each coefficient has its own: starting at the highest that the
+    temperatures allow, the highest term is dropped as long as an F test finds it insignificant (p > 0.05). The
+    covariance includes the uncertainty due to dropped terms. Raises `CalibrationError` if the model has effects, if
+    a temperature is missing, if there are fewer than two, if they do not determine the polynomials, or if the
     reference is outside their range.
     """
     body = _body(tables, model, stand_u, reference_c)
@@ -366,7 +366,7 @@ def _body(
             f"{high:.1f} °C); state one within them with --reference"
         )
     rows = found.rows
-    # a mounting is a series to the forward model: the stand's angles are its own
+    # the forward model gives each series stand angles of its own, so a series stands for a mounting
     conditions = replace(rows, series=found.mounting).conditions()
     key = np.stack([found.visit, rows.point, rows.direction], axis=1)
     _, repeats = np.unique(key, axis=0, return_inverse=True)
@@ -381,7 +381,7 @@ def _body(
 
 
 def _highest(body: _Body, degree: int | None) -> tuple[int, bool]:
-    """Return the highest degree that the readings determine, and whether they determine a hysteresis, too."""
+    """Return the highest degree that the readings determine, and whether they also determine a hysteresis."""
     plain = body.task(body.powers(0))
     require_rank(plain.force(body.problem.prior_mean))
     most = min(HIGHEST_DEGREE, body.sorted.levels - 1)
@@ -405,7 +405,7 @@ def _highest(body: _Body, degree: int | None) -> tuple[int, bool]:
 
 
 def _in_kelvins(best: ThermalFit, choice: DegreeChoice, scale_k: float) -> tuple[Floats, Floats]:
-    """Return values (12, D + 1) per K^d and their covariance, with the doubts about omitted terms."""
+    """Return values (12, D + 1) per K^d and their covariance, including the doubts about omitted terms."""
     count = choice.doubts.shape[2]
     coefficient, function = np.nonzero(best.terms)
     own = function < count
@@ -435,9 +435,10 @@ def _hysteresis(best: ThermalFit) -> ThermalHysteresis:
 def _plateaus(
     body: _Body, best: ThermalFit, basis: Floats
 ) -> tuple[tuple[PlateauResult, ...], ThermalFit | None]:
-    """Calibrate each plateau by itself at its mean temperature, with stand angles common to all.
+    """Calibrate each plateau alone at its mean temperature, with stand angles common to all.
 
-    Return the results, and the fit to compare the polynomials with where every plateau determines its own.
+    Return the results and their joint fit. If a plateau does not determine its coefficients, the results have no
+    values and the fit is None.
     """
     found = body.sorted.plateaus
     force = body.task(basis).force(best.others)
@@ -445,7 +446,7 @@ def _plateaus(
     if not all(able):
         return tuple(_plateau(p, None, None) for p in found), None
     each = np.column_stack([plateau.rows for plateau in found]).astype(np.float64)
-    # within a plateau the temperature wanders a little: brought to its mean along the polynomials
+    # correct the readings, along the polynomials, to the mean temperature of their plateau
     at_mean = each @ (each.T @ basis / each.sum(axis=0)[:, None])
     wandered = row_outputs((basis - at_mean) @ best.values.T, force)
     task = body.task(each)
@@ -468,7 +469,7 @@ def _determines(force: Floats) -> bool:
 
 
 def _curve(best: ThermalFit, free: ThermalFit) -> LackOfFit:
-    """Compare the polynomials with coefficients free at each plateau (F test of the two fits)."""
+    """Test the polynomials against coefficients free at each plateau (F test of the two fits)."""
     dof = free.terms.size - int(best.terms.sum())
     chi2 = max(best.misfit - free.misfit, 0.0)
     size = rms(best.residuals - free.residuals)

@@ -1,7 +1,7 @@
 """A multi-point tumble by IEEE Std 1293: bias, scale factor, misalignments, K2, K3, … of each accelerometer.
 
-E/K1 = K0 + a_i + Ki_j a_j + Ki_k a_k + K2 a_i^2 + K3 a_i^3 + Koq a_i |a_i| + ..., i the input axis, j and k the
-next two in x, y, z, x (IEEE Std 1293-2018; the forms are those of the effects of the model).
+E/K1 = K0 + a_i + Ki_j a_j + Ki_k a_k + K2 a_i^2 + K3 a_i^3 + Koq a_i |a_i| + ..., where i is the input axis, j and
+k are the next two in x, y, z, x (IEEE Std 1293-2018; the nonlinear terms are effects of the model).
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ HOMES: Final = {
 DEFAULT: Final = ("K2", "K3", "Koq")
 
 SHOWN: Final = 1e-3
-"""A share of one term in another below this is rounding and errors of the angles."""
+"""Shares of one term in another below this come from rounding and angle errors, and are not listed."""
 
 
 def parameter_of(term: str) -> Parameter:
@@ -57,14 +57,14 @@ def parameter_of(term: str) -> Parameter:
 
 
 def columns(force: Floats, channel: int, terms: Sequence[str], conditions: Conditions) -> Floats:
-    """Return the columns of the linear model of E/K1 at specific forces (n, 3), g: `LINEAR`, then terms."""
+    """Return the design matrix (n, 4 + t) of E/K1 at specific forces (n, 3), g: `LINEAR`, then `terms`."""
     i, j, k = channel, (channel + 1) % 3, (channel + 2) % 3
     linear = [force[:, i], force[:, j], force[:, k], np.ones(len(force))]
     return np.column_stack([*linear, *(_nonlinear(term, force, conditions)[:, channel] for term in terms)])
 
 
 def _nonlinear(term: str, force: Floats, conditions: Conditions) -> Floats:
-    """Return a term of size 1 in all channels, (n, 3), from the effect that simulation and fit use, too."""
+    """Return a term of size 1 in all channels, (n, 3), from the effect that simulation and fit use."""
     effect = CATALOGUE[HOMES[term]]
     sizes = {p.name: np.full(3, float(p.name == term)) for p in effect.parameters}
     return effect.addition(sizes, Seen(force, conditions, Block(np.eye(3), np.zeros(3))))
@@ -72,11 +72,11 @@ def _nonlinear(term: str, force: Floats, conditions: Conditions) -> Floats:
 
 @dataclass(frozen=True)
 class Separable:
-    """The requested terms of a channel that its orientations determine.
+    """The requested terms of a channel, and which of them its orientations determine.
 
-    `rank` of `asked` columns; `kept` are estimated. Each term of `inseparable` acts like these
-    parts of kept terms and is not estimated: their estimates contain so much of it. A term with empty parts
-    shows in no reading.
+    Of the terms `asked`, those `kept` are estimated. A term of `inseparable` acts like the listed shares of kept
+    terms and is not estimated: their estimates contain these shares of it. A term without shares shows in no
+    reading.
     """
 
     channel: str
@@ -90,7 +90,7 @@ class Separable:
         return len(self.kept)
 
     def part_in(self, name: str) -> dict[str, float]:
-        """Return the other terms that an estimate contains, with their shares."""
+        """Return the inseparable terms that the estimate of `name` contains, with their shares."""
         return {term: parts[name] for term, parts in self.inseparable.items() if name in parts}
 
     def sentence(self) -> str:
@@ -107,10 +107,10 @@ class Separable:
 
 
 def separable(force: Floats, channel: int, terms: Sequence[str], conditions: Conditions) -> Separable:
-    """Judge which of `LINEAR` and the terms orientations determine, those named first before those named later.
+    """Return which of `LINEAR` and `terms` the orientations determine; earlier terms have precedence.
 
-    `force` (n, 3) in g at the nominal geometry. A term counts as determined if more than the part
-    `HIDDEN` of it is independent of the terms before it.
+    `force` (n, 3), g, is at the nominal geometry. A term counts as determined if more than the fraction `HIDDEN` of
+    its column is independent of the terms before it.
     """
     asked = (*LINEAR, *terms)
     whole = columns(force, channel, terms, conditions)
@@ -135,20 +135,20 @@ def separable(force: Floats, channel: int, terms: Sequence[str], conditions: Con
 
 
 NO_PRIOR: Final = 1.0
-"""Standard deviation of a term before the readings, g/g^n: far beyond any plausible size, so that data decide."""
+"""Prior standard deviation of a term, g/g^n: far beyond any plausible size, so that the data decide."""
 K: Final = 2.0
 """Coverage factor of U."""
 MOVES: Final = 0.01
-"""Changes below this part of the size of an omitted term are not reported."""
+"""Changes below this fraction of the size of an omitted term are not reported."""
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """One estimate of an axis in `unit`.
+    """One estimated quantity of an accelerometer, in `unit`.
 
-    `u` is combined if the view is; `u_readings` is u from the readings and the stated stand alone.
-    `contains` are the terms that cannot be separated from it, with their shares. The estimate is then the
-    sum: "K3" with {"Koq": 0.59} is K3 + 0.59 Koq.
+    `u` is the combined u if `TumbleView.combined`; `u_readings` is that from the readings and the stated stand
+    errors. `contains` are the terms that cannot be separated from it, with their shares: "K3" with {"Koq": 0.59} is
+    an estimate of K3 + 0.59 Koq.
     """
 
     name: str
@@ -160,7 +160,7 @@ class Quantity:
 
     @property
     def words(self) -> str:
-        """The estimated sum, such as "K3 + 0.586 Koq"; of the scale factor the shares are relative."""
+        """The estimated sum, such as "K3 + 0.586 Koq"; for the scale factor the shares are relative."""
         parts = "".join(f" {'+' if c > 0 else '-'} {abs(c):.3g} {term}" for term, c in self.contains.items())
         if not parts:
             return self.name
@@ -171,11 +171,12 @@ class Quantity:
 class TumbleView(HasCovariance):
     """The three accelerometers of a block, each by the terms of IEEE Std 1293.
 
-    `axes` has the quantities of each channel in the order of `names` ("x.K0"), of which `covariance` is;
-    `covariance_readings` is what the readings and the stand as it is stated show, `combined` whether the other
-    holds more. `judged` says what the orientations determine; `left_out` what 1 of a term that was not asked for
-    moves: by channel, by term, by quantity, in g and g/g^n. `block` has the coefficients beside these terms,
-    `gain` (m, n, 3) is the map from the readings `fitted` to the quantities, `slope` (n, 3) their du/dphi.
+    `axes` has the quantities of each channel, in the order of `names` ("x.K0") and of `covariance` (m, m).
+    `covariance_readings` is the part from the readings and the stated stand errors; if `combined`, `covariance`
+    holds more. `judged` says which terms the orientations determine. `left_out` has the change, g or g/g^n, by 1
+    g/g^n of a term that was not requested: by channel, term and quantity. `block` has the coefficients estimated
+    together with these terms. `gain` (m, n, 3) is the map from the readings `fitted` to the quantities, `slope` (n,
+    3) is du/dphi.
     """
 
     unit: str
@@ -215,10 +216,10 @@ def tumble_view(
     *,
     assumed_u: Mapping[str, float] | None = None,
 ) -> TumbleView:
-    """Estimate the terms asked for, of `HOMES`, from the oriented readings; arguments as in `calibrate`.
+    """Estimate the requested terms (of `HOMES`) from the oriented readings; other arguments as in `calibrate`.
 
-    Effects of the model are left out: the terms stand in their place. Raises `CalibrationError` where the readings
-    do not determine the twelve coefficients, or a term is unknown.
+    The terms replace the effects of the model. Raises `CalibrationError` if the readings do not determine the
+    twelve coefficients, or a term is unknown or repeated.
     """
     strange = [term for term in terms if term not in HOMES]
     if strange or len(set(terms)) < len(terms):
@@ -259,7 +260,7 @@ def _of_assumed(problem: Problem, fit: gls.Fit, through: Floats, assumed: Mappin
 
 
 def with_terms(model: ForwardModel, terms: Sequence[str]) -> ForwardModel:
-    """Return a model with the effects of the terms, each once, of size zero."""
+    """Return the model with the effects of the terms, each once and of size zero, as its only effects."""
     homes = dict.fromkeys(HOMES[term] for term in terms)
     return replace(model, effects=tuple(AppliedEffect(CATALOGUE[home], {}) for home in homes))
 
@@ -281,7 +282,7 @@ Row = tuple[str, float, str, Floats]
 def _quantities(
     problem: Problem, fit: gls.Fit, judged: Sequence[Separable], unit: str
 ) -> tuple[dict[str, tuple[Quantity, ...]], Floats]:
-    """Return the quantities of each channel, still without u, and their derivatives (m, 12 + q)."""
+    """Return the quantities of each channel, with u still zero, and their derivatives (m, 12 + q)."""
     rows = [list(_rows(problem, fit, own, channel, unit)) for channel, own in enumerate(judged)]
     axes = {
         own.channel: tuple(
@@ -301,7 +302,7 @@ def _rows(problem: Problem, fit: gls.Fit, judged: Separable, channel: int, unit:
     scale = float(vector[own])
 
     def part(at: int, sign: float = 1.0) -> tuple[float, Floats]:
-        """A coefficient over the scale factor, with its derivatives."""
+        """Return a coefficient over the scale factor, with its derivatives."""
         value = sign * float(vector[at]) / scale
         return value, sign * ones[at] / scale - value / scale * ones[own]
 
@@ -322,7 +323,7 @@ def _rows(problem: Problem, fit: gls.Fit, judged: Separable, channel: int, unit:
 def sized(
     axes: Mapping[str, Sequence[Quantity]], covariance: Floats, readings: Floats
 ) -> dict[str, tuple[Quantity, ...]]:
-    """Return the quantities with u from a covariance (m, m), and from the part of it that the readings show."""
+    """Return the quantities with u from `covariance` (m, m), and u_readings from its part `readings` (m, m)."""
     u, shown = iter(u_of(covariance).tolist()), iter(u_of(readings).tolist())
     return {
         channel: tuple(replace(q, u=next(u), u_readings=next(shown)) for q in own)
@@ -331,7 +332,7 @@ def sized(
 
 
 def _contained(judged: Separable, name: str, channel: int) -> dict[str, float]:
-    """Return what a quantity contains of the terms that are not separable; of an angle with the angle's sign."""
+    """Return the shares of inseparable terms in a quantity; for an angle, with the sign of the angle."""
     if name not in MISALIGNMENTS:
         return judged.part_in(name)
     cross, _, sign = MISALIGNMENTS[name]
@@ -344,7 +345,7 @@ def _left_out(
     fit: gls.Fit, force: Floats, conditions: Conditions, terms: Sequence[str], through: Floats,
     axes: Mapping[str, Sequence[Quantity]],
 ) -> dict[str, dict[str, dict[str, float]]]:  # fmt: skip
-    """Return what 1 g/g^n of each term that was not asked for moves, where it moves anything that shows."""
+    """Return the change of each quantity by 1 g/g^n of each term not requested, if above `MOVES`."""
     others = [term for term in HOMES if term not in terms]
     moved: dict[str, dict[str, dict[str, float]]] = {}
     first = 0
@@ -376,10 +377,10 @@ NOT_IN_VOLTS: Final = (
 def combine(
     view: TumbleView, bench: BenchFile, model: ForwardModel, terms: Sequence[str], day: date | None = None
 ) -> TumbleView:
-    """Return the view with the combined covariance; `terms` are those asked for, of which no prior counts.
+    """Return the view with the combined covariance; it has no prior of the requested, estimated `terms`.
 
-    `day` is that of the readings: what a certificate states has drifted since its own. The meters' errors are in
-    volts, and so in no result of readings in another unit.
+    `day` is the date of the readings, from which the drift since each certificate follows. The meters' errors are
+    in volts: a view in another unit only gets a note.
     """
     if view.unit != VOLTS:
         return replace(view, notes=(*view.notes, NOT_IN_VOLTS.format(unit=view.unit)))

@@ -35,9 +35,9 @@ HIGHEST_CONDITION: Final = 1e8
 class VerificationPoint:
     """One reading at a verification point: modulus `g_p` and its error `delta_g` in local g, with u and U = k u.
 
-    `accepted_up_to` is the acceptance limit of the rule there: negative where U is more than the limit, and
-    then nothing is accepted; a value without a decision is not `rejected` either. `p_outside` is the
-    probability that the true error is outside the limit.
+    `accepted_up_to` is the acceptance limit of the rule; it is negative if nothing is accepted, because U exceeds
+    the limit. A value without a decision is not `rejected`. `p_outside` is the probability that the true error is
+    outside the limit.
     """
 
     angle_deg: float
@@ -67,7 +67,7 @@ class VerificationPoint:
 
     @property
     def p_false_accept(self) -> float | None:
-        """Probability of a false acceptance, also of an open conditional pass; else None."""
+        """Probability of a false acceptance, if the point is accepted or an open conditional pass; else None."""
         left_open = self.statement is Statement.CONDITIONAL_PASS and not self.rejected
         return self.p_outside if self.passed or left_open else None
 
@@ -79,9 +79,9 @@ class VerificationPoint:
 
 @dataclass(frozen=True)
 class LimitToPass:
-    """Ways to pass: the limit of |delta g| (g) that would be met, or the part of u needed.
+    """Two ways to make a verification pass: a larger limit of |delta g| (g), or u times a factor.
 
-    `u_times` is None where no u is small enough; `point` exceeds its acceptance limit most.
+    `u_times` is None if no factor suffices. `point` is the point that exceeds its acceptance limit most.
     """
 
     limit_g: float
@@ -90,7 +90,7 @@ class LimitToPass:
 
 
 def _bisected(passes: Callable[[float], bool], good: float, bad: float) -> float:
-    """Return the value next to `bad` that passes, to a thousandth of the way, else `good`."""
+    """Return the value nearest to `bad` that passes, to a thousandth of the way from `good`; else `good`."""
     for _ in range(12):
         middle = 0.5 * (good + bad)
         good, bad = (middle, bad) if passes(middle) else (good, middle)
@@ -99,12 +99,11 @@ def _bisected(passes: Callable[[float], bool], good: float, bad: float) -> float
 
 @dataclass(frozen=True)
 class Verification:
-    """The verdict: |delta g| within the limit, by the rule, at every verification point.
+    """The verdict: |delta g| within the limit, by the decision rule, at every verification point.
 
-    `missing` counts points that were planned or written down but could not be judged: with one missing
-    nothing is accepted, since (10) is demanded of every point. `covariance` (n, n) is that of delta g at the
-    points, which have the coefficients in common, `contributions` its parts by name. `population` is the
-    distribution of delta g over many blocks.
+    `missing` counts points that were planned or recorded but could not be judged; with one missing nothing is
+    accepted, since (10) applies to every point. `covariance` (n, n) is that of delta g at the points,
+    `contributions` are its parts by name. `population` is the prior distribution of delta g, over many blocks.
     """
 
     limit_g: float
@@ -159,9 +158,9 @@ class Verification:
 
     @property
     def p_outside_worst(self) -> float:
-        """Probability that the true error is outside the limit at that point where it is most probable.
+        """Largest probability, over the points, that the true error at a point is outside the limit.
 
-        With a population it is the probability after the readings at all points, as in `p_outside`.
+        With a population it is the posterior probability given the readings at all points, as in `p_outside`.
         """
         if self.population is None:
             return max(point.p_outside for point in self.points)
@@ -171,7 +170,7 @@ class Verification:
 
     @cached_property
     def p_outside(self) -> float:
-        """Probability that the true error is outside the limit at one of the points at least."""
+        """Probability that the true error is outside the limit at one point or more."""
         return probability_one_outside(
             self._errors, self.covariance, self.limit_g, self._dof, self.population
         )
@@ -186,7 +185,7 @@ class Verification:
 
     @cached_property
     def to_pass(self) -> LimitToPass | None:
-        """The limit or u that would pass, all else equal; None if it passes or points are missing."""
+        """The limit or u that would pass, all else equal; None if the verification passes or points are missing."""
         if self.passed or self.missing:
             return None
         u, sizes = np.array([point.u for point in self.points]), np.abs(self._errors)
@@ -205,7 +204,7 @@ class Verification:
 
     @cached_property
     def global_risk(self) -> GlobalRisk | None:
-        """Global risks of the rule over the population, at the point with the largest U; None without one."""
+        """Global risks of the rule over the population, at the point with the largest U, or None."""
         if self.population is None:
             return None
         point = max(self.points, key=lambda p: p.U)
@@ -227,13 +226,13 @@ def verify(
 ) -> Verification:
     """Apply (9)-(10) to the verification rows of a table.
 
-    `g_ratio` is the gravity in which the coefficients are given over the local one: a block calibrated
-    elsewhere measures in units of the gravity there. `covariance` (12, 12) of the coefficients and `reading_noise`
-    fresh in each signal (unit of the signal; one size, or one for each channel) give u of each delta g, with
-    degrees of freedom `dof`; or `joint` are the parts by name, (n, n) each, of the covariance of |a| at the
-    points, in the gravity of the coefficients. The setting of the head does not count, since the modulus
-    does not depend on it. `rule` is one of `RULES`, a rule with another guard band, or None for the default.
-    Raises `CalibrationError` when there is no verification row, K is singular or the rule is unknown.
+    `g_ratio` is the gravity to which the coefficients refer, divided by local gravity; it differs from 1 for a
+    block calibrated elsewhere. u of each delta g, with degrees of freedom `dof`, follows from the `covariance` (12,
+    12) of the coefficients and from `reading_noise`, independent in each signal (unit of the signal; one size, or
+    one per channel). `joint` replaces both: parts by name, (n, n) each, of the covariance of |a| at the points, in
+    the gravity of the coefficients. The setting of the head does not count, since the modulus does not depend on
+    it. `rule` is one of `RULES`, a `DecisionRule`, or None for the default. Raises `CalibrationError` if there is
+    no verification row, K is singular or the rule is unknown.
     """
     rows = readings.verification()
     if len(rows) == 0:

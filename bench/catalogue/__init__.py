@@ -1,1 +1,1 @@
-"""The catalogue of many run folders: an index in SQL that can be deleted and made again, and what it answers."""
+"""The catalogue of many run folders: an SQL index that can be deleted and rebuilt, and queries on it."""

@@ -41,7 +41,11 @@ Row = dict[str, Any]
 
 
 def instruments_of(bench: BenchFile | None, run: int, started: Mapping[str, Any]) -> dict[str, list[Row]]:
-    """Return rows by table: the instruments that answered when a run `started`, their uses, certificates."""
+    """Return the rows of the instruments of a run, their uses and certificates, by table.
+
+    `started` are the data of the event with which the run began: identities and serial numbers that were
+    reported.
+    """
     answered = {str(k): str(v) for k, v in (started.get("instruments") or {}).items()}
     serials = {str(k): str(v).strip() for k, v in (started.get("serials") or {}).items()}
     instruments: dict[int, Row] = {}
@@ -88,7 +92,7 @@ def _certificate(stated: Any) -> Row:
 
 
 def text_of(value: Any) -> str | None:
-    """Return a text or number as text; None for any other value."""
+    """Return a text or number as text; None for an empty text and for any other value."""
     return str(value) if isinstance(value, str | int | float) and str(value) else None
 
 
@@ -102,7 +106,7 @@ _TIME: Final = re.compile(rb'"time": "([^"]{1,40})"')
 
 
 class RecordSeen:
-    """A record scanned as bytes, for speed: its hash chain, the run's state, and the steps that were read."""
+    """A record scanned as bytes, for speed: its hash chain, the run's state, and the steps with a reading."""
 
     def __init__(self, folder: Path, manifest: Manifest, manifest_sha256: str) -> None:
         self.folder = folder
@@ -139,7 +143,10 @@ class RecordSeen:
         self._note(content[: sum(len(line) + 1 for line in lines[:count])])
 
     def _note(self, content: bytes) -> None:
-        """Note what the lines say that the catalogue keeps; a text of an operator cannot look like one of them."""
+        """Note state, readings and temperatures of the run.
+
+        Quotation marks in a text of an operator are escaped, so that it cannot match the patterns.
+        """
         for found in _CHANGING.finditer(content):
             name = found.group(1).decode()
             self.state = state_after_one(self.state, name)
@@ -147,7 +154,7 @@ class RecordSeen:
                 begin, end = content.rfind(b"\n", 0, found.start()) + 1, content.index(b"\n", found.start())
                 self.started = read_json(content[begin:end])
         self.steps = set(_STEP_OF_READING.findall(content))
-        # of a step that was read again both count in the mean
+        # both readings of a repeated step count in the mean
         told = _TEMPERATURE.findall(content) if self.steps else []
         self._temperatures = [float(value) for value in told]
         self._last = content[content.rfind(b"\n", 0, -1) + 1 :]
@@ -160,7 +167,7 @@ class RecordSeen:
 
     @property
     def proved(self) -> str:
-        """The integrity of the record as far as it was verified."""
+        """The verified integrity of the record: broken, none, chain (hashes) or read (every event)."""
         if self.problem:
             return "broken"
         return ("read" if self.whole else "chain") if self.count else "none"
@@ -212,7 +219,7 @@ class FolderEntry:
 
 
 def read_folder(path: str, fingerprint: str, *, whole: bool = False) -> FolderEntry:
-    """Return the rows of a run folder, or the reason for none; `whole` reads every event of the record."""
+    """Return the rows of a run folder, or the reason why it has none; `whole` reads every event of the record."""
     try:
         rows = _rows(Path(path), whole=whole)
         return FolderEntry(
@@ -287,7 +294,10 @@ def _storable(row: Row) -> Row:
 
 
 def _results(folder: Path, run: int, record: RecordSeen) -> dict[str, Any]:
-    """Return the rows of a run's results; the key `problem` describes the results that cannot be read."""
+    """Return the rows of a run's results by table.
+
+    The key `problem` describes results that cannot be read; the key `bench` is the name of the bench, if known.
+    """
     rows: dict[str, Any] = {"problem": ""}
     for name, read in ((CALIBRATE, _calibration), (f"{VERIFY}.json", _verification), (DIAGNOSE, _diagnosis)):
         try:
@@ -367,7 +377,7 @@ def _diagnosis(data: Any, run: int, record: RecordSeen) -> dict[str, list[Row]]:
 
 
 def _statement(data: Any) -> str:
-    """Return the statement of a verdict; for results of earlier versions, which have none, pass or fail."""
+    """Return the statement of a verdict; pass or fail for results of earlier versions, which have no statement."""
     return str(data.get("statement") or ("pass" if data["passed"] else "fail"))
 
 
@@ -383,7 +393,7 @@ def _bench_of(folder: Path) -> tuple[BenchFile | None, str | None]:
 
 @lru_cache(maxsize=4096)
 def _loaded(digest: str, file: str) -> BenchFile | None:
-    """Return a bench file, read once for all runs that recorded an identical one."""
+    """Return a bench file, cached by its SHA-256 (`digest`); None if it cannot be used."""
     try:
         return load_recorded_bench(Path(file))
     except (FileMistakes, OSError):
@@ -409,7 +419,7 @@ def _in_a_line(error: Exception, path: str) -> str:
 
 
 def issued_in(folder: str) -> list[Row]:
-    """Return a row for each number in a register. Raises `Refused` if it is damaged or unreadable."""
+    """Return a row for each certificate in a register. Raises `Refused` for a damaged or unreadable register."""
     register = Register(Path(folder))
     try:
         register.read_lines()

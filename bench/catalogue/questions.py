@@ -43,7 +43,7 @@ from bench.services.errors import Refused
 
 Condition = ColumnElement[bool]
 Build = Callable[[str, str], Condition]
-"""A function that returns the condition for an operator and a value, or raises `ValueError`."""
+"""A function that returns the condition for an operator and a value. It raises `ValueError` for invalid ones."""
 
 NONE: Final = "none"
 _WORD: Final = re.compile(r"([a-z_]+)(!=|>=|<=|=|>|<)(.*)", re.DOTALL)
@@ -106,7 +106,7 @@ def _like(column: ColumnElement[Any], value: str) -> Condition:
 
 
 def _signed(operator: str, condition: Condition) -> Condition:
-    """Return a condition for `=`, its negation for `!=`. Raises `ValueError` for any other operator."""
+    """Return the condition for `=`, its negation for `!=`. Raises `ValueError` for any other operator."""
     if operator == "=":
         return condition
     if operator == "!=":
@@ -134,8 +134,8 @@ def _among(table: Table, condition: Callable[[str], Condition]) -> Build:
 
 
 def _row_of(table: Table, *conditions: Condition) -> Condition:
-    """Return the condition that a run has a row in a table that satisfies all `conditions`."""
-    if conditions:  # by the index of what is asked for, and not run by run
+    """Return the condition that a run has a row in `table` that satisfies all `conditions`."""
+    if conditions:  # a subquery on the index of the conditions, faster than one for each run
         return RUNS.c.id.in_(select(table.c.run).where(*conditions).correlate(None))
     return exists(select(table.c.run).where(table.c.run == RUNS.c.id).correlate(RUNS))
 
@@ -191,7 +191,7 @@ def _time(fixed: str | None = None) -> Build:
 
 
 def moment(text: str) -> datetime:
-    """Return a time, or the beginning of a day (UTC), as UTC without a zone. Raises `ValueError`."""
+    """Return an ISO 8601 time, or the beginning of a day, in UTC without a zone. Raises `ValueError`."""
     try:
         when = datetime.fromisoformat(text)
     except ValueError:
@@ -322,7 +322,7 @@ class AnswerTable:
 
 
 def answer(catalogue: Catalogue, query: Sequence[str], of: str = "runs") -> AnswerTable:
-    """Return the runs that satisfy a question, or the table of kind `of` about them (see `KINDS`).
+    """Return the answer to a question: its runs, or what they have in common, by the kind `of` (see `KINDS`).
 
     Raises `Refused` for an invalid question.
     """
@@ -380,7 +380,7 @@ def _unpacked(found: AnswerTable) -> AnswerTable:
 
 
 def _counts() -> list[Any]:
-    # the few that failed are looked up: to join all verifications takes several times as long
+    # a subquery on the few failed runs; a join with all verifications takes several times as long
     fails = select(VERIFICATIONS.c.run).where(VERIFICATIONS.c.verdict == "fail").correlate(None)
     failed = func.sum(case((RUNS.c.id.in_(fails), 1), else_=0))
     simulated = func.sum(case((RUNS.c.simulated.is_(True), 1), else_=0))
@@ -409,7 +409,11 @@ def _grouped(column: ColumnElement[Any], *further: Any) -> Callable[[Condition],
 def _used(
     table: Table, key: ColumnElement[Any], names: str, order: str, *further: Any
 ) -> Callable[[Condition], Select[Any]]:
-    """Return the question on what runs used, by `order`; `further` are counts beside those of runs and units."""
+    """Return the query of a kind of objects that runs used (instruments, certificates), sorted by `order`.
+
+    `table` has the objects, `key` is their column in `USES`, `names` and `order` are columns of `table`.
+    `further` are counts beside the numbers of runs and units.
+    """
     columns = [table.c[name] for name in names.split()]
 
     def of(asked: Condition) -> Select[Any]:
@@ -466,8 +470,8 @@ KINDS: Final[Mapping[str, Callable[[Condition], Select[Any]]]] = {
     "issued": _issued_rows,
     "folders": _folders,
 }  # fmt: skip
-"""What a question may be asked of: its runs, or what they have in common; `issued` are the certificates
-that this laboratory issued of their records as they are, `folders` those that are bad."""
+"""The queries by kind of answer: runs, or objects that they have in common. `issued` are certificates that this
+laboratory issued of their records; `folders` are folders with a problem."""
 
 
 def _in_json(value: Any) -> Any:

@@ -1,9 +1,9 @@
-"""The catalogue's database, SQLite or PostgreSQL: where it is, its tables, and how an older one is made anew.
+"""The catalogue's database, SQLite or PostgreSQL: its location, its tables, and the renewal of old ones.
 
 Values that were not recorded are NULL; times are UTC; sizes are SI with the unit in the name. A row's key is
-derived from the object it describes (the hash of
-`run.json`, an instrument's identity …), so that any number of programs, in any order and
-in any database, write the same rows. Arrays are float64, little-endian, row by row.
+derived from the object it describes (the hash of `run.json`, an instrument's identity, …). Any number of
+programs, in any order and in any database, therefore write the same rows. Arrays are float64, little-endian, row
+by row.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from sqlalchemy import ColumnElement, Connection, Engine
 
 SCHEMA: Final = 4
-"""Version of the tables below. Every change of them increments it; an older catalogue is then rebuilt."""
+"""Version of the tables below. Increment it with every change of them; older catalogues are then rebuilt."""
 
 METADATA: Final = MetaData()
 
@@ -63,7 +63,8 @@ FOLDERS: Final = Table(
     Column("reason", Text),
     Column("vanished", Boolean, nullable=False),
 )
-"""Folders that are or should be runs: the key of the run or the reason for none; `fingerprint` of files."""
+"""Folders that are or should be runs, with the key of the run or the `reason` why there is none; `fingerprint` is
+a hash of the names, sizes and times of their files."""
 
 RUNS: Final = Table(
     "runs",
@@ -104,7 +105,7 @@ INSTRUMENTS: Final = Table(
     Column("driver", Text),
     Column("serial", Text, index=True),
 )
-"""Instruments: `name` is maker, model and serial number if known, else the answer and the address."""
+"""Instruments: `name` is maker, model and serial number if known, else the reported identity and the address."""
 
 CERTIFICATES: Final = Table(
     "certificates",
@@ -128,7 +129,7 @@ USES: Final = Table(
     Column("answered", Text),
     Column("resource", Text),
 )
-"""Uses: run, instrument, role (`voltmeter.x`, `head` …), certificate, and the instrument's answer."""
+"""Uses: run, instrument, role (`voltmeter.x`, `head` …), certificate, and the reported identity (`answered`)."""
 
 CALIBRATIONS: Final = Table(
     "calibrations",
@@ -148,8 +149,9 @@ CALIBRATIONS: Final = Table(
     Column("p", Float),
     Column("used", Integer),
 )
-"""Results of `calibrate.json`: `vector` (12,) in `unit`/g, `covariance` (12, 12); `u_meters` (12,) is the part of u
-that the same meters bring again. `of_record`: whether it names the head that the record has now, NULL if none."""
+"""Results of `calibrate.json`: `vector` (12,) in `unit`/g, `covariance` (12, 12); `u_meters` (12,) is the part of
+u due to errors that the same meters repeat. `of_record` says whether the result names the present head of the
+record; NULL if it names none."""
 
 VERIFICATIONS: Final = Table(
     "verifications",
@@ -161,7 +163,7 @@ VERIFICATIONS: Final = Table(
     Column("worst_delta_g", Float),
     Column("missing", Integer),
 )
-"""Verdicts of `verify.json`, with the Δg of largest magnitude of all points, signed, in local g."""
+"""Verdicts of `verify.json`; `worst_delta_g` is the Δg of largest magnitude, with its sign, in local g."""
 
 POINTS: Final = Table(
     "points",
@@ -196,7 +198,8 @@ ISSUED: Final = Table(
     Column("run", Text),
     Column("head", Text, index=True),
 )
-"""Certificates that this laboratory issued, from its registers; runs by name and head of the record."""
+"""Certificates that this laboratory issued, read from its registers; each names its run and the head of the
+record."""
 
 DUES: Final = Table(
     "dues",
@@ -211,7 +214,7 @@ OF_A_RUN: Final = (USES, CALIBRATIONS, VERIFICATIONS, POINTS, DIAGNOSES)
 """Tables whose rows belong to a run and are replaced when the run is read again."""
 
 Index("ix_runs_unit_created", RUNS.c.unit, RUNS.c.created)
-# what counts runs reads these alone
+# covering indexes: queries that count runs need not read the table
 Index("ix_runs_of_units", RUNS.c.unit, RUNS.c.bench, RUNS.c.created, RUNS.c.simulated, RUNS.c.id)
 Index("ix_runs_of_benches", RUNS.c.bench, RUNS.c.unit, RUNS.c.created, RUNS.c.simulated, RUNS.c.id)
 Index("ix_runs_of_operators", RUNS.c.operator, RUNS.c.unit, RUNS.c.created, RUNS.c.simulated, RUNS.c.id)
@@ -227,7 +230,7 @@ def key_of(*words: str) -> int:
 # --- the database -------------------------------------------------------------------------------------
 
 REGISTER: Final = "register.jsonl"
-"""The register of a folder of issued certificates."""
+"""Name of the register file in a folder of issued certificates."""
 
 VARIABLE: Final = "TRIAXIAL_BENCH_CATALOGUE"
 FILE: Final = "catalogue.sqlite"
@@ -241,9 +244,9 @@ _WRITES: Final = "writes"
 
 @dataclass(frozen=True)
 class Catalogue:
-    """An open catalogue. `where` names it, without a password; `engine` speaks to the database.
+    """An open catalogue. `where` names it, without a password; `engine` connects to the database.
 
-    `renewed` is a sentence if an older catalogue was rebuilt.
+    `renewed` is a sentence on the rebuilding of an older catalogue, otherwise empty.
     """
 
     engine: Engine
@@ -286,11 +289,11 @@ class Catalogue:
 def open_catalogue(
     where: str | Path | None = None, *, existing: bool = False, renew: bool = False
 ) -> Catalogue:
-    """Open a catalogue, a file or the URL of a database.
+    """Open a catalogue, given as a file or the URL of a database.
 
-    None is the one that TRIAXIAL_BENCH_CATALOGUE names, or `catalogue.sqlite` in the user's cache folder. A missing
-    one is made, unless it must be `existing`; one with older tables is made anew where `renew` says so, for
-    `bench.catalogue.sync` to fill. Raises `Refused` with the reason and the remedy.
+    None is the one that TRIAXIAL_BENCH_CATALOGUE names, else `catalogue.sqlite` in the user's cache folder. A
+    missing catalogue is created, unless `existing` is True. With `renew`, tables of an older version are replaced
+    by empty ones, for `bench.catalogue.sync` to fill. Raises `Refused` with the reason and the remedy.
     """
     named = str(where or os.environ.get(VARIABLE) or cache_folder(FILE))
     import sqlalchemy
@@ -352,7 +355,7 @@ def _prepare_file(file: Path, *, existing: bool) -> None:
 
 
 def _listen(engine: Engine) -> None:
-    """Make write transactions take the write lock at their start, so that writers wait and do not fail."""
+    """Make SQLite take the write lock at the start of a write transaction, so that writers wait and do not fail."""
     from sqlalchemy import event
 
     if engine.dialect.name != "sqlite":
@@ -379,7 +382,7 @@ def _listen(engine: Engine) -> None:
 
 
 def _take_up_wal(connection: Any) -> None:
-    """Switch a file to a write-ahead log; retry, as SQLite fails at once if several programs do this."""
+    """Switch a file to a write-ahead log; retry, because SQLite fails at once if several programs do so."""
     until = time.monotonic() + BUSY_MS / 1e3
     while True:
         try:
@@ -393,7 +396,7 @@ def _take_up_wal(connection: Any) -> None:
 
 
 def _with_tables(catalogue: Catalogue, *, renew: bool) -> Catalogue:
-    """Return a catalogue with the tables of this program; one program at a time creates them."""
+    """Return the catalogue with the tables of this version; one program at a time creates them."""
     with catalogue.reading() as connection:
         if _schema_of(connection) == SCHEMA:
             return catalogue
@@ -421,7 +424,7 @@ def _with_tables(catalogue: Catalogue, *, renew: bool) -> Catalogue:
 
 
 def _schema_of(connection: Connection) -> int | None:
-    """Return the version of the schema; 0 for a catalogue without a version, None for no catalogue."""
+    """Return the schema version; 0 for a catalogue that records none, None for a database that is no catalogue."""
     there = set(inspect(connection).get_table_names())
     if ABOUT.name in there:
         return int(connection.execute(select(ABOUT.c.schema)).scalar_one())
@@ -436,8 +439,8 @@ def _make_tables(connection: Connection) -> None:
 def _renew(connection: Connection) -> str:
     """Replace the tables of an older catalogue by current ones, for a sync to fill; return a sentence on it.
 
-    For runs that can be read again only the folders are kept, so that a sync finds them. Runs and registers
-    whose folders are gone keep their rows, as far as the new tables have columns for them.
+    Runs that can be read again keep only their folders, so that a sync finds them. Runs and registers whose
+    folders are gone keep their rows, as far as the new tables have columns for them.
     """
     before = MetaData()
     before.reflect(connection, only=lambda name, _: name in {*METADATA.tables, "alembic_version"})
@@ -468,7 +471,7 @@ def _renew(connection: Connection) -> str:
 
 
 def forget_dues(connection: Connection, changed: ColumnElement[bool]) -> None:
-    """Delete the cached due dates of units whose runs change; `changed` is a condition on runs."""
+    """Delete the cached due dates of the units whose runs satisfy `changed`, a condition on `RUNS`."""
     units = select(RUNS.c.unit).where(changed)
     connection.execute(delete(DUES).where(DUES.c.unit.in_(units)))
 
@@ -480,7 +483,7 @@ def _refusing(where: str) -> Iterator[None]:
 
     try:
         yield
-    except (DBAPIError, ValueError) as error:  # a text that is none, a date that is none
+    except (DBAPIError, ValueError) as error:  # ValueError: an invalid text or date in the database
         why = " ".join(str(getattr(error, "orig", "a value in it cannot be read")).split())
         if isinstance(error, OperationalError) and not why.startswith("no such "):
             raise Refused(

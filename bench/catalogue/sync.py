@@ -1,8 +1,8 @@
 """Synchronisation of the catalogue with run folders: new or changed ones are read, vanished ones marked.
 
-The folders are authoritative: a deleted catalogue is rebuilt from them. Folders are read by processes of
-their own. Rows are written in atomic batches, so that the next sync continues an interrupted one, and two
-at once lose nothing. A row's key is derived from the object it describes: a folder that was moved or renamed
+The folders are authoritative: a deleted catalogue is rebuilt from them. Many folders are read by worker
+processes. Rows are written in atomic batches, so that the next sync continues an interrupted one, and two at once
+lose nothing. A row's key is derived from the object it describes. A folder that was moved or renamed therefore
 gives the same run; a copy beside it is reported and counts once.
 """
 
@@ -54,7 +54,7 @@ BATCH: Final = 1000
 CHUNK: Final = 50
 """Number of folders handed to a process at once for reading."""
 FEW: Final = 300
-"""Up to this many folders are read in this process, because starting others would take longer."""
+"""Up to this many folders are read in this process, because starting worker processes would take longer."""
 MANY: Final = 20_000
 """If more folders than this wait to be scanned, separate processes scan them."""
 LOOKED: Final = 5000
@@ -67,7 +67,7 @@ MOST_IN: Final = 5000
 
 @dataclass
 class Synced:
-    """The result of a sync: counts of folders `added`, `changed`, `unchanged`, `moved`, `vanished`; problems.
+    """The result of a sync: counts of folders `added`, `changed`, `unchanged`, `moved`, `vanished`; `problems`.
 
     `problems` lists folders without a usable run and runs with a damaged record, each with the reason.
     """
@@ -90,9 +90,8 @@ def sync(
 ) -> Synced:
     """Synchronise a catalogue with the run folders below `folders`, at any depth; return the counts.
 
-    `whole` reads every event of records that were not read fully before. `processes` is the number of reading
-    processes, by default that of the cores. Raises `Refused` where a folder cannot be read, or
-    the database fails.
+    `whole` reads every event of the records that were never read fully. `processes` is the number of worker
+    processes, by default the number of cores. Raises `Refused` if a folder cannot be read or the database fails.
     """
     roots = _roots(folders)
     count = os.cpu_count() or 1 if processes is None else processes
@@ -138,7 +137,7 @@ def sync(
 
 
 def _orphaned(row: Row) -> bool:
-    """Whether a folder is a copy of a run folder that is gone."""
+    """Return whether a folder is a copy of a run folder that is gone."""
     reason = row["reason"] or ""
     original = reason.removeprefix(_COPY).removesuffix(_COUNTED)
     return reason.startswith(_COPY) and not Path(original, MANIFEST).exists()
@@ -177,7 +176,7 @@ def _seen(roots: Sequence[str], processes: int) -> WalkResult:
 
 
 def _look_apart(seen: WalkResult, waiting: list[Place], now_ns: int, processes: int) -> None:
-    """Scan many folders in other processes and in this one; add the findings to `seen`."""
+    """Scan many folders in worker processes and in this one; add the results to `seen`."""
     parts = list(_batches(waiting, LOOKED))
     with pool_of(processes - 1, ENDED) as pool:
         asked = [pool.submit(scan_all, part, now_ns) for part in parts]
@@ -206,7 +205,7 @@ def _unread(connection: Connection) -> set[str]:
 
 
 def _known(connection: Connection, roots: Sequence[str], unread: set[str]) -> dict[str, Row]:
-    """Return the catalogue's rows on the folders below `roots` and in `unread`, by path."""
+    """Return the catalogue's rows on folders below `roots` and in `unread`, by path."""
     heads = tuple(root.rstrip(os.sep) + os.sep for root in roots)
     names = FOLDERS.columns.keys()
     rows = (dict(zip(names, row, strict=True)) for row in connection.execute(select(FOLDERS)))
@@ -218,7 +217,7 @@ def _known(connection: Connection, roots: Sequence[str], unread: set[str]) -> di
 
 
 def _read(waiting: list[tuple[str, str]], whole: bool, processes: int) -> Iterator[FolderEntry]:
-    """Yield the contents of folders in their order; many folders are read by other processes."""
+    """Yield the contents of folders in their order; many folders are read by worker processes."""
     if len(waiting) <= FEW or processes < 2:
         for path, mark in tracked(waiting, "reading runs"):
             yield read_folder(path, mark, whole=whole)
@@ -245,7 +244,10 @@ def _batches(parts: Iterable[_T], size: int) -> Iterator[list[_T]]:
 
 
 def _write(connection: Connection, batch: list[FolderEntry], known: dict[str, Row], done: Synced) -> None:
-    """Write the contents of a batch of folders to the catalogue, and count them in `done`."""
+    """Write the contents of a batch of folders to the catalogue, and count them in `done`.
+
+    `known` are the catalogue's earlier rows on folders, by path.
+    """
     places = _places(connection, [found.run for found in batch if found.run is not None])
     rows: dict[str, list[Row]] = {table.name: [] for table in (INSTRUMENTS, CERTIFICATES, RUNS, *OF_A_RUN)}
     folders, left, runs = [], [], []
@@ -294,7 +296,7 @@ def _write(connection: Connection, batch: list[FolderEntry], known: dict[str, Ro
 
 
 def _places(connection: Connection, runs: list[int]) -> dict[int, str]:
-    """Return the path of each run according to the catalogue."""
+    """Return the path of each known run in the catalogue."""
     found: dict[int, str] = {}
     for some in _batches(runs, MOST_IN):
         rows = connection.execute(select(RUNS.c.id, RUNS.c.path).where(RUNS.c.id.in_(some)))
@@ -361,7 +363,7 @@ def _write_registers(connection: Connection, registers: Sequence[str], done: Syn
 
 
 def _mark_vanished(connection: Connection, rows: list[Row]) -> int:
-    """Mark runs whose folder is gone; delete rows of copies and folders without a run. Return the count."""
+    """Mark runs whose folder is gone, delete rows of copies and of folders without a run; return the count."""
     count = 0
     for row in rows:
         if row["run"] is None or (row["reason"] or "").startswith(_COPY):
@@ -378,7 +380,7 @@ def _mark_vanished(connection: Connection, rows: list[Row]) -> int:
 
 MOST_DEEP: Final = 12
 SETTLED_NS: Final = 2_000_000_000
-"""Files changed less than this ago are read again: a further change might leave their times the same."""
+"""Files changed less than this ago are read again: a second change could leave their times the same."""
 _READ: Final = (".json", ".jsonl", ".yaml", ".csv")
 """Suffixes of the files that the catalogue reads in a run folder."""
 _NAME: Final = attrgetter("name")
@@ -388,26 +390,29 @@ Place = tuple[str, int]
 
 @dataclass(frozen=True)
 class WalkResult:
-    """The findings of a walk: run folders with the fingerprints of their files, folders that should be runs
-    and the reason why they are not, registers, and folders that cannot be entered, with the reason."""
+    """The result of a walk: run folders, folders with a register, and folders with a problem (`odd`).
+
+    `runs` maps run folders to fingerprints of their files. `odd` maps incomplete run folders, and folders that
+    cannot be entered, to the reason.
+    """
 
     runs: dict[str, str] = field(default_factory=dict)
     odd: dict[str, str] = field(default_factory=dict)
     registers: list[str] = field(default_factory=list)
 
     def take(self, other: WalkResult) -> None:
-        """Add the findings of another walk."""
+        """Add the results of another walk."""
         self.runs.update(other.runs)
         self.odd.update(other.odd)
         self.registers.extend(other.registers)
 
 
 def scan(root: str, now_ns: int, most: int | None = None) -> tuple[WalkResult, list[Place]]:
-    """Walk a folder, which is a run folder itself or holds them at any depth; links below it are not followed.
+    """Walk a folder that is or contains run folders, at any depth; symbolic links below it are not followed.
 
-    A run folder is not entered further, nor is a hidden one. Where more than `most` folders wait the walk ends, and
-    they are returned beside what was seen: `scan_all` goes on with them, in any process. Raises `OSError` where
-    `root` cannot be read.
+    Run folders are not entered further, nor are hidden folders. When more than `most` folders wait, the walk ends
+    and returns them with the result, for `scan_all` to continue in any process. Raises `OSError` if `root` cannot
+    be read.
     """
     seen = WalkResult()
     with os.scandir(root):
@@ -416,7 +421,7 @@ def scan(root: str, now_ns: int, most: int | None = None) -> tuple[WalkResult, l
 
 
 def scan_all(places: Iterable[Place], now_ns: int) -> WalkResult:
-    """Walk folders with all that is below them."""
+    """Walk folders and everything below them."""
     seen = WalkResult()
     _walk(seen, places, now_ns, None)
     return seen
@@ -453,7 +458,7 @@ def _folders(entries: list[os.DirEntry[str]]) -> Iterator[os.DirEntry[str]]:
 
 
 def fingerprint(entries: list[os.DirEntry[str]], now_ns: int) -> str:
-    """Return a hash of names, sizes and times of a run's files; empty if a change could go unnoticed."""
+    """Return a hash of names, sizes and times of a run's files; empty if a later change could go unnoticed."""
     parts, newest = [], 0
     for entry in sorted(entries, key=_NAME):
         name = entry.name
@@ -475,7 +480,7 @@ def fingerprint(entries: list[os.DirEntry[str]], now_ns: int) -> str:
 
 @contextmanager
 def pool_of(processes: int, when_ended: str) -> Iterator[ProcessPoolExecutor]:
-    """Yield a process pool. Raises `Refused` with `when_ended` if a process was ended from outside."""
+    """Yield a process pool. Raises `Refused` with the text `when_ended` if a worker process was killed."""
     pool = ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context("spawn"))
     try:
         yield pool

@@ -1,4 +1,4 @@
-"""A unit in the catalogue: its runs, its coefficients over time, when it is due."""
+"""A unit in the catalogue: its runs, its coefficients over time, its due date."""
 
 from __future__ import annotations
 
@@ -35,15 +35,15 @@ INTERVAL_DAYS: Final = 365.0
 """The default interval (days), used for units without a history."""
 MOST_DAYS: Final = 36_525
 METHOD: Final = 1
-"""Version of the drift method. Raise it when due dates would differ: cached dates then expire."""
+"""Version of the drift method. Increment it when it gives other due dates; cached dates then expire."""
 KEPT_AT_ONCE: Final = 20
 """Number of units whose due dates are written at once; an interrupted query resumes from there."""
 FEW: Final = 150
-"""Up to this many units are computed in this process, because starting others would take longer."""
+"""Up to this many units are computed in this process, because starting worker processes would take longer."""
 ENDED: Final = "a process that reckoned when units are due was ended; ask again: it goes on where it was"
 
 Reckoned = list[tuple[str, dict[str, Any], str]]
-"""Units, each with its computed due date and the mark of the data behind it."""
+"""Computed due dates: name of the unit, due date (JSON data), and fingerprint of the data behind it."""
 
 
 def due_units(
@@ -57,9 +57,10 @@ def due_units(
 ) -> DueResult:
     """Return the due dates of the units of a question, earliest first, and the units without a date.
 
-    `limit_g` is the error allowed, by default the limit of each unit's last verification; `before` a day (ISO 8601)
-    before which they are due. Of many units `processes` reckon, as many as there are cores unless stated. Raises
-    `Refused` for a question that is none.
+    `limit_g` is the error allowed, by default the limit of each unit's last verification. `interval_days` applies
+    to units without a sufficient history. `before` (ISO 8601) leaves out units that are due on that day or later.
+    Due dates of many units are computed by `processes` worker processes, by default one for each core. Raises
+    `Refused` for an invalid question.
     """
     interval = _checked(limit_g, interval_days)
     asked = f"method {METHOD}, limit {limit_g!r}, interval {interval!r}"
@@ -83,7 +84,7 @@ def due_units(
 
 
 def until_day(before: str | None) -> str | None:
-    """Return the day (UTC) of a time. Raises `Refused` for a text that is no time."""
+    """Return the day (UTC, ISO 8601) of a time; None if `before` is None. Raises `Refused` for another text."""
     try:
         return moment(before).date().isoformat() if before else None
     except ValueError as error:
@@ -103,7 +104,7 @@ def _checked(limit_g: float | None, interval_days: float | None) -> float:
 def _reckoned(
     catalogue: Catalogue, names: Sequence[str], limit_g: float | None, interval_days: float, processes: int
 ) -> Iterator[Reckoned]:
-    """Yield the due dates of units, some at a time, computed here or, for many units, by processes."""
+    """Yield the due dates of units in groups, computed in this process or, for many units, in worker processes."""
     parts = [names[i : i + KEPT_AT_ONCE] for i in range(0, len(names), KEPT_AT_ONCE)]
     told = "reckoning when units are due"
     if len(names) <= FEW or processes < 2:
@@ -138,8 +139,8 @@ def _reckon(
 
 
 def _keep(catalogue: Catalogue, found: Reckoned, asked: str) -> None:
-    """Cache the due dates of the units whose data did not change meanwhile."""
-    with suppress(Refused), catalogue.writing() as connection:  # who may only read is told all the same
+    """Cache the due dates of the units whose data have not changed since."""
+    with suppress(Refused), catalogue.writing() as connection:  # read-only users get no cache
         for name, told, mark in found:
             if mark and _mark(connection, name) == mark:
                 connection.execute(delete(DUES).where(DUES.c.unit == name, DUES.c.asked == asked))
@@ -147,9 +148,10 @@ def _keep(catalogue: Catalogue, found: Reckoned, asked: str) -> None:
 
 
 def _mark(connection: Connection, name: str) -> str:
-    """Return a fingerprint of the known runs of a unit; empty if one was written a moment ago.
+    """Return a fingerprint of a unit's runs in the catalogue; empty if a run was written a moment ago.
 
-    Its files may then change once more without their times showing it (`bench.catalogue.sync.SETTLED_NS`).
+    The files of such a run may change once more without a change of their times
+    (`bench.catalogue.sync.SETTLED_NS`).
     """
     asked = (
         select(FOLDERS.c.path, FOLDERS.c.fingerprint, FOLDERS.c.reason, RUNS.c.vanished, RUNS.c.record)
@@ -171,8 +173,8 @@ def unit_history(
 ) -> UnitResult:
     """Return the history of a unit, named by its serial number or by type and serial number.
 
-    `limit_g` is the error allowed, by default the limit of its last verification. Raises `Refused` where none, or
-    several, are of that name.
+    `limit_g` is the error allowed, by default the limit of its last verification. `interval_days` applies if the
+    history is too short. Raises `Refused` if no unit or several have that name.
     """
     interval = _checked(limit_g, interval_days)
     name = _name_of(catalogue, unit)
@@ -208,14 +210,14 @@ def _calibration(table: CoefficientTable, k: int) -> UnitCalibration:
 def unit_calibrations(catalogue: Catalogue, unit: str) -> list[UnitCalibration]:
     """Return the comparable calibrations of a unit, as in its history, for its figure.
 
-    Raises `Refused` where none, or several, are of that name.
+    Raises `Refused` if no unit or several have that name.
     """
     table, _, _ = compared_of(catalogue, _name_of(catalogue, unit))
     return [_calibration(table, k) for k in range(len(table))]
 
 
 def compared_of(catalogue: Catalogue, name: str) -> tuple[CoefficientTable, bool, list[str]]:
-    """Return the calibrations of a unit (type and serial number), whether they are simulated, and notes."""
+    """Return the comparable calibrations of a unit, whether they are simulated, and notes on those left out."""
     table = coefficient_table(catalogue, [f"unit={name}"])
     notes = [f"without {words}" for words in table.left_out]
     return *_compared(table, notes), notes
@@ -238,7 +240,10 @@ def _name_of(catalogue: Catalogue, unit: str) -> str:
 
 
 def _compared(table: CoefficientTable, notes: list[str]) -> tuple[CoefficientTable, bool]:
-    """Return the comparable calibrations, per g of the last one, and whether they are simulated."""
+    """Return the comparable calibrations, per g of the last one, and whether they are simulated.
+
+    Notes on the calibrations left out are appended to `notes`.
+    """
     dated = ~np.isnat(table.when)
     if not np.all(dated):
         notes.append(f"without {np.sum(~dated)} calibrations that have no date")
@@ -264,7 +269,7 @@ def _rows(table: CoefficientTable, mask: Mask) -> CoefficientTable:
 
 
 def _per_g(table: CoefficientTable, g_m_s2: float) -> CoefficientTable:
-    """Return the calibrations per another local gravity; scale factors per m/s² stay the same."""
+    """Return the calibrations for another unit of acceleration, g = `g_m_s2` (m/s²); biases stay the same."""
     factor = np.where(np.arange(len(COEFFICIENTS)) < 9, g_m_s2 / table.g_m_s2[:, None], 1.0)
     return replace(
         table,
@@ -276,7 +281,7 @@ def _per_g(table: CoefficientTable, g_m_s2: float) -> CoefficientTable:
 
 
 def limit_of(catalogue: Catalogue, query: list[str]) -> float | None:
-    """Return the limit of the last verification of a question, in local g; None if none states a limit."""
+    """Return the limit of the last verification among the runs of a question, local g; None if none states one."""
     joined = RUNS.join(VERIFICATIONS, VERIFICATIONS.c.run == RUNS.c.id)
     asked = (
         select(VERIFICATIONS.c.limit_g)
@@ -293,7 +298,7 @@ def limit_of(catalogue: Catalogue, query: list[str]) -> float | None:
 def due_of(
     table: CoefficientTable, limit_g: float | None, interval_days: float, *, simulated: bool
 ) -> tuple[Due | None, str]:
-    """Return the due date of the unit with these calibrations, or None and the reason for having none."""
+    """Return the due date of a unit by its calibrations, or None and the reason for having none."""
     if not len(table):
         return None, "no calibration that can be believed has a date"
     if limit_g is None:

@@ -30,14 +30,14 @@ COUNT: Final = len(COEFFICIENTS)
 
 @dataclass(frozen=True)
 class CoefficientTable:
-    """Calibrations of a question, oldest first; those without a date come first.
+    """The calibrations that a question selects, oldest first; those without a date come first.
 
-    `path`, `unit`, `unit_type`, `bench`, `signal_unit` (n,) are texts, None where nothing was recorded; `when` (n,)
-    datetime64 in UTC, NaT likewise. `vector` (n, 12) are the coefficients in `signal_unit` per g = `g_m_s2` (n,),
-    biases in `signal_unit`; `covariance` (n, 12, 12) is the combined one, `u_meters` (n, 12) the part of u that the
-    same meters bring again, NaN where a result does not tell it; `sigma` (n,) the noise of a reading. `simulated`
-    (n,) is True where it was, or where nobody recorded it. `left_out` says, in sentences, what of the question is
-    not here.
+    `path`, `unit`, `unit_type`, `bench`, `signal_unit` (n,) are texts, None if not recorded; `when` (n,) is
+    datetime64 in UTC, NaT if not recorded. `vector` (n, 12) are the coefficients in `signal_unit` per g =
+    `g_m_s2` (n,), biases in `signal_unit`. `covariance` (n, 12, 12) is the combined covariance. `u_meters` (n,
+    12) is the part of u due to errors that the same meters repeat, NaN if the result does not state it. `sigma`
+    (n,) is the noise of a reading. `simulated` (n,) is False only for runs recorded as real. `left_out` states in
+    sentences which runs of the question are omitted.
     """
 
     path: Texts
@@ -59,10 +59,10 @@ class CoefficientTable:
 
 
 def coefficient_table(catalogue: Catalogue, query: Sequence[str]) -> CoefficientTable:
-    """Return the calibrations of the runs that a question names.
+    """Return the calibrations of the runs that a question selects.
 
-    It omits, and reports in `left_out`, runs whose folders are gone or whose records are damaged, and results
-    that do not belong to the record as it is now. Raises `Refused` for a question that is none.
+    Runs whose folders are gone or whose records are damaged are omitted and reported in `left_out`, as are
+    results that do not belong to the present record. Raises `Refused` for an invalid question.
     """
     asked = condition_of(query)
     believed = and_(
@@ -134,9 +134,10 @@ MOST_COMPARED: Final = 400
 
 
 def measured_of(table: CoefficientTable) -> tuple[ComparedCalibrations, Mask, tuple[str, ...]]:
-    """Return the calibrations of known units on known benches, their mask in the table (n,), and notes.
+    """Return the comparable calibrations of a table, their mask in it (n,), and notes on those omitted.
 
-    Raises `Refused` if simulated and real runs or different signal units are mixed, or none is left.
+    Comparable are calibrations of known units on known benches with a date and a full covariance. Raises
+    `Refused` if there are none, or if simulated and real runs or different signal units are mixed.
     """
     known = np.ones(len(table), dtype=bool)
     notes = list(table.left_out)
@@ -194,8 +195,8 @@ def _regular(table: CoefficientTable) -> Mask:
 def compared(table: CoefficientTable, method: str | None = None) -> BenchComparison:
     """Compare benches by the units that several of them measured.
 
-    The errors that calibrations share (meters, K2 and K3 of a block) are read from results in their folders.
-    Raises `Refused` or `CalibrationError` where there is nothing to compare, or too much.
+    The errors that calibrations share (meters, K2 and K3 of a block) are read from the results in their folders.
+    Raises `Refused` or `CalibrationError` if there is nothing to compare, or too much.
     """
     measured, known, notes = measured_of(table)
     paths = table.path[known]

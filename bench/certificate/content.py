@@ -1,7 +1,7 @@
 """The typed content of a certificate, as ISO/IEC 17025:2017, 7.8 requires it, independent of PDF and XML.
 
-The content depends on neither date, folder nor user. The same record, files and `Issue` give the same
-certificate, and both its forms have the same bytes.
+The content does not depend on the current date, the folder or the user. The same record, input files and
+`Issue` therefore always give the same bytes of the PDF and of the XML.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class Value:
 
 @dataclass(frozen=True)
 class Values:
-    """Results that belong together, with their covariance (n, n) in the order of `values`."""
+    """A group of results; `covariance` (n, n) is in the order of `values`."""
 
     values: tuple[Value, ...]
     covariance: Floats
@@ -64,7 +64,11 @@ class Values:
     def of(
         cls, named: Mapping[str, str], values: Floats, covariance: Floats, k: float, dof: Floats
     ) -> Values:
-        """Return the results whose names and units are `named`, with degrees of freedom `dof` (n,)."""
+        """Return the results `values` (n,) with U = `k` u.
+
+        `named` maps the name of each result to its unit, in the order of `values`. `dof` (n,) are the degrees
+        of freedom.
+        """
         sizes = zip(values.tolist(), u_of(covariance).tolist(), strict=True)
         rows = zip(named.items(), sizes, dof.tolist(), strict=True)
         found = (Value(name, value, u, k * u, k, nu, unit) for (name, unit), (value, u), nu in rows)
@@ -76,10 +80,11 @@ class Values:
 
 @dataclass(frozen=True)
 class Condition:
-    """A condition during the run: a quantity that lay between `low` and `high`, in `unit`.
+    """A quantity that influences the calibration, and its range `low` to `high` during the run, in `unit`.
 
-    `key` names the text for it in the certificate; `about` fills the blank there (such as the supply rail). `u`
-    is the quantity's standard uncertainty, None if only the range is known.
+    `key` is the key of its name in `words.yaml`; `about`, such as the supply rail, fills the blank in that
+    name. `u` is the standard uncertainty of the quantity, None if only the range is known. `source` names the
+    sensor or the estimate behind the values.
     """
 
     key: str
@@ -93,10 +98,10 @@ class Condition:
 
 @dataclass(frozen=True)
 class Instrument:
-    """An instrument that was used: its identification answer, and its certificate on the day of the run.
+    """An instrument used in the run, with its certificate on the day of the run.
 
-    `why_not` is the reason why the certificate's corrections were not applied. `foreign` is true if the
-    certificate belongs to another instrument.
+    `identity` is its answer to the identification query. `foreign` is true if the certificate belongs to
+    another instrument. `why_not` is the reason why the corrections in the certificate were not applied.
     """
 
     name: str
@@ -112,7 +117,11 @@ class Instrument:
 
 @dataclass(frozen=True)
 class Contribution:
-    """A contribution to u that readings do not show; `u` is its largest effect, on the value `most_in`."""
+    """A source of uncertainty that does not show in the scatter of the readings.
+
+    `most_in` names the coefficient in whose u the source has the largest share; `u` is its contribution to
+    that coefficient, in `unit`. `prior` marks a `size` that nobody stated for this bench.
+    """
 
     name: str
     size: str
@@ -125,7 +134,7 @@ class Contribution:
 
 @dataclass(frozen=True)
 class Item:
-    """The unit that was calibrated, as the record names it."""
+    """The unit under test, as the record names it."""
 
     type: str
     serial: str
@@ -133,7 +142,10 @@ class Item:
 
 @dataclass(frozen=True)
 class Method:
-    """How it was calibrated: procedure and hash of its plan (empty of imported readings), estimator, model."""
+    """The calibration method: procedure, hash of the plan, estimator and measurement model.
+
+    `procedure` and `plan_hash` are empty where the record does not state them, as in some imported readings.
+    """
 
     procedure: str
     plan_hash: str
@@ -143,9 +155,11 @@ class Method:
 
 @dataclass(frozen=True)
 class RunReference:
-    """The run from which the results can be reproduced; `seal` is the text of its seal (JSON).
+    """The record of the run, from which the results can be reproduced.
 
-    `sealed` is when it was sealed, empty for a run that was not: `seal` then says what a seal would have said.
+    `events` is the number of events and `head` the SHA-256 of the last one. `seal` is the seal as JSON and
+    `sealed` the time of sealing. For an unsealed run, `sealed` is empty, and `seal` is an unsigned seal made
+    from the record.
     """
 
     run: str
@@ -160,8 +174,8 @@ class RunReference:
 class RunFindings:
     """The results of a run for the unit. `begun` and `ended` are civil times (ISO 8601), empty if unknown.
 
-    `result` and `verdict` are the whole evaluation, `result_json` and `readings_csv` the files with it;
-    `verdict` is None where no verification point was measured.
+    `result` and `verdict` are the complete evaluation; `verdict` is None if no verification point was
+    measured. `result_json` and `readings_csv` are the contents of the files attached to the certificate.
     """
 
     record: RunReference
@@ -185,13 +199,16 @@ class RunFindings:
 
     @property
     def verification(self) -> Verification | None:
-        """The check at the verification points, None where none was measured."""
+        """The check at the verification points; None if none was measured."""
         return None if self.verdict is None else self.verdict.verification
 
 
 @dataclass(frozen=True)
 class Before:
-    """The previous certificate: `kind` is "amended" or "replaced", `sha256` that of its XML as issued."""
+    """The certificate that a new one supersedes.
+
+    `kind` is "amended" or "replaced"; `sha256` is the hash of the superseded certificate's XML as issued.
+    """
 
     kind: str
     number: str
@@ -267,12 +284,12 @@ class Certificate:
 
     @property
     def k(self) -> float:
-        """The coverage factor of the coefficients' U."""
+        """The coverage factor of U of the coefficients."""
         return self.found.coefficients.values[0].k
 
     @property
     def coverage(self) -> float:
-        """The coverage probability of k for a normal distribution."""
+        """The coverage probability that belongs to `k` for a normal distribution."""
         return math.erf(self.k / math.sqrt(2.0))
 
     @property
@@ -296,11 +313,10 @@ class Certificate:
 
     @property
     def origins(self) -> dict[str, list[tuple[str, dict[str, str]]]]:
-        """Statements on sampling, external providers and customer data: what is not the laboratory's own.
+        """Statements on what does not come from the laboratory: sampling, external providers, customer data.
 
-        Each heading maps to sentences; a sentence is a key of texts with the values for its blanks. Empty
-        without an order. Source:
-        ISO/IEC 17025:2017, 7.8.2.1 k and p, 7.8.2.2.
+        Each heading maps to a list of sentences. A sentence is a key in `words.yaml` with the values for its
+        blanks. Empty without an order. Source: ISO/IEC 17025:2017, 7.8.2.1 k and p, 7.8.2.2.
         """
         order = self.order
         if order is None:
@@ -324,14 +340,14 @@ class Certificate:
 
     @property
     def terms(self) -> tuple[str, ...]:
-        """The keys of the statements of the first page."""
+        """The keys in `words.yaml` of the general statements on the first page."""
         supplied = () if self.order is None else self.order.supplied
         affected = ("statement_affected",) if any(one.affects_validity for one in supplied) else ()
         return ("statement_item", *affected, "statement_reproduction")
 
     @property
     def valid_instruments(self) -> bool:
-        """Whether every instrument behind the result has a valid certificate of its own."""
+        """Whether every voltmeter and head used has a certificate of its own; see `uncertified`."""
         return not uncertified(self.found)
 
     @property
@@ -346,14 +362,17 @@ class Certificate:
 
 
 def stated(of: Verification) -> tuple[Statement, tuple[Statement, ...]]:
-    """Return the statements of conformity by the decision rule: overall, and for each verification point."""
+    """Return the statements of conformity: the overall one, which is the worst, and one for each point."""
     points = tuple(by_rule(one.statement, of.rule, passed=one.passed) for one in of.points)
     missing = (Statement.NOT_COMPLETE,) if of.missing else ()
     return max((*points, *missing), key=list(Statement).index), points
 
 
 def uncertified(found: RunFindings) -> tuple[str, ...]:
-    """Return the names of the voltmeters and the head that have no valid certificate."""
+    """Return the names of the voltmeters and the head that have no certificate, or one of another instrument.
+
+    An expired certificate counts as a certificate.
+    """
     return tuple(
         one.name
         for one in found.instruments
@@ -362,7 +381,7 @@ def uncertified(found: RunFindings) -> tuple[str, ...]:
 
 
 def rule_said(say: Callable[..., Said], rule: DecisionRule) -> Said:
-    """Return a decision rule in words; `say` returns the text of a key."""
+    """Return a decision rule in words; `say` returns the text for a key in `words.yaml`."""
     if rule.guard_band is None:
         return say("rule_unstated", times=f"{100 * FALSE_ACCEPTANCE:g}")
     return say(_RULES[rule.name], times=f"{rule.guard_band:g}")

@@ -60,8 +60,8 @@ def certificate_of(
 ) -> Certificate:
     """Evaluate a run with its recorded settings; return its certificate.
 
-    Raises `Refused` for a missing or unfinished run, `RecordError` for a damaged record, `CalibrationError`
-    where there is no result.
+    Raises `Refused` for a missing or unfinished run, `RecordError` for a damaged record, and
+    `CalibrationError` if the readings do not determine a result.
     """
     k = 2.0 if laboratory is None else laboratory.k
     asked = NOTHING_ASKED if order is None else VerdictOptions(rule=order.rule, guard_band=order.guard_band)
@@ -87,7 +87,7 @@ def _house_rule(laboratory: Laboratory | None) -> DecisionRule | None:
 
 
 def texts_for(laboratory: Laboratory | None) -> tuple[Texts, ...]:
-    """Return the texts in the languages of a laboratory, which may replace some by its own."""
+    """Return the texts in each language of a laboratory, with its own wordings; English if it is None."""
     if laboratory is None:
         return (texts_of(_FIRST_LANGUAGE),)
     return tuple(
@@ -136,9 +136,10 @@ def _missing(certificate: Certificate) -> Iterator[str]:
 def found_by(
     name: str, runs: Path, k: float, asked: VerdictOptions = NOTHING_ASKED, agreed: DecisionRule | None = None
 ) -> RunFindings:
-    """Evaluate a run with its own bench file; U of the coefficients is `k` u. Raises as `certificate_of`.
+    """Evaluate a run with its own bench file and return the results, with U = `k` u of the coefficients.
 
-    `asked` are options of the verdict; its decision rule is `agreed` where the record states none.
+    `asked` are the options of the verdict; `agreed` is the decision rule if the record states none. Raises as
+    `certificate_of`.
     """
     (source,) = load_sources(Request([name], runs))
     run = source.run
@@ -152,7 +153,7 @@ def found_by(
     verdict = None
     if len(source.readings.verification()):
         verdict = verification_of(result.source, result, asked, agreed)
-    # what a statement means and what to do about it is for the operator, and speaks of guard bands that no rule has
+    # only the global risks: the other notes of a verdict advise the operator and do not belong on a certificate
     of_all = () if verdict is None else global_risk_in_words(verdict.verification)
     record, begun = _record(run), _begun(source)
     return RunFindings(
@@ -258,16 +259,16 @@ def _conditions(source: Source) -> Iterator[Condition]:
 
 
 def _of_temperature(source: Source) -> tuple[float, str]:
-    """Return the standard uncertainty of the block's temperature, K, and its origin.
+    """Return the standard uncertainty (K) of the block's temperature, and the origin of that uncertainty.
 
-    The origin is a thermometer at the block, or else the air temperature and its possible difference from
-    that of the block.
+    The origin is a thermometer at the block; without one, it is the air temperature and the possible
+    difference between air and block.
     """
     known = {error.name: error for error in hidden_sources(source.bench, source.model)}
     thermometer, band = known.get("thermometer"), known["temperature"]
     if thermometer is not None and source.bench.instruments.thermometer is not None:
         return thermometer.u, thermometer.origin
-    of_band = band.origin.partition("; ")[0]  # what follows are the block's temperature coefficients
+    of_band = band.origin.partition("; ")[0]  # without the block's temperature coefficients, which follow
     if thermometer is None:
         return band.u, of_band
     return math.hypot(band.u, thermometer.u), f"{of_band}; {thermometer.origin}"
@@ -317,7 +318,7 @@ def _contributions(result: CalibrationResult) -> Iterator[Contribution]:
 
 
 def _result_json(run: Run, result: CalibrationResult, verdict: VerificationResult | None) -> str:
-    """Return the result and the verdict as JSON, without the names of folders of this computer."""
+    """Return the result and the verdict as JSON; the run's name replaces every path of its local folder."""
     told = {**result.to_dict(), "verification": None if verdict is None else verdict.to_dict()}
     told["source"] = run.name
     for part in (told, told["verification"] or {}):

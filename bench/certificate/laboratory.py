@@ -1,7 +1,8 @@
-"""Laboratory files (who calibrates), order files (who ordered what), and the words of a certificate.
+"""Laboratory files (who calibrates), order files (who ordered what), and the texts of a certificate.
 
-To show a new field of these files on the certificate, mark it with `OnCertificate` and add words under its
-name to `words.yaml`. It then appears on the page that the mark names and as a statement in the DCC.
+To show a new field of these files on the certificate, mark it with `OnCertificate` and add a text with the
+field's name as its key to `words.yaml`. The field then appears on the page that the mark names, and in the
+DCC as a statement.
 """
 
 from __future__ import annotations
@@ -45,13 +46,13 @@ _BLANK: Final = re.compile(r"\{([a-z_]+)\}")
 
 @dataclass(frozen=True)
 class Texts:
-    """The words of a certificate in one language, by their keys; `{name}` in one is a blank."""
+    """The texts of a certificate in one language, by key; `{name}` in a text is a blank to be filled."""
 
     language: str
     entries: Mapping[str, str]
 
     def say(self, key: str, **values: object) -> str:
-        """Return a text with its blanks filled. Raises `KeyError` for an unknown key or a blank without value."""
+        """Return a text with its blanks filled. Raises `KeyError` for an unknown key or a blank with no value."""
         return _BLANK.sub(lambda blank: str(values[blank[1]]), self.entries[key])
 
 
@@ -63,10 +64,10 @@ def texts_of(language: str) -> Texts:
 
 @dataclass(frozen=True)
 class OnCertificate:
-    """Marks a field of a laboratory or order file that stands on the certificate under its own name.
+    """A mark for a field of a laboratory or order file that is printed on the certificate under its own name.
 
-    `page` is the page on paper: "front", "method" or "conditions". A row with `otherwise` (a key of texts)
-    always appears, before the others, and shows that text where the field is not stated.
+    `page` is the page of the PDF. If `otherwise`, a key in `words.yaml`, is set, the row is always printed
+    and comes before the rows without it; it shows the text `otherwise` if the file does not state the field.
     """
 
     page: Literal["front", "method", "conditions"]
@@ -75,7 +76,7 @@ class OnCertificate:
 
 @dataclass(frozen=True)
 class StatedField:
-    """A field for a certificate: the `key` of its words, and its `texts` from the file, possibly none."""
+    """A field for a certificate: the key of its label, its `texts` (possibly none) and its place."""
 
     key: str
     texts: tuple[str, ...]
@@ -85,7 +86,7 @@ class StatedField:
 def stated_fields(
     laboratory: Laboratory | None, unit: UnitOrder | None, order: Order | None
 ) -> Iterator[StatedField]:
-    """Yield all fields of laboratory and order files that are marked with `OnCertificate`."""
+    """Yield every field marked with `OnCertificate`, whether or not the file is given and states it."""
     for model, file in ((Laboratory, laboratory), (UnitOrder, unit), (Order, order)):
         for name, field in (type(file) if file else model).model_fields.items():
             for place in (one for one in field.metadata if isinstance(one, OnCertificate)):
@@ -95,7 +96,7 @@ def stated_fields(
 
 
 class Address(FileModel):
-    """A postal address; `country` is the code of ISO 3166-1, two letters."""
+    """A postal address; `country` is the two-letter code of ISO 3166-1."""
 
     street: str
     post_code: str
@@ -113,7 +114,7 @@ class Address(FileModel):
 
     @property
     def lines(self) -> tuple[str, ...]:
-        """The address as it stands on a letter."""
+        """The address as the lines of a letterhead."""
         return self.street, f"{self.post_code} {self.city}, {self.country}"
 
 
@@ -155,11 +156,11 @@ Language = Annotated[str, BeforeValidator(_language)]
 
 
 class Laboratory(Contact, StatedRule):
-    """A laboratory file, validated; paths are as they were written, relative to the file.
+    """A validated laboratory file. Paths in it are relative to the file.
 
-    `rule` and `guard_band` are its decision rule where neither order nor record states one, `numbers` is the scheme
-    of certificate numbers, `k` the coverage factor of U of the coefficients, `texts` are its own words by language
-    and key in place of the program's.
+    `rule` and `guard_band` are the decision rule if neither the order nor the record states one. `numbers` is
+    the scheme of certificate numbers, and `k` the coverage factor of the coefficients. `texts` replaces the
+    program's texts, by language and key.
     """
 
     accreditation: Accreditation | None = None
@@ -198,7 +199,7 @@ class Laboratory(Contact, StatedRule):
 
     @classmethod
     def cross_checks(cls, data: Any) -> Iterable[tuple[Place, str]]:
-        """Yield a mistake for each of the laboratory's own texts that no certificate uses."""
+        """Yield a mistake for each entry of `texts` whose key no certificate uses."""
         stated = part(data, "texts")
         for language in stated if isinstance(stated, dict) else ():
             own = stated[language]
@@ -211,7 +212,7 @@ class Laboratory(Contact, StatedRule):
 
     @property
     def register_folder(self) -> Path:
-        """The folder of the laboratory's register of certificates."""
+        """The folder of the laboratory's certificate register."""
         return self._file.parent / self.register_
 
     @property
@@ -220,7 +221,7 @@ class Laboratory(Contact, StatedRule):
         return self._logo or (None if self.logo is None else self._file.parent / self.logo)
 
     def number(self, count: int, year: int, *, simulated: bool) -> str:
-        """Return the number of the `count`-th certificate of a year."""
+        """Return the number of the `count`-th certificate of a year, such as "2026-0003"."""
 
         def filled(field: re.Match[str]) -> str:
             return f"{year if field[1] == 'year' else count:0{field[2] or 1}d}"
@@ -238,7 +239,10 @@ def load_laboratory(path: Path) -> Laboratory:
 
 
 def laboratory_of(document: Document, logo: Path | None = None) -> Laboratory:
-    """Return the laboratory of a file that was read; `logo` is a copy of its picture. Raises `FileMistakes`."""
+    """Return the laboratory in a loaded file. Raises `FileMistakes` with every mistake in it.
+
+    `logo`, if given, is used instead of the logo file that the laboratory file names.
+    """
     laboratory = validated(document, Laboratory)
     laboratory._file = document.path.absolute()
     laboratory._logo = logo
@@ -249,7 +253,7 @@ AS_FOUND, AS_LEFT = "as found", "as left"
 
 
 class Adjusted(FileModel):
-    """An adjustment or repair, and the run (name or path) that shows the unit as found before it."""
+    """An adjustment or repair; `as_found` is the run (name or path) that shows the unit before it."""
 
     what: str
     as_found: str | None = None
@@ -266,9 +270,9 @@ class External(FileModel):
 
 
 class Supplied(FileModel):
-    """Data of the customer that the certificate uses (ISO/IEC 17025:2017, 7.8.2.2).
+    """Data from the customer that the certificate uses (ISO/IEC 17025:2017, 7.8.2.2).
 
-    `affects_validity` is false only where a wrong value could not make a result wrong.
+    `affects_validity` is false only if a wrong value could not invalidate a result.
     """
 
     what: str
@@ -278,8 +282,8 @@ class Supplied(FileModel):
 class UnitOrder(FileModel):
     """A unit of an order: its receipt, its condition, and whether the run shows it as found or as left.
 
-    An entry without `serial` applies to all units. `calibrated` is the day of imported readings; a record
-    itself states when it was measured. `deviations` are deviations from the method.
+    An entry without `serial` applies to all units. `calibrated` is the day of calibration for imported
+    readings without a date. `deviations` are deviations from the method.
     """
 
     serial: str | None = None
@@ -302,13 +306,13 @@ class UnitOrder(FileModel):
 
 
 class Order(StatedRule):
-    """A validated order file. `place` is the place of calibration if it was not the laboratory.
+    """A validated order file.
 
-    `rule` and `guard_band` are the decision rule that was agreed with the customer, before what the record states
-    (ISO/IEC 17025:2017, 7.1.3), `agreed` what else was; `without_certificates` why the customer takes results of
-    instruments that have none. `sampling` names plan and method where units were chosen out of many, and by whom;
-    without it the units are those that the customer gave. `external` are results of other bodies, `supplied` data
-    of the customer.
+    `rule` and `guard_band` are the decision rule agreed with the customer, which overrides the record's
+    (ISO/IEC 17025:2017, 7.1.3); `agreed` are further agreements. `place` is the place of calibration if it
+    was not the laboratory. `without_certificates` is why the customer accepts instruments without
+    certificates. `sampling` is the sampling plan and method, and who sampled; without it, the customer
+    supplied the units. `external` are results from other bodies, `supplied` data from the customer.
     """
 
     customer: Contact
@@ -324,7 +328,7 @@ class Order(StatedRule):
 
     @classmethod
     def cross_checks(cls, data: Any) -> Iterable[tuple[Place, str]]:
-        """Yield a mistake for each unit listed twice and each impossible day."""
+        """Yield a mistake for each unit that is listed twice."""
         units = part(data, "units")
         seen: set[object] = set()
         for place, unit in enumerate(units if isinstance(units, list) else ()):

@@ -1,4 +1,4 @@
-"""The life cycle of a certificate: draft, issue, amendment, revocation, hand-out, check of the register."""
+"""The life cycle of a certificate: draft, issue, amendment, revocation, copies, check of the register."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Desk:
-    """The means of issuing certificates: files as read, the authorising person, a key, schemas, the clock."""
+    """The inputs for issuing: loaded files, the authorising person's name, key, schemas and clock."""
 
     runs: Path
     laboratory_file: Document
@@ -42,23 +42,23 @@ class Desk:
 
     @property
     def laboratory(self) -> Laboratory:
-        """The laboratory. Raises `FileMistakes`."""
+        """The laboratory file, validated. Raises `FileMistakes`."""
         return laboratory_of(self.laboratory_file)
 
     @property
     def order(self) -> Order:
-        """The order. Raises `FileMistakes`."""
+        """The order file, validated. Raises `FileMistakes`."""
         return validated(self.order_file, Order)
 
     def person(self, laboratory: Laboratory) -> Person:
-        """Return the authorising person. Raises `Refused` for a person who may not authorise."""
+        """Return the authorising person. Raises `Refused` if the laboratory file does not name that person."""
         return authorised(laboratory, self.authorised_by)
 
 
 def desk_of(request: Issuing, passphrase: Callable[[], bytes]) -> Desk:
-    """Return the checked means of issuing certificates; `passphrase` is called if the key needs it.
+    """Return the inputs for issuing, checked; `passphrase` is called if the key needs one.
 
-    Raises `Refused` with everything missing from the request, `FileMistakes` for mistakes in its files.
+    Raises `Refused` with every missing option of the request, and `FileMistakes` for mistakes in its files.
     """
     needed = {
         "--laboratory FILE": request.laboratory,
@@ -85,14 +85,14 @@ def desk_of(request: Issuing, passphrase: Callable[[], bytes]) -> Desk:
 
 
 def laboratory_in(file: Path | None) -> Laboratory:
-    """Return the laboratory of a file. Raises `Refused` where none is named, `FileMistakes`."""
+    """Read a laboratory file. Raises `Refused` if `file` is None, `FileMistakes` for mistakes in the file."""
     if file is None:
         raise Refused("say --laboratory FILE")
     return load_laboratory(file)
 
 
 def _outcome(run: str, number: str | None = None, **told: Any) -> IssuedRun:
-    """Return the outcome of issuing for a run."""
+    """Return the outcome for a run; `told` replaces the default members."""
     usual: dict[str, Any] = {"files": [], "why": None, "issued_before": False, "lacks": []}
     return IssuedRun(run=run, number=number, **{**usual, **told})
 
@@ -110,7 +110,7 @@ class Bodies:
 
 
 def authorised(laboratory: Laboratory, name: str) -> Person:
-    """Return the person `name`. Raises `Refused` if this person may not authorise certificates."""
+    """Return the person called `name`. Raises `Refused` if this person may not authorise certificates."""
     person = laboratory.person(name)
     if person is None:
         names = ", ".join(one.name for one in laboratory.authorised)
@@ -129,7 +129,11 @@ def issue_all(names: Sequence[str], desk: Desk) -> Iterator[IssuedRun]:
 
 
 def drafts(request: IssueCertificates) -> Iterator[IssuedRun]:
-    """Write a draft of each run, without a number: `certificate-draft.pdf` in its folder, or in `out`."""
+    """Write a draft certificate for each run, and yield the outcomes.
+
+    A draft has no number. It is `certificate-draft.pdf` in the run's folder, or a file with the run's name in
+    `out`.
+    """
     laboratory = None if request.laboratory is None else load_laboratory(request.laboratory)
     order = None if request.order is None else load_order(request.order)
     for name in request.names:
@@ -146,7 +150,7 @@ def drafts(request: IssueCertificates) -> Iterator[IssuedRun]:
 
 @contextmanager
 def _told(name: str) -> Iterator[list[IssuedRun]]:
-    """Turn an exception into the outcome of that run, so that the other runs continue."""
+    """Yield a list for the outcome of a run; an exception becomes the outcome, so that other runs continue."""
     outcomes: list[IssuedRun] = []
     try:
         yield outcomes
@@ -174,7 +178,11 @@ def _holding(register: Register, certificate: Certificate) -> NumberStatus | Non
 
 
 def amend(number: str, name: str, desk: Desk, reason: str, *, replaced: bool) -> IssuedRun:
-    """Issue a certificate that supersedes and names a valid one. Raises `Refused` if that is not valid."""
+    """Issue a certificate for the run `name` that supersedes the certificate `number`.
+
+    The old certificate becomes "replaced" if `replaced`, else "amended". The new one states its number and
+    the `reason`. Raises `Refused` if the old certificate is not valid or is for another unit.
+    """
     laboratory, order = desk.laboratory, desk.order
     person = desk.person(laboratory)
     certificate = certificate_of(name, desk.runs, laboratory, order)
@@ -201,7 +209,7 @@ def revoke(request: RevokeCertificate) -> None:
 
 
 def holds(register: Register, number: str) -> NumberStatus:
-    """Return the status of a valid certificate. Raises `Refused` for an invalid or unknown number."""
+    """Return the status of a valid certificate. Raises `Refused` if it is no longer valid or was never issued."""
     standing = issued(register, number)
     if standing.state != ISSUED:
         told = f"by {standing.by}" if standing.state != REVOKED else f": {standing.by}"
@@ -210,7 +218,7 @@ def holds(register: Register, number: str) -> NumberStatus:
 
 
 def issued(register: Register, number: str) -> NumberStatus:
-    """Return the status of a number. Raises `Refused` for a number that was never issued."""
+    """Return the status of a certificate number. Raises `Refused` for a number that was never issued."""
     if number not in register.standings:
         latest = ", ".join(list(register.standings)[-3:]) or "none"
         raise Refused(
@@ -227,7 +235,7 @@ def _write(
     register: Register,
     before: Before | None,
 ) -> IssuedRun:
-    """Number, produce and issue a certificate with an open register; return the outcome."""
+    """Number, produce and issue a certificate in an open register; return the outcome."""
     now = desk.now()
     simulated = certificate.simulated
     number = register.number_after(laboratory.number(n, now.year, simulated=simulated) for n in count(1))
@@ -262,7 +270,7 @@ def _write(
 
 
 def refuse_incomplete(certificate: Certificate) -> None:
-    """Raise `Refused` with all that a certificate lacks."""
+    """Raise `Refused` with all missing items if a certificate is incomplete."""
     lacking = missing(certificate)
     if lacking:
         raise Refused(f"{certificate.found.record.run}: not issued; missing: {'; '.join(lacking)}")
@@ -292,7 +300,10 @@ def _body(certificate: Certificate, xml: bytes) -> bytes:
 def signed(
     bodies: Bodies, certificate: Certificate, signatory: Signatory | None, now: datetime
 ) -> dict[str, bytes]:
-    """Return the files of a certificate by name. The PDF embeds the signed XML and is then signed."""
+    """Return the files of a certificate by name, signed if there is a signatory.
+
+    The PDF embeds the signed XML and is then signed itself.
+    """
     number = certificate.number
     if signatory is None:
         return {f"{number}.xml": bodies.xml, f"{number}.pdf": bodies.pdf}
@@ -305,7 +316,10 @@ def signed(
 
 
 def made_again(register: Register, number: str, runs: Path) -> Bodies:
-    """Return the unsigned forms of an issued certificate from its record. Raises as issuing does."""
+    """Reproduce the unsigned forms of an issued certificate from its record and its stored inputs.
+
+    Raises `Refused` if a stored input or the record has changed; otherwise raises as issuing does.
+    """
     entry = issued(register, number).entry
     kept = entry.data["made_from"]
     paths = {name: register.folder / "made-from" / digest for name, digest in kept.items() if digest}
@@ -330,10 +344,10 @@ def made_again(register: Register, number: str, runs: Path) -> Bodies:
 
 
 def checked(request: CheckRegister) -> tuple[RegisterResult, list[Path]]:
-    """Return the content of a register, for one number or all, and the files that were handed out again.
+    """Return the content of a register, for one number or all, and the files copied to `request.out`.
 
-    With `again` each certificate is reproduced from its record and compared. Raises `Refused` for a number
-    that was never issued.
+    With `request.again`, each certificate is reproduced from its record and compared. Raises `Refused` for a
+    number that was never issued.
     """
     if request.out is not None and request.number is None:
         raise Refused("--out: say the number of the certificate that is handed out")
@@ -348,7 +362,10 @@ def checked(request: CheckRegister) -> tuple[RegisterResult, list[Path]]:
 
 
 def register_result(register: Register, number: str | None, runs: Path | None) -> RegisterResult:
-    """Return the content of an open register, for one number or all; `runs` serves to reproduce each."""
+    """Return the content of an open register, for one number or all.
+
+    If `runs` is given, each certificate is also reproduced from its record in that folder and compared.
+    """
     numbers = list(register.standings) if number is None else [issued(register, number).entry.number]
     problems = [problem for problem in register.damaged_files() if number is None or f"{number}." in problem]
     rows = []
@@ -377,7 +394,7 @@ def register_result(register: Register, number: str | None, runs: Path | None) -
 
 
 def _same(register: Register, number: str, runs: Path, problems: list[str]) -> bool:
-    """Whether the reproduced unsigned forms equal the issued ones byte for byte."""
+    """Return whether the reproduced unsigned forms equal the issued ones; append differences to `problems`."""
     stated = register.standings[number].entry.data["bodies"]
     try:
         again = made_again(register, number, runs).sha256()
@@ -393,7 +410,7 @@ def _same(register: Register, number: str, runs: Path, problems: list[str]) -> b
 
 
 def handed_out(register: Register, number: str, folder: Path) -> list[Path]:
-    """Copy the issued files of a certificate into a folder. Raises `Refused`, `OSError`."""
+    """Copy the issued files of a certificate into a folder; return the copies. Raises `Refused`, `OSError`."""
     entry = issued(register, number).entry
     contents = {name: register.file(name) for name in entry.files}
     if folder.absolute() == register.folder.absolute():

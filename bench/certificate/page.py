@@ -1,7 +1,7 @@
 """Page data and unsigned PDF of a certificate, and the check that a file is such a PDF.
 
-A certificate is a PDF/A-3b with files attached (ISO 19005-3:2012). `faults_of` looks at a file as objects, before
-it is signed and after. It is no complete validator: it lists each check with its clause; veraPDF checks more.
+A certificate is a PDF/A-3b with files attached (ISO 19005-3:2012). `faults_of` checks the objects of a file,
+signed or unsigned. Each fault names its clause. The check is not complete: veraPDF checks more.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from bench.certificate.proof import NOBODY_SAYS, Block, Cell, Writer, plain
 from bench.services.errors import Refused
 
 DCC: Final = "dcc.xml"
-"""The name under which the digital certificate is attached."""
+"""Name of the attached digital certificate."""
 
 RELATIONS: Final = {DCC: "data", "result.json": "data", "readings.csv": "source", "seal.json": "supplement"}
 """Relationship of each attachment to the pages (ISO 19005-3, AFRelationship)."""
@@ -34,18 +34,18 @@ _LARGEST_LOGO: Final = 2 * MEGABYTE
 
 
 def attachments_of(certificate: Certificate, dcc: bytes) -> tuple[Attached, ...]:
-    """Return the files attached to a PDF, the digital certificate first; a draft (empty `dcc`) has none."""
+    """Return the attachments of the PDF; the digital certificate `dcc` comes first, unless it is empty (draft)."""
     digital = Attached(DCC, "text/xml", "the digital calibration certificate (DCC)", dcc)
     return (digital, *certificate.attachments) if dcc else certificate.attachments
 
 
 def data_of(certificate: Certificate, dcc: bytes) -> dict[str, Any]:
-    """Return the input data of the page template. Raises `Refused` for a logo that is no picture."""
+    """Return the input data of the page template. Raises `Refused` for a logo that is not a picture."""
     write = Writer(certificate)
     laboratory, issue = certificate.laboratory, certificate.issue
     title = write.say("title")
     name = NOBODY_SAYS if laboratory is None else laboratory.name
-    # a draft is of the day on which the run ended: a PDF/A has a date, and not the clock's
+    # PDF/A needs a date; a draft bears that of the run's end, so that its bytes do not depend on the clock
     day = day_of(certificate.found.ended if issue is None else issue.issued) or date(1970, 1, 1)
     attached = attachments_of(certificate, dcc)
     listed = [(one.name, one.description, sha256(one.content).hexdigest()) for one in attached]
@@ -196,9 +196,9 @@ _NO_SIGN: Final = re.compile(r'the text `"(.+?)"` could not be displayed')
 
 
 def body_of(certificate: Certificate, dcc: bytes) -> bytes:
-    """Return the PDF/A-3b of a certificate with its files attached, `dcc` its digital certificate (XML).
+    """Return the PDF/A-3b of a certificate with its attachments; `dcc` is the digital certificate (XML).
 
-    Raises `Refused` for a logo that is no picture, and for a character without a glyph in the fonts.
+    Raises `Refused` for a logo that is not a picture, and for a character without a glyph in the fonts.
     """
     given = {one.name: one.content.decode() for one in attachments_of(certificate, dcc)}
     data = {"data": json.dumps(data_of(certificate, dcc)), **given}
@@ -206,7 +206,7 @@ def body_of(certificate: Certificate, dcc: bytes) -> bytes:
 
 
 def pictures_of(certificate: Certificate, dcc: bytes, dots_per_inch: float = 110.0) -> list[bytes]:
-    """Return the pages as pictures (PNG). Raises as `body_of`."""
+    """Return an image (PNG) of each page. Raises as `body_of`."""
     given = {one.name: one.content.decode() for one in attachments_of(certificate, dcc)}
     data = {"data": json.dumps(data_of(certificate, dcc)), **given}
     import typst
@@ -254,7 +254,7 @@ def _moment(certificate: Certificate) -> int:
         return 0
 
 
-# --- whether a file is a PDF/A-3b with files attached ---------------------------------------------------
+# --- check that a file is a PDF/A-3b with attachments -----------------------------------------------
 
 _KNOWN_RELATIONS: Final = {
     "/Source",
@@ -268,7 +268,7 @@ _ACTIONS: Final = {
     "/Launch", "/Sound", "/Movie", "/ResetForm", "/ImportData", "/Hide", "/SetOCGState", "/Rendition", "/Trans",
     "/GoTo3DView", "/JavaScript", "/URI", "/SubmitForm", "/GoToR", "/GoToE",
 }  # fmt: skip
-"""Forbidden actions, which run code or leave the file; 6.5.1 forbids most, a certificate needs none."""
+"""Actions that run code or leave the file. Clause 6.5.1 forbids most; a certificate needs none."""
 _FORBIDDEN_ANNOTATIONS: Final = {"/3D", "/Sound", "/Screen", "/Movie", "/RichMedia", "/FileAttachment"}
 _HIDING: Final = 1 | 2 | 32 | 256  # Invisible, Hidden, NoView, ToggleNoView
 _PRINT: Final = 4
@@ -276,7 +276,7 @@ _PDFA: Final = "http://www.aiim.org/pdfa/ns/id/"
 
 
 def faults_of(file: bytes) -> tuple[str, ...]:
-    """Return a sentence for each way in which a file deviates from the PDF/A-3b of a certificate."""
+    """Return a sentence for each deviation of a file from the PDF/A-3b of a certificate."""
     import pikepdf
 
     if re.match(rb"%PDF-1\.[0-7]\r?\n%[\x80-\xff]{4}", file) is None:

@@ -1,4 +1,4 @@
-"""The pages after the first: method, conditions, results, conformity, record; and their blocks."""
+"""The blocks of the pages after the first: method, conditions, results, conformity, record."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Writer:
         self._texts = certificate.texts
 
     def say(self, key: str, **values: object) -> list[str]:
-        """Return the text `key` in each language; a value that is a list holds one wording per language."""
+        """Return the text `key` in each language; a list among `values` has one wording per language."""
         return [
             text.say(key, **{name: of[i] if isinstance(of, list) else of for name, of in values.items()})
             for i, text in enumerate(self._texts)
@@ -60,7 +60,7 @@ class Writer:
         return {"kind": "pairs", "rows": told}
 
     def stated(self, certificate: Certificate, page: str) -> list[tuple[str, list[Cell]]]:
-        """Return a page's rows from the laboratory and order files; rows that always appear come first."""
+        """Return a page's rows from the laboratory and order files; rows that are always printed come first."""
         fields = [one for one in certificate.stated if one.place.page == page]
         rows: list[tuple[str, list[Cell]]] = []
         for one in sorted(fields, key=lambda field: not field.place.otherwise):
@@ -80,9 +80,9 @@ class Writer:
         *,
         whole: bool = False,
     ) -> Block:
-        """Return a table: `align` has l or r for each column, `columns` "auto" or a share of the width.
+        """Return a table block: `align` has l or r for each column, `columns` "auto" or a share of the width.
 
-        One that is `whole` stands on one page.
+        A `whole` table is kept on one page.
         """
         widths = [str(width) for width in columns]
         return {
@@ -91,7 +91,7 @@ class Writer:
         }  # fmt: skip
 
     def figure(self, svg: str, key: str, width_mm: float, **values: object) -> Block:
-        """Return a figure block: an SVG of the report, with its lettering as outlines."""
+        """Return a figure block from an inline SVG element; `key` is the key of the caption."""
         told = self.say(key, **values)
         alone = svg.replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" ', 1)
         return {"kind": "figure", "svg": alone, "words": told, "width": width_mm, "alt": told[0]}
@@ -105,7 +105,7 @@ def symbol(name: str) -> Cell:
 
 
 def value_cells(value: Value, size: float = 1.0, unit: str = "") -> list[Cell]:
-    """Return a row of a result in units of `size`: name, value, U, k, degrees of freedom, unit."""
+    """Return the cells of a result in units of `size`: name, value, U, k, degrees of freedom, unit."""
     U = value.U / size
     freedom = (
         "∞"
@@ -126,7 +126,7 @@ def value_cells(value: Value, size: float = 1.0, unit: str = "") -> list[Cell]:
 
 
 def correlation_rows(values: Values) -> list[list[Cell]]:
-    """Return the lower triangle of the correlations, a row for each result; one without u has dashes."""
+    """Return the lower triangle of the correlation matrix; results without uncertainty have dashes."""
     rows: list[list[Cell]] = []
     u = [value.u for value in values.values]
     for i, value in enumerate(values.values):
@@ -143,24 +143,24 @@ def correlation_rows(values: Values) -> list[list[Cell]]:
 
 
 def code(text: str) -> Cell:
-    """Return the cell for a hash, an address or a file name, set as code."""
+    """Return the cell for a hash, an address or a file name, set in a monospaced font."""
     return {"code": text}
 
 
 def broken(digest: str) -> list[Cell]:
-    """Return the cells for a hash, broken into lines."""
+    """Return the cells for a hash, one for each line."""
     return [code(digest[at : at + _CODE_LENGTH]) for at in range(0, len(digest), _CODE_LENGTH)]
 
 
 def span(low: float, high: float, u: float | None, unit: str) -> str:
-    """Return a range as a certificate states it: "22.8 °C to 23.1 °C", with U where there is one (k = 2)."""
+    """Return a range in words, such as "22.8 … 23.1 °C ± 0.2 °C (k = 2)"; without u, the range alone."""
     ends = [rounded(one, 2.0 * u) if u else fixed(one, 2) for one in (low, high)]
     text = f"{ends[0]} {unit}" if ends[0] == ends[1] else f"{ends[0]} … {ends[1]} {unit}"
     return f"{text} ± {uncertainty(2.0 * u)} {unit} (k = 2)" if u else text
 
 
 def plain(told: Any) -> Any:
-    """Return data with control characters made visible, so that a name hides nothing on paper."""
+    """Return data with control characters made visible, so that no text can hide anything on the page."""
     if isinstance(told, dict):
         return {name: plain(of) for name, of in told.items()}
     if isinstance(told, list | tuple):
@@ -173,7 +173,7 @@ _RESULT_COLUMNS: Final = ["auto", 1.2, 1, 0.7, 0.8, 0.6]
 
 
 def pages(certificate: Certificate, write: Writer, attached: list[tuple[str, str, str]]) -> list[Block]:
-    """Return the blocks after the first page; `attached` are the names, contents and hashes of files."""
+    """Return the blocks after the first page; `attached` lists name, description and SHA-256 of each file."""
     found = certificate.found
     return [
         *_method(certificate, write),
@@ -187,7 +187,7 @@ def pages(certificate: Certificate, write: Writer, attached: list[tuple[str, str
     ]
 
 
-# --- how --------------------------------------------------------------------------------------------
+# --- method, conditions and instruments ----------------------------------------------------------------
 
 
 def _method(certificate: Certificate, write: Writer) -> list[Block]:
@@ -252,7 +252,7 @@ def _instrument(one: Instrument, write: Writer) -> list[Cell]:
     ]
 
 
-# --- what was found -----------------------------------------------------------------------------------
+# --- results ------------------------------------------------------------------------------------------
 
 
 def _results(certificate: Certificate, write: Writer) -> list[Block]:
@@ -282,7 +282,7 @@ def _result_table(found: RunFindings, write: Writer, which: str) -> Block:
     head: list[Cell] = [write.say(key) for key in ("quantity", "value", "uncertainty", "k", "dof", "unit")]
     size, unit = (ARCSEC, "″") if which == "misalignments" else (1.0, "")
     rows = [value_cells(value, size, unit) for value in values]
-    for column in (1, 2):  # the value and U stand with their decimal points in line
+    for column in (1, 2):  # align the decimal points of the values and of U
         shown = aligned([str(row[column]) for row in rows])
         for row, cell in zip(rows, shown, strict=True):
             row[column] = cell
@@ -410,14 +410,14 @@ _kept: dict[str, tuple[Any, str]] = {}
 
 
 def _drawn(draw: Callable[[Any], str], of: Any) -> str:
-    """Return a figure; the last one of each kind is cached, because the page is typeset twice."""
+    """Return a figure; the latest of each kind is cached, because the page is typeset twice."""
     kept = _kept.get(draw.__name__)
     if kept is None or kept[0] is not of:
         _kept[draw.__name__] = kept = (of, draw(of))
     return kept[1]
 
 
-# --- what it rests on ---------------------------------------------------------------------------------
+# --- record -------------------------------------------------------------------------------------------
 
 
 def _record(certificate: Certificate, write: Writer, attached: list[tuple[str, str, str]]) -> list[Block]:

@@ -1,8 +1,8 @@
 """The register of issued certificates: an append-only file whose lines contain the previous line's hash.
 
-A certificate is issued when its line is written. Until then its files have temporary names; they get their
-final names afterwards, or when the register is next opened. After any interruption a number therefore exists
-with its files or not at all. Only one program at a time has the register open.
+Writing the line issues the certificate. Until then, its files have temporary names; they are renamed
+afterwards, or when the register is next opened. After any interruption, a number therefore exists with its
+files or not at all. Only one program at a time has the register open.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ ISSUED, REVOKED = "issued", "revoked"
 
 @dataclass(frozen=True)
 class Entry:
-    """A line of the register: the event, its time (ISO 8601), the number, the person, further details."""
+    """A line of the register: event, certificate number, time (ISO 8601), authorising person, further details."""
 
     kind: str
     number: str
@@ -45,13 +45,16 @@ class Entry:
 
     @property
     def files(self) -> dict[str, str]:
-        """The SHA-256 of the files that were issued, by name."""
+        """The SHA-256 of each issued file, by name."""
         return dict(self.data.get("files", {}))
 
 
 @dataclass(frozen=True)
 class NumberStatus:
-    """The status of a number: "issued", "amended", "replaced" or "revoked"; `by` the successor, or why."""
+    """The status of a certificate number: `state` is "issued", "amended", "replaced" or "revoked".
+
+    `by` is the number of the successor, or the reason for the revocation.
+    """
 
     entry: Entry
     state: str = ISSUED
@@ -60,7 +63,11 @@ class NumberStatus:
 
 @dataclass
 class Register:
-    """An open register, locked against other writers. `folder` contains it and the issued files."""
+    """A register, open and locked against other writers; `folder` contains it and the issued files.
+
+    `standings` maps each number to its status. `head`, `length` and `count` are the hash of the last line,
+    the bytes and the lines read so far.
+    """
 
     folder: Path
     standings: dict[str, NumberStatus] = field(default_factory=dict)
@@ -73,7 +80,11 @@ class Register:
         return next(number for number in numbers if number not in self.standings)
 
     def issue(self, entry: Entry, contents: Mapping[str, bytes]) -> None:
-        """Issue a certificate: `contents` are its files by name. Raises `OSError` where it is not issued."""
+        """Issue a certificate; `contents` are its files by name.
+
+        Raises `Refused` if the number is already issued, and `OSError` if the certificate could not be
+        issued.
+        """
         if entry.number in self.standings:
             raise Refused(f"{entry.number}: this number was issued already")
         for name, content in contents.items():
@@ -84,11 +95,11 @@ class Register:
         self._put_in_place(self.standings[entry.number].entry)
 
     def revoke(self, entry: Entry) -> None:
-        """Record that a certificate is no longer valid. Raises `OSError`."""
+        """Append the revocation of a certificate. Raises `OSError`."""
         self._append(entry)
 
     def file(self, name: str) -> bytes:
-        """Return the content of an issued file. Raises `Refused` if it was changed since."""
+        """Return the content of an issued file. Raises `Refused` if the file is unknown, missing or changed."""
         number = name.rsplit(".", 1)[0]
         stated = self.standings[number].entry.files.get(name) if number in self.standings else None
         if stated is None:
@@ -102,7 +113,7 @@ class Register:
         return content
 
     def keep(self, content: bytes) -> str:
-        """Store an input of certificates, identical inputs only once; return its SHA-256."""
+        """Store an input of a certificate under its SHA-256, and return the SHA-256."""
         digest = hashlib.sha256(content).hexdigest()
         place = self.folder / MADE_FROM / digest
         if not place.is_file():
@@ -152,13 +163,13 @@ class Register:
         self._take(line)
 
     def catch_up(self) -> None:
-        """Read lines that others added; finish interrupted issues. Raises `Refused` for a changed line."""
+        """Read the lines added since, and finish interrupted issues. Raises `Refused` for a changed line."""
         self.read_lines()
         for part in self.folder.glob(f"*{_PART}"):
             self._finish(part)
 
     def read_lines(self) -> None:
-        """Read lines that others added, without changing any file. Raises `Refused` for a changed line."""
+        """Read the lines added since, without changing any file. Raises `Refused` for a changed line."""
         path = self.folder / LINES
         if (path.stat().st_size if path.exists() else 0) < self.length:
             raise Refused(f"{path}: lines were taken off its end; take it from a copy")
@@ -211,7 +222,7 @@ class Register:
         _sync_folder(self.folder)
 
     def _finish(self, part: Path) -> None:
-        """Rename a temporary file if it was issued; delete it if a killed program did not issue it."""
+        """Rename a temporary file to its final name if its certificate was issued; delete it if not."""
         name = part.name.removesuffix(_PART)
         standing = self.standings.get(name.rsplit(".", 1)[0])
         stated = None if standing is None else standing.entry.files.get(name)
@@ -224,7 +235,7 @@ class Register:
 
 @contextlib.contextmanager
 def opened(folder: Path, known: Register | None = None) -> Iterator[Register]:
-    """Yield the open register of a folder, created if missing; `known` is an earlier object for it.
+    """Yield the open register of a folder, created if missing; `known` is a `Register` of that folder to reuse.
 
     Raises `Refused` if the register is damaged or not writable, or if another program keeps it open.
     """
@@ -251,7 +262,7 @@ def _write_through(path: Path, content: bytes) -> None:
 
 
 def _sync_folder(folder: Path) -> None:
-    """Sync the names in a folder to the disk, where the system can, so that they survive a power loss."""
+    """Flush the file names in a folder to the disk on POSIX systems, so that they survive a power failure."""
     if os.name != "posix":
         return
     descriptor = os.open(folder, os.O_RDONLY)

@@ -20,14 +20,14 @@ if TYPE_CHECKING:
 
 
 SUFFIX: Final = ".crt"
-"""Suffix that is added to the name of a key file to name the file of its certificate chain."""
+"""Suffix that turns the name of a key file into the name of its certificate chain file."""
 _DAYS_IN_FORCE: Final = 3652
 _LEAST_RSA_BITS: Final = 2048
 
 
 @dataclass(frozen=True)
 class Signatory:
-    """A signatory: a certificate chain, beginning with the key's, and the function that signs.
+    """A signatory: the function that signs and the certificate chain, which starts with the key's own certificate.
 
     `sign` returns a signature over the SHA-256 of a message: ECDSA as DER, RSA by PKCS #1 v1.5.
     """
@@ -49,7 +49,7 @@ class Signatory:
 
 
 def name_of(certificate: Certificate) -> str:
-    """Return the common name of a certificate's subject, or all of it where it has none."""
+    """Return the common name of a certificate's subject, or the whole subject if it has no common name."""
     from cryptography.x509.oid import NameOID
 
     names = certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
@@ -57,17 +57,17 @@ def name_of(certificate: Certificate) -> str:
 
 
 def fingerprint_of(certificate: Certificate) -> str:
-    """Return the SHA-256 of a certificate (DER), with which people compare certificates."""
+    """Return the fingerprint by which people compare certificates: the SHA-256 of the DER form, in hexadecimal."""
     from cryptography.hazmat.primitives.hashes import SHA256
 
     return certificate.fingerprint(SHA256()).hex()
 
 
 def new_certificate_key(file: Path, name: str, passphrase: bytes | None, now: datetime) -> tuple[Path, str]:
-    """Make a P-256 key and a self-signed certificate of a laboratory, valid for ten years.
+    """Make a P-256 key and a self-signed certificate that is valid for ten years; `name` is its subject.
 
-    Return the file of the certificate and its fingerprint. Raises `RecordError` where there is a file already, and
-    for a folder that others may enter; `Refused` for a name that no certificate can have.
+    Return the path of the certificate and its fingerprint. Raises `RecordError` if a file exists already or if
+    others may enter its folder, `Refused` for a name that a certificate cannot have.
     """
     from cryptography import x509
     from cryptography.hazmat.primitives import hashes, serialization
@@ -80,7 +80,7 @@ def new_certificate_key(file: Path, name: str, passphrase: bytes | None, now: da
     except ValueError as error:
         raise Refused(f"{name!r}: not a name for a certificate (1 to 64 characters)") from error
     identifier = x509.SubjectKeyIdentifier.from_public_key(key.public_key())
-    # for signatures of documents alone; a certificate of its own stands for nobody else's
+    # only digital signature and content commitment: this key must not sign other certificates
     usage = x509.KeyUsage(True, True, False, False, False, False, False, False, False)
     certificate = (
         x509.CertificateBuilder(subject, subject, key.public_key(), x509.random_serial_number())
@@ -98,10 +98,11 @@ def new_certificate_key(file: Path, name: str, passphrase: bytes | None, now: da
 
 
 def signatory_of(key: str, chain: Path | None, passphrase: Callable[[], bytes], now: datetime) -> Signatory:
-    """Return the signatory of a `key`: a file (PEM) or an address in a token (`pkcs11:…`, RFC 7512).
+    """Return the signatory for a `key`: a PEM file, or the address of a key in a token (`pkcs11:…`, RFC 7512).
 
-    `chain` has the certificates (PEM), that of the key first; without it the file beside the key, or the token has
-    it. Raises `RecordError` for a file that others may read or that is no key, `Refused` for what cannot sign now.
+    `chain` is a PEM file with the certificates, the key's own first. Without it, the chain is read from the file
+    beside the key or from the token. Raises `RecordError` for a key file that others may read or that holds no
+    key, `Refused` for a key or certificate that cannot be used for signing at `now`.
     """
     if key.startswith("pkcs11:"):
         signatory = signatory_in_token(key, None if chain is None else certificates_in(chain), passphrase)
@@ -112,7 +113,7 @@ def signatory_of(key: str, chain: Path | None, passphrase: Callable[[], bytes], 
 
 
 def certificates_in(file: Path) -> tuple[Certificate, ...]:
-    """Return the certificates of a file (PEM). Raises `Refused` where it has none."""
+    """Return the certificates in a PEM file. Raises `Refused` if it has none or cannot be read."""
     from cryptography import x509
 
     try:
@@ -145,7 +146,7 @@ def _in_file(file: Path, chain: Path | None, passphrase: Callable[[], bytes]) ->
 
 
 def _check(signatory: Signatory, now: datetime) -> None:
-    """Raise `Refused` for a certificate that is not the key's, not in force, or not for signing."""
+    """Raise `Refused` if the certificate does not match the key, is not valid now, or is not meant for signing."""
     from cryptography import x509
     from cryptography.exceptions import InvalidSignature
     from cryptography.hazmat.primitives.asymmetric import rsa
@@ -199,8 +200,8 @@ def signatory_in_token(
 ) -> Signatory:
     """Return the signatory for a key in a token; `pin` is called for the PIN.
 
-    `chain`, if given, replaces the certificate in the token. Raises `Refused` for an address that names
-    not one key, a module that is none, a PIN that the token does not take.
+    `chain`, if given, replaces the certificate in the token. Raises `Refused` if the address does not name
+    exactly one key, if the module is not a PKCS #11 module, or if the token rejects the PIN.
     """
     import pkcs11
 
@@ -219,7 +220,7 @@ def signatory_in_token(
             key = _the_one(session, pkcs11.ObjectClass.PRIVATE_KEY, path, f"{told}: private keys")
             own = chain or (_certificate(session, path, told),)
         except Refused:
-            session.close()  # or the token is still open to whoever asks next
+            session.close()  # otherwise the next caller finds the token still logged in
             raise
     except UnicodeDecodeError as error:
         raise Refused(f"{told}: a PIN is UTF-8 text") from error
@@ -234,7 +235,7 @@ def signatory_in_token(
 
 
 def _parts(address: str) -> tuple[dict[str, Any], str]:
-    """Return the key attributes in a PKCS #11 address, and the path of its module."""
+    """Return the key attributes in a PKCS #11 address, and the path of the module."""
     body, _, query = address.removeprefix("pkcs11:").partition("?")
     path: dict[str, Any] = {}
     for part in filter(None, body.split(";")):
@@ -286,7 +287,7 @@ def _signing(key: Any, told: str) -> Callable[[bytes], bytes]:
         try:
             if key.key_type == KeyType.RSA:
                 return bytes(key.sign(message, mechanism=Mechanism.SHA256_RSA_PKCS))
-            # tokens that hash by themselves are fewer than those that sign a hash
+            # hash here: more tokens can sign a given hash than can hash the message themselves
             both = bytes(key.sign(sha256(message).digest(), mechanism=Mechanism.ECDSA))
         except PKCS11Error as error:
             reason = str(error) or type(error).__name__
@@ -298,10 +299,10 @@ def _signing(key: Any, told: str) -> Callable[[bytes], bytes]:
 
 
 def why_not_trusted(chain: Sequence[Certificate], when: datetime, trusted: Sequence[Certificate]) -> str:
-    """Return why a signer's certificate is not one of `trusted`, nor issued under one of them; "" where it is.
+    """Return why a signer's certificate is not trusted at the time `when`; "" if it is trusted.
 
-    `chain` begins with the signer's, the others may link it to one of `trusted`. It is asked of the moment `when`.
-    No list of withdrawn certificates is asked.
+    It is trusted if it is in `trusted` or was issued under a certificate there. `chain` starts with the signer's
+    certificate; the others may link it to `trusted`. Revocation lists are not checked.
     """
     own = chain[0]
     if fingerprint_of(own) in {fingerprint_of(one) for one in trusted}:

@@ -28,7 +28,7 @@ class NotIntact(Exception):
 
 
 class NoCertificate(NotIntact):
-    """Raised for a file that cannot be an issued certificate."""
+    """Raised for a file that cannot be an issued certificate, such as a draft."""
 
 
 class Unsigned(NotIntact):
@@ -37,9 +37,10 @@ class Unsigned(NotIntact):
 
 @dataclass(frozen=True)
 class SignedXml:
-    """A signed XML: its `content` in canonical form (no comments, no signature), and the signer.
+    """A signed XML: its `content` in canonical form, without comments and signature, and the signer's `chain`.
 
-    `signed_at` is the time by the signer's clock; `comments` counts the comments, which are not signed.
+    `signed_at` is the time by the signer's clock. `comments` counts the comments in the file, which are not
+    signed.
     """
 
     content: bytes
@@ -49,7 +50,10 @@ class SignedXml:
 
 
 def sign_xml(document: bytes, signatory: Signatory, now: datetime) -> bytes:
-    """Return a document with a signature as the last element of its root. Raises `Refused` for one that has one."""
+    """Return a document with a XAdES signature as the last element of its root.
+
+    Raises `Refused` if the document is already signed.
+    """
     etree, xades, methods = _packages()
     root = _read(document)
     if next(root.iter(f"{{{NAMESPACE}}}Signature"), None) is not None:
@@ -72,7 +76,7 @@ def sign_xml(document: bytes, signatory: Signatory, now: datetime) -> bytes:
 
 
 class _Key:
-    """A signatory's key as the library uses one."""
+    """An adapter that gives a signatory's key the interface that signxml expects of a key."""
 
     def __init__(self, signatory: Signatory) -> None:
         self._signatory = signatory
@@ -83,10 +87,10 @@ class _Key:
 
 
 def check_xml(document: bytes) -> SignedXml:
-    """Return the content covered by the only signature of a document, and its signer, trusted or not.
+    """Verify the signature of a document; return the signed content and the signer, trusted or not.
 
-    Raises `Unsigned` where there is none, `NotIntact` where there is more than one, where it does not stand for the
-    whole document, where it is wrapped or has parts that nobody signed, and where anything signed was changed.
+    Raises `Unsigned` if there is no signature. Raises `NotIntact` if there are several, if the signature does not
+    cover the whole document or has unsigned parts, or if anything signed was changed.
     """
     etree, xades, methods = _packages()
     root = _read(document)
@@ -105,9 +109,7 @@ def check_xml(document: bytes) -> SignedXml:
     )
     try:
         whole, *_ = xades.XAdESVerifier().verify(root, x509_cert=certificates[0], expect_config=config)
-    except (
-        Exception
-    ) as error:  # whatever the library, the parser and the cryptography below it make of bad input
+    except Exception as error:  # bad input raises many kinds of exception in the libraries below
         raise NotIntact(f"the signature does not hold ({_told(error)})") from error
     _check_references(whole.signature_xml)
     comments = sum(1 for _ in root.iter(etree.Comment))
@@ -115,13 +117,17 @@ def check_xml(document: bytes) -> SignedXml:
 
 
 def unsigned_content(document: bytes) -> bytes:
-    """Return the canonical form of an unsigned document, without comments. Raises `NotIntact`."""
+    """Return the canonical form of an unsigned document, without comments. Raises `NotIntact` as `_read`."""
     etree, _, _ = _packages()
     return bytes(etree.tostring(_read(document), method="c14n", with_comments=False))
 
 
 def _read(document: bytes) -> Any:
-    """Return the root of a document without entities, document type, network. Raises `NotIntact`."""
+    """Parse a document without network access; return its root.
+
+    Raises `NotIntact` if it is too large, is not XML, or has a document type, entities or processing
+    instructions.
+    """
     etree, _, _ = _packages()
     if len(document) > _MOST_BYTES:
         raise NotIntact(f"it has more than {_MOST_BYTES // 1_000_000} MB")
@@ -141,7 +147,10 @@ def _read(document: bytes) -> Any:
 
 
 def _the_signature(root: Any) -> Any:
-    """Return the only signature: the last element of the root, with its four required parts."""
+    """Return the only signature of a document: the last element of the root, with exactly the required parts.
+
+    Raises `Unsigned` if there is none, `NotIntact` if there are several or if one is misplaced or malformed.
+    """
     found = list(root.iter(f"{{{NAMESPACE}}}Signature"))
     if not found:
         raise Unsigned("nobody signed it (no XML signature)")
@@ -166,7 +175,7 @@ def _the_signature(root: Any) -> Any:
 
 
 def _check_references(signature: Any) -> None:
-    """Raise `NotIntact` unless what is signed is the whole document, the properties and the certificates."""
+    """Raise `NotIntact` unless the signature covers the whole document, its properties and the certificates."""
     info = signature.find(f"{{{NAMESPACE}}}SignedInfo")
     key_info = signature.find(f"{{{NAMESPACE}}}KeyInfo")
     properties = signature.find(f".//{{{_XADES}}}SignedProperties")
@@ -231,14 +240,14 @@ _REVISIONS: Final = 2
 
 @dataclass(frozen=True)
 class SignedPdf:
-    """A signed PDF: the whole file, and who signed; `signed_at` is what the signer's clock said."""
+    """The signer of a PDF: the certificate chain, and the time of signing by the signer's clock."""
 
     chain: tuple[Certificate, ...]
     signed_at: datetime
 
 
 def sign_pdf(body: bytes, signatory: Signatory, now: datetime, reason: str, place: str) -> bytes:
-    """Return a PDF with a signature of all of it appended. Raises `Refused` for one that has one."""
+    """Return a PDF with a PAdES signature over the whole file. Raises `Refused` if it is already signed."""
     from asn1crypto.x509 import Certificate as Asn1
     from cryptography.hazmat.primitives.serialization import Encoding
     from pyhanko.pdf_utils.incremental_writer import IncrementalPdfFileWriter
@@ -282,10 +291,10 @@ def sign_pdf(body: bytes, signatory: Signatory, now: datetime, reason: str, plac
 
 
 def check_pdf(file: bytes) -> SignedPdf:
-    """Return the verified signature of a PDF, whether or not its signer is trusted.
+    """Verify the signature of a PDF; return the signer, trusted or not.
 
-    Raises `Unsigned` where there is no signature, `NotIntact` where there is more than one, where it does not cover
-    every byte but itself, where anything was appended after it, and where what it covers was changed.
+    Raises `Unsigned` if there is no signature. Raises `NotIntact` if there are several, if the signature does not
+    cover every byte except itself, if anything was appended after it, or if anything signed was changed.
     """
     if len(file) > _MOST_PDF_BYTES:
         raise NotIntact(f"it has more than {_MOST_PDF_BYTES // 1_000_000} MB")
@@ -309,13 +318,13 @@ def check_pdf(file: bytes) -> SignedPdf:
         return _who(signature)
     except (NotIntact, Refused):
         raise
-    except Exception as error:  # whatever the libraries below make of bad input
+    except Exception as error:  # bad input raises many kinds of exception in the libraries below
         told = " ".join(str(error).split())[:200] or type(error).__name__
         raise NotIntact(f"its signature cannot be read ({told})") from error
 
 
 def _check_cover(file: bytes, signature: Any) -> None:
-    """Raise `NotIntact` unless a signature covers all of the file but the hexadecimal digits of itself."""
+    """Raise `NotIntact` unless the signature covers every byte of the file except its own hexadecimal digits."""
     ranges = [int(one) for one in signature.byte_range]
     if len(ranges) != 4 or ranges[0] != 0:
         raise NotIntact("its signature does not cover it from the first byte")
@@ -333,16 +342,17 @@ def _check_cover(file: bytes, signature: Any) -> None:
 
 
 def _written_anew(content: bytes) -> bytes:
-    """Return the DER value at the start of padded bytes, encoded anew by the rules of DER."""
+    """Return the DER value at the start of padded bytes, encoded again by the rules of DER."""
     from asn1crypto.cms import ContentInfo
 
     return bytes(ContentInfo.load(content, strict=False).dump(force=True))
 
 
 def _check_wrapping(data: Any, signer: Any) -> None:
-    """Raise `NotIntact` where what the signature does not cover of its own wrapping is not as it was made.
+    """Raise `NotIntact` if the parts of the CMS structure that no signature covers differ from what is written.
 
-    That are versions and a list of algorithms (RFC 5652, 5.1, 5.3), which readers look at or not.
+    They are the versions, the digest algorithms and the unsigned attributes (RFC 5652, 5.1, 5.3). Some readers
+    ignore them.
     """
     from asn1crypto.algos import DigestAlgorithm
     from asn1crypto.core import Null
@@ -366,7 +376,7 @@ def _who(signature: Any) -> SignedPdf:
     when = signature.self_reported_timestamp
     if when is None or when.tzinfo is None:
         raise NotIntact("its signature does not say when it was made")
-    # for this question alone the signer is believed; whether it is the laboratory is asked apart
+    # trust the signer here, to check the signature alone; `why_not_trusted` checks who signed
     context = ValidationContext(trust_roots=[signature.signer_cert], moment=when, allow_fetching=False)
     status = validate_pdf_signature(signature, context, key_usage_settings=_any_usage())
     if not status.intact:

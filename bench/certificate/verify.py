@@ -1,4 +1,4 @@
-"""Verification of a certificate: both signatures, their agreement, and register and record if available."""
+"""Verification of a certificate: signatures, agreement of PDF and XML, and register and record if available."""
 
 from __future__ import annotations
 
@@ -67,11 +67,13 @@ UNKNOWN: Final = (
 
 @dataclass
 class Verdict:
-    """The findings on a certificate: `wrong` says why it is not intact, `agreed` lists the comparisons made.
+    """The findings on a certificate.
 
-    `why_not_trusted` is None without a trust file, "" where it stands for the signer. `shown` is what it says: what
-    was signed, unless it is `unsigned`. `standing` is None where no register is at hand. `issued` tells that it was
-    ever issued, as far as can be seen.
+    `wrong` lists the reasons why it is not intact, `agreed` the comparisons that agreed, `not_signed` what the
+    signature does not cover, and `not_proved` what the verification cannot show. `why_not_trusted` is None
+    without a trust file and "" for a trusted signer. `shown` are the values in the certificate, also if it is
+    `unsigned`. `standing` is None if no register is available. `issued` is false for a file that cannot be an
+    issued certificate.
     """
 
     file: str
@@ -95,9 +97,10 @@ class Verdict:
 
     @property
     def accepted(self) -> bool:
-        """Whether the certificate is intact, its signer trusted, and its number valid, as far as requested.
+        """Whether the certificate is intact, its signer not distrusted, and its number valid, as far as checked.
 
-        What nobody signed is accepted by a register that was named alone: one beside the file anybody can write.
+        An unsigned certificate is accepted only if a register that the user named contains it. A register found
+        beside the file is not enough, because anybody can write one.
         """
         holds = self.standing is None or self.standing.holds
         vouched = not self.unsigned or self._by_register
@@ -105,7 +108,7 @@ class Verdict:
 
     @property
     def _by_register(self) -> bool:
-        """Whether the register that the user named contains exactly this file."""
+        """Whether the register that the user named contains this certificate."""
         return self.standing is not None and self.standing.named and self.standing.known
 
     @property
@@ -123,7 +126,7 @@ class Verdict:
         return of_signer if self.standing is None else of_signer + self.standing.words
 
     def result(self) -> VerifyResult:
-        """Return the result of `bench certificate verify`; it has the certificate's values only if intact."""
+        """Return the result of `bench certificate verify`, with the certificate's values only if it is intact."""
         says = self.shown.says if self.shown is not None and self.intact else None
         return VerifyResult.from_object(
             self,
@@ -139,11 +142,11 @@ class Verdict:
 
 
 def verify_certificate(file: Path, trust: Path | None, runs: Path, register: Path | None = None) -> Verdict:
-    """Return the findings on a certificate, PDF or XML, and on its other form if that lies beside it.
+    """Return the findings on a certificate (PDF or XML), and on its other form if that lies beside it.
 
-    `trust` contains the certificates (PEM) of trusted signers or authorities. `register` is the folder of
-    the laboratory's register; where it is not given, the one in which the file stands. Raises `Refused` for files
-    that cannot be read, and for a register that cannot be believed.
+    `trust` contains the certificates (PEM) of trusted signers or authorities. `register` is the folder of the
+    laboratory's register; if it is None, a register in the folder of `file` is used. Raises `Refused` for a file
+    that cannot be read, or for a damaged register.
     """
     trusted = None if trust is None else certificates_in(trust)
     content = _content(file)
@@ -194,7 +197,7 @@ def _content(file: Path) -> bytes:
 
 
 def _verify_xml(verdict: Verdict, document: bytes, trusted: Sequence[Certificate] | None) -> SignedXml | None:
-    """Verify an XML; return its signed content, None if it is unsigned."""
+    """Verify an XML, recording signer and values in `verdict`; return its signed content, None if unsigned."""
     signed, content = _signed_or_not(document)
     if signed is not None:
         _name_signer(verdict, signed, trusted)
@@ -255,7 +258,7 @@ def _verify_pdf(verdict: Verdict, file: bytes, trusted: Sequence[Certificate] | 
 
 
 def _agree_on_signer(paper: SignedPdf, digital: SignedXml) -> None:
-    """Raise `NotIntact` unless paper and digital certificate have one signer, who signed the digital one first."""
+    """Raise `NotIntact` unless one signer signed both PDF and XML, and signed the XML first."""
     if fingerprint_of(paper.chain[0]) != fingerprint_of(digital.chain[0]):
         raise NotIntact(
             f"the PDF was signed by {name_of(paper.chain[0])}, its XML by {name_of(digital.chain[0])}"
@@ -265,7 +268,7 @@ def _agree_on_signer(paper: SignedPdf, digital: SignedXml) -> None:
 
 
 def _agree(verdict: Verdict, shown: ShownValues, attached: dict[str, bytes], title: str) -> None:
-    """Raise `NotIntact` unless paper and digital certificate have number and files in common."""
+    """Raise `NotIntact` unless PDF and XML have the same certificate number and the same attached files."""
     number = shown.says.number
     if not number or not title.endswith(f" {number}"):
         raise NotIntact(f"the PDF is of '{title}', its XML of certificate {number}")
@@ -278,7 +281,7 @@ def _agree(verdict: Verdict, shown: ShownValues, attached: dict[str, bytes], tit
 
 
 def _hold_together(verdict: Verdict, file: bytes, document: bytes, name: str) -> None:
-    """Compare an XML with the PDF beside it."""
+    """Verify the PDF beside an XML, and compare the XML inside the PDF with it. Raises `NotIntact`."""
     apart = Verdict(name)
     try:
         attached = _verify_pdf(apart, file, None)
@@ -288,7 +291,7 @@ def _hold_together(verdict: Verdict, file: bytes, document: bytes, name: str) ->
 
 
 def _hold_beside(verdict: Verdict, attached: bytes, document: bytes, name: str) -> None:
-    """Raise `NotIntact` unless the XML within the PDF and the one beside it say the same, by the same signer."""
+    """Raise `NotIntact` unless the XML inside the PDF and the separate XML have the same content and signer."""
     try:
         forms = [_signed_or_not(one) for one in (attached, document)]
     except NotIntact as error:
@@ -324,7 +327,7 @@ def _name_signer(
 
 
 def _agree_on_numbers(shown: ShownValues) -> None:
-    """Raise `NotIntact` unless the coefficients as a list are those of the result that the XML holds."""
+    """Raise `NotIntact` unless the listed coefficients equal those of the attached `result.json`."""
     coefficients = shown.says.coefficients
     if not coefficients or "result.json" not in shown.files:
         raise NotIntact("the digital certificate has no coefficients, or not the result that they are of")
@@ -368,7 +371,7 @@ def _against_record(verdict: Verdict, shown: ShownValues, runs: Path) -> None:
 
 @dataclass(frozen=True)
 class Held:
-    """The outcome of a comparison: `wrong` states the differences, `told` the comparisons made.
+    """The outcome of a comparison: `told` states what agrees, `wrong` what differs.
 
     `open` states what the comparison could not prove.
     """
@@ -379,11 +382,11 @@ class Held:
 
 
 def held_against_record(shown: ShownValues, runs: Path) -> Held | None:
-    """Compare a certificate with its run in `runs`; None if it is missing or another run has its name.
+    """Compare a certificate with the record of its run in `runs`; return None if that record is not there.
 
-    The record is that of the certificate where it begins with the same inputs (`run.json`): then its chain must end
-    as the seal says, and its readings must give the result: to the last digit on the computer that gave it first,
-    within a small part of u on another, whose libraries round otherwise.
+    A run of the same name but with other inputs (`run.json`) is not that record. Otherwise, the chain of hashes
+    must end as in the seal, and the readings must give the same result: every digit on the same computer, within
+    a small part of u on another, whose libraries may round differently.
     """
     try:
         seal = Seal.from_json(json.loads(shown.files["seal.json"]))
@@ -426,7 +429,7 @@ def _asked(shown: ShownValues) -> VerdictOptions:
         told = json.loads(shown.files["result.json"])["verification"]
         rule = DecisionRule.of_json(told) if told else DecisionRule()
     except (KeyError, ValueError, TypeError, AttributeError, RecursionError):
-        return NOTHING_ASKED  # its result is no result, which shows in what follows
+        return NOTHING_ASKED  # a malformed result fails the comparison that follows
     if rule.guard_band is None:
         return NOTHING_ASKED
     return VerdictOptions(rule=rule.name, guard_band=None if rule.name == SIMPLE else rule.guard_band)
@@ -437,7 +440,7 @@ _SAME: Final = 1e-6
 
 
 def _as_good_as(found: RunFindings, shown: ShownValues) -> bool:
-    """Whether a record's coefficients, covariance and verdict equal the certificate's, up to rounding."""
+    """Return whether the record's coefficients, covariance and verdict equal the certificate's, up to rounding."""
     own = found.coefficients
     u = np.array([one.u for one in own.values])
     theirs = shown.says.coefficients.values()
@@ -457,10 +460,11 @@ def _as_good_as(found: RunFindings, shown: ShownValues) -> bool:
 def held_against_register(
     number: str, form: str, content: bytes, file: Path, folder: Path | None
 ) -> tuple[RegisterSays | None, Held]:
-    """Hold a form ("pdf", "xml") of a certificate against the register in `folder`, or where its file stands.
+    """Compare the content of a certificate file with the entry for its number in a register.
 
-    None where no register is at hand: one that stands beside the file by chance, without the number, is none.
-    Raises `Refused` for a register that cannot be believed or read.
+    `form` is "pdf" or "xml". `folder` is the register's folder; if it is None, a register beside `file` is used.
+    Returns the entry and the comparison. The entry is None if there is no register, or if one beside `file` does
+    not have the number. Raises `Refused` for a register that is damaged or cannot be read.
     """
     place = file.absolute().parent if folder is None else folder
     if not (place / LINES).is_file():

@@ -1,7 +1,7 @@
-"""The `bench` command: a module for each, which reads its options, calls and prints.
+"""The `bench` command line: its modules read the options of commands, call the services and print results.
 
-A new command is a new module here and its line in `COMMANDS` of `bench.cli.commands`. Its function is decorated
-with `@app.command(epilog="Example: …")`, takes the options as its parameters (`bench.cli.options` has those that
-commands share), imports what computes where it uses it, so that `bench --help` stays quick, prints with
-`bench.cli.printing` and returns the exit status.
+To add a command, add a module here and a line to `COMMANDS` of `bench.cli.commands`. The command's function is
+decorated with `@app.command(epilog="Example: …")` and takes its options as parameters; `bench.cli.options` has
+those that several commands share. It imports the code that computes only where it calls it, so that `bench
+--help` is quick. It prints with `bench.cli.printing` and returns the exit status.
 """

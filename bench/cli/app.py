@@ -1,4 +1,4 @@
-"""The `bench` command: what stands before a command, and what becomes of a mistake."""
+"""The `bench` command line: its global options, and the reporting of errors."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from bench.services.errors import Refused
 
 DONE, NOT_DONE = 0, 2
 ANYWHERE = ("--debug", "--quiet")
-"""Options that may stand before a command or after it."""
+"""Options accepted before or after a command."""
 CTRL_C = 130
-"""What the command-line library makes of a Ctrl-C."""
+"""The exit status that the command-line library returns after Ctrl-C."""
 
 
 def _print_version(asked: bool) -> None:
@@ -47,7 +47,10 @@ def _common(
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run the command line and exit with its status; every mistake is a clear line on standard error."""
+    """Run the command line and exit with its status; an error is reported on standard error, without a traceback.
+
+    `arguments` are those of `sys.argv` by default. With `--debug`, the traceback is printed as well.
+    """
     given = sys.argv[1:] if arguments is None else arguments
     debug = "--debug" in given
     hushed = computing.quiet.set("--quiet" in given)
@@ -73,12 +76,12 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def _command_in(given: list[str]) -> str:
-    """Return the command that was typed, as a sentence names it."""
+    """Return the command among the arguments as a message names it, such as "bench run"."""
     return " ".join(["bench", *[word for word in given if word in COMMANDS][:1]])
 
 
 def explain(error: Exception, command: str = "bench") -> str:
-    """Return the sentence for an error; one that nobody foresaw names the command, and how to see more."""
+    """Return the message for an error; for an unforeseen one it names the command and suggests `--debug`."""
     from bench.services.errors import expected, kind_and_words, sentence
 
     if isinstance(error, typer.TyperException):

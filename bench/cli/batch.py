@@ -1,4 +1,4 @@
-"""batch: the same work over many runs, restartable, by processes or a cluster; what changed, and which verdicts."""
+"""batch: many runs evaluated anew, restartable, by processes or a cluster; changed results and verdicts."""
 
 from __future__ import annotations
 
@@ -60,9 +60,9 @@ def show(
 
 
 def _carried_out(request: Batch, json: str | None) -> BatchResult:
-    """Carry a batch out, or go on with it, and show how far it is: by a bar on a terminal, else by lines."""
+    """Carry out or continue a batch, print and return its result; show progress as a bar, or as lines for a log."""
     one_thread()
-    import duckdb  # noqa: F401 - it is there, before much is computed
+    import duckdb  # noqa: F401 - fail now if it is missing
     import pyarrow  # noqa: F401
 
     from bench.batch.outcome import carried_out

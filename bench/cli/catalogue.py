@@ -1,4 +1,4 @@
-"""catalogue: many run folders in a database, and what it answers."""
+"""catalogue: many run folders in a database, and questions to it."""
 
 from __future__ import annotations
 

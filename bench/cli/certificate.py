@@ -1,4 +1,4 @@
-"""certificate: certificates issued, amended, revoked, handed out again and read."""
+"""certificate: issue, amend, revoke, hand out again, verify and read certificates."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ if TYPE_CHECKING:
 
 
 class IssueByDefault(TyperGroup):
-    """The commands on certificates; what begins with none of them is to be issued."""
+    """The commands on certificates; `issue` is the default if the first word is none of them."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Put `issue` in front of a run."""
+        """Parse the arguments, with `issue` inserted if the first word is not a command."""
         first = next(iter(args), "--help")
         if first not in self.commands and first not in {"--help", "-h"}:
             args = ["issue", *args]

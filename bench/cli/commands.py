@@ -1,4 +1,4 @@
-"""The commands there are. A module is imported when its command is used, so that `bench --help` stays quick."""
+"""The list of commands. A command's module is imported when it is used, so that `bench --help` is quick."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ MODULES: Final[Mapping[str, str]] = {
     **dict.fromkeys(("runs", "show", "seal", "key", "export", "import"), "records"),
     "simulate": "instruments",
 }
-"""The module of this room that holds a command, where it is not the one of its name."""
+"""The module in this package that defines a command, if it is not named after the command."""
 
 HEADINGS: Final = {
     "run": "Measure",
@@ -74,26 +74,27 @@ HEADINGS: Final = {
     "calibrate": "Evaluate",
     "budget": "Plan",
 }  # fmt: skip
-"""Commands before which a heading stands in the help: it holds up to the next."""
+"""Headings in the help, by the first command below each."""
 
 
 COMPLETED_BY: Final[list[Callable[[Any], Any]]] = []
-"""What gives a command the options that all commands have; `bench.cli.options`, which commands import, adds it."""
+"""Holds the function that adds the shared options to a command. `bench.cli.options` appends it when it is
+imported, because importing it here would be circular."""
 
 
 class Commands(TyperGroup):
-    """The group of all commands; each stands in the module of its name, or the one that `MODULES` says."""
+    """The group of all commands; the module of a command is imported when the command is used."""
 
     def __init__(self, **settings: Any) -> None:
         listed = {name: TyperCommand(name, help=line) for name, line in COMMANDS.items()}
         super().__init__(**{**settings, "commands": listed})
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """Return a command, imported; None where there is none of that name."""
+        """Return the command of this name after importing its module; None if there is no such command."""
         return load_command(cmd_name) if cmd_name in COMMANDS else None
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
-        """Write the commands under their headings, with their whole summaries; none is imported for it."""
+        """Write the commands with their full summaries under headings, without importing their modules."""
         sections: list[tuple[str, list[tuple[str, str]]]] = []
         for name, line in COMMANDS.items():
             if name in HEADINGS or not sections:
@@ -105,13 +106,13 @@ class Commands(TyperGroup):
                 formatter.write_dl([(name.ljust(width), line) for name, line in rows])
 
     def shell_complete(self, ctx: Any, incomplete: str) -> list[Any]:
-        """Return what completes a command or an option; no command is imported to name it."""
+        """Return completions for the name of a command or an option, without importing the commands."""
         listed = TyperGroup(name=self.name, commands=dict(self.commands), params=self.params)
         return listed.shell_complete(ctx, incomplete)
 
 
 def load_command(name: str) -> Any:
-    """Import the module of a command; return what the library makes of its function, or of its group's."""
+    """Import the module of a command; return the library's object for the command or the group of commands."""
     word = name.replace("-", "_") + "_" * iskeyword(name)
     module = import_module(f"bench.cli.{MODULES.get(name, word)}")
     if hasattr(module, "GROUP"):

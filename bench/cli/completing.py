@@ -1,4 +1,4 @@
-"""What a shell offers at Tab for the arguments that are names: runs, readings files, procedures, bench files."""
+"""Completions that a shell offers at Tab for names of runs, readings files, procedures and bench files."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import typer
 
 
 def runs(ctx: typer.Context, incomplete: str) -> list[str]:
-    """Return the runs in the folder of runs whose names begin so."""
+    """Return the names in the folder of runs that begin with `incomplete`."""
     from bench.run.events import MANIFEST
 
     folder = Path(ctx.params.get("runs") or os.environ.get("BENCH_RUNS") or "runs")
@@ -18,19 +18,19 @@ def runs(ctx: typer.Context, incomplete: str) -> list[str]:
 
 
 def sources(ctx: typer.Context, incomplete: str) -> list[str]:
-    """Return the runs, and the readings files of the folder that was begun to be typed."""
+    """Return the matching runs, and the matching readings files in the folder typed so far."""
     return [*runs(ctx, incomplete), *_files(incomplete, ".csv")]
 
 
 def procedures(incomplete: str) -> list[str]:
-    """Return the shipped procedures, and the files that may be one."""
+    """Return the matching shipped procedures, YAML files and folders."""
     from bench.config.shipped import PROCEDURES
 
     return [*_shipped(incomplete, PROCEDURES), *_files(incomplete, ".yaml")]
 
 
 def bench_files(incomplete: str) -> list[str]:
-    """Return the shipped bench files, and the files that may be one."""
+    """Return the matching shipped bench files, YAML files and folders."""
     from bench.config.shipped import CONFIG
 
     return [*_shipped(incomplete, CONFIG), *_files(incomplete, ".yaml")]
@@ -43,7 +43,7 @@ def _shipped(incomplete: str, kind: str) -> list[str]:
 
 
 def _files(incomplete: str, suffix: str) -> list[str]:
-    """Return the files with a suffix, and the folders, as they would be typed."""
+    """Return the matching files with a suffix, and the matching folders, as they would be typed."""
     typed, _, begun = incomplete.rpartition("/")
     lead = f"{typed}/" if "/" in incomplete else ""
     try:

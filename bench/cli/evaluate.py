@@ -1,4 +1,4 @@
-"""calibrate, verify, report, coefficients, compensate, tumble, diagnose, confirm, accept: what readings say."""
+"""calibrate, verify, report, coefficients, compensate, tumble, diagnose, confirm, accept: results of readings."""
 
 from __future__ import annotations
 
@@ -228,7 +228,7 @@ def diagnose(
 
 
 def carried_out(request: Diagnose, target: str | None, *, together: bool) -> list[Diagnosed | Failed]:
-    """Diagnose the sources and write what follows; print the results, write JSON to `target`, return them."""
+    """Diagnose the sources and write the files; print the results, write JSON to `target`, return the results."""
     one_thread()
     from bench.services.bodies import single_bodies, whole_body
     from bench.services.diagnosis import diagnosed, print_diagnosed

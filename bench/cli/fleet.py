@@ -1,4 +1,4 @@
-"""fleet: many units on many benches, as the catalogue has them."""
+"""fleet: many units on many benches, from the catalogue."""
 
 from __future__ import annotations
 

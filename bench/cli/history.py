@@ -1,4 +1,4 @@
-"""chart, compare, learn, stability: many measurements beside one another, and a record at rest."""
+"""chart, compare, learn, stability: evaluations of many measurements, and of a record at rest."""
 
 from __future__ import annotations
 

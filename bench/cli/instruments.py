@@ -1,4 +1,4 @@
-"""instruments, simulate: what is connected to a bench, a first evening with it, and its simulation for others."""
+"""instruments, simulate: test or commission the instruments of a bench; serve simulated ones."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def instruments(request: InstrumentsRequest, json: JsonOption = None) -> int:
 
 
 def _named(bench: str | None) -> str | None:
-    """Return the bench file that was named, None for that of the environment. Raises `Refused` without any."""
+    """Return the bench file named, or None if BENCH_FILE names one. Raises `Refused` if neither does."""
     if not (bench or os.environ.get("BENCH_FILE")):
         raise Refused(
             "say which bench: --bench FILE (or set BENCH_FILE); --discover lists what the interfaces offer"
@@ -55,9 +55,9 @@ def _named(bench: str | None) -> str | None:
 
 
 def look(bench: str | None, target: str | None = None, wire_log: Path | None = None) -> int:
-    """Look at the instruments: 0 when all is well, 2 when one could not be opened, else 1.
+    """Open, test and read all instruments; return 0 without a fault, 2 if one was not opened or was lost, else 1.
 
-    Raises `Refused` without a bench file, `FileMistakes`, `OSError` for a wire log that cannot be.
+    Raises `Refused` without a bench file, `FileMistakes`, `OSError` if the wire log cannot be written.
     """
     from bench.config.bench_file.file import load_bench
     from bench.results.records import InstrumentsResult
@@ -84,7 +84,7 @@ def look(bench: str | None, target: str | None = None, wire_log: Path | None = N
 
 
 def _offers(target: str | None) -> int:
-    """List what the interfaces offer; address no instrument."""
+    """List the resources that the interfaces offer, without addressing an instrument; return 0."""
     from drivers.wire.resources import discover
 
     offer = discover()
@@ -103,9 +103,9 @@ def _offers(target: str | None) -> int:
 
 
 def _commission(request: InstrumentsRequest, target: str | None) -> int:
-    """Commission a bench and print what was found: 0 all works, 1 something is otherwise, 2 not done.
+    """Commission a bench and print the findings; return 0 if all works, 1 if something does not, 2 if not done.
 
-    Raises `Refused` without a person or a folder, `FileMistakes`.
+    Raises `Refused` if there is no terminal or the folder cannot be used, `FileMistakes`.
     """
     from bench.base.text import visible
     from bench.config.bench_file.file import load_bench
@@ -156,9 +156,9 @@ def simulate(request: SimulateRequest) -> int:
 
 
 def _serve(request: SimulateRequest) -> int:
-    """Serve until Ctrl-C, SIGTERM or the end of the terminal, then end with 0.
+    """Serve the simulated instruments until Ctrl-C, SIGTERM or the terminal is closed; return 0.
 
-    Raises `Refused` for a speed or port that there is not, `BenchError` for a port that is taken.
+    Raises `Refused` for an invalid speed or port, `BenchError` for a port in use.
     """
     from bench.config.bench_file.file import load_bench
     from bench.run.assembly.served import served_bench
@@ -192,9 +192,9 @@ def _serve(request: SimulateRequest) -> int:
 
 
 def _command(control: str | None, text: str | None) -> int:
-    """Send a command to a bench that is served: print the answer, a line of JSON.
+    """Send a command to a served bench and print the answer, a line of JSON; return 0.
 
-    Raises `Refused` when nobody answers, or the command is refused.
+    Raises `Refused` if there is no answer or the command is refused.
     """
     if control is None or text is None:
         raise Refused("a bench that is served takes: bench simulate --control HOST:PORT 'turn 45 deg'")
@@ -235,7 +235,7 @@ def _show(bench: BenchFile, serving: Serving) -> None:
 
 @contextmanager
 def _held(host: str, port: int | None) -> Iterator[None]:
-    """Hold the first of the ports that were chosen: who would serve there as well is told who does."""
+    """Lock the first port if one was chosen. A second program is refused, with a message that names the holder."""
     from bench.base.files import cache_folder
     from bench.run.assembly.served import HELD
     from drivers.wire.resources import Holding
@@ -253,7 +253,7 @@ def _held(host: str, port: int | None) -> Iterator[None]:
 
 @contextmanager
 def _announced(serving: Serving, ready_file: Path | None) -> Iterator[None]:
-    """Write the ready file, whole from its first moment; take it away again when it is still ours."""
+    """Write the ready file atomically; delete it at the end if its content is still that of this program."""
     from bench.results.records import ReadyResult, ServedPart
 
     if ready_file is None:
@@ -282,7 +282,7 @@ def _announced(serving: Serving, ready_file: Path | None) -> Iterator[None]:
 
 @contextmanager
 def _ended_by_signal() -> Iterator[threading.Event]:
-    """Yield what Ctrl-C, SIGTERM and a closed terminal set in place of ending the program."""
+    """Yield an event that Ctrl-C, SIGTERM or a closed terminal sets, in place of ending the program."""
     from bench.run.interrupts import SIGNALS
 
     ended = threading.Event()

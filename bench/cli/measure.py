@@ -1,4 +1,4 @@
-"""run, resume, abort, control: procedures carried out on a bench or dry, and the runs in progress."""
+"""run, resume, abort, control: carry out procedures on a bench or dry, and control runs in progress."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ def _results(run: Run, interrupts: Interrupts, json: str | None, out: Console) -
 
 
 def _print_chart(found: Conclusion, out: Console) -> None:
-    """Print the control chart of a run of the check block; of any other run there is nothing to say."""
+    """Print the control chart of a run of the check block; print nothing for any other run."""
     if found.no_chart:
         out.print(f"the run is finished; no control chart: {found.no_chart}")
     if found.chart is None:
@@ -164,9 +164,9 @@ def control(request: ControlRun) -> int:
 
 
 def _follow(run: Run, request: RunRequest) -> int:
-    """Diagnose a run; carry out what would settle what it leaves open, and diagnose both together.
+    """Diagnose a run, carry out the measurement that the diagnosis proposes, and diagnose both runs together.
 
-    On real instruments the person is asked before. Returns the status of the further run, 0 where there is none.
+    On real instruments, a person must agree first. Returns the exit status of the second run, 0 without one.
     """
     from bench.run.folder import Run as RunFolder
 
@@ -179,7 +179,7 @@ def _follow(run: Run, request: RunRequest) -> int:
         out.print(f"{run.name}: not measured further; later with: bench run {proposal.procedure}")
         return 0
     name = next(name for n in count(2) if not run.folder.with_name(name := f"{run.name}-{n}").exists())
-    # a dry run draws another stand for the mountings to come
+    # with another seed, a dry run simulates other errors of the stand for the further mountings
     seed = request.seed + 1
     further = replace(request, procedure=str(proposal.procedure), name=name, seed=seed, until=None)
     _, status = _measured(further, None)
@@ -188,9 +188,9 @@ def _follow(run: Run, request: RunRequest) -> int:
 
 
 def _diagnosed(runs: list[Run]) -> Proposal | None:
-    """Diagnose runs as one body of data and print it; return what to measure next.
+    """Diagnose runs as one body of readings and print the result; return the proposed next measurement, or None.
 
-    The last run's folder keeps the JSON.
+    The JSON result is written into the folder of the last run.
     """
     from bench.cli.evaluate import carried_out
     from bench.services.requests.evaluation import Diagnose

@@ -32,7 +32,7 @@ devices_given: ContextVar[tuple[str, ...]] = ContextVar("devices_given", default
 
 
 def with_own_parts(command: Any) -> Any:
-    """Return a command with `--devices`, where it takes a bench file or has one on record, and `--effects`."""
+    """Return a command with `--devices` if it uses a bench file, and `--effects` if it uses that or a model."""
     takes = {parameter.name for parameter in command.params}
     if command.name == "resume" or "bench" in takes:
         words = "Folder with instruments of your own; it is run (default: BENCH_DEVICES)."
@@ -44,7 +44,7 @@ def with_own_parts(command: Any) -> Any:
 
 
 def _folder_or_file(name: str, metavar: str, words: str, use: Callable[..., None]) -> Any:
-    """Return an option that may be given several times, as the library makes it of a function's parameter."""
+    """Return a repeatable option, which the library makes from the parameter of a temporary function."""
     told = typer.Option(f"--{name}", metavar=metavar, help=words, expose_value=False, callback=use)
     kind = inspect.Parameter.KEYWORD_ONLY
     parameter = inspect.Parameter(name, kind, default=None, annotation=Annotated[list[str] | None, told])
@@ -60,7 +60,7 @@ def _folder_or_file(name: str, metavar: str, words: str, use: Callable[..., None
 
 
 def _use_effects(ctx: typer.Context, files: list[str] | None) -> None:
-    """Know the effects in files, and those that the environment names, as long as the command lasts."""
+    """Register the effects in files and in the environment (BENCH_EFFECTS) for the duration of the command."""
     if not ctx.resilient_parsing and (files or os.environ.get("BENCH_EFFECTS")):
         ctx.with_resource(_effects_of(files or ()))
 
@@ -71,13 +71,13 @@ def _effects_of(files: Sequence[str]) -> Iterator[None]:
     from bench.model import CATALOGUE
 
     every = [*files, *files_of_environment()]
-    # programs that are started for a part of the work know them by the environment
+    # worker processes read them from the environment
     with CATALOGUE.also(effects_in(every)), _environment(ENVIRONMENT, every):
         yield
 
 
 def _use_devices(ctx: typer.Context, folders: list[str] | None) -> None:
-    """Put folders before those that the environment names, as long as the command lasts."""
+    """Search these folders before those in the environment (BENCH_DEVICES) for the duration of the command."""
     for folder in folders or ():
         if not Path(folder).is_dir():
             raise typer.BadParameter(f"{folder}: there is no such folder")
@@ -97,7 +97,7 @@ def _devices_of(folders: Sequence[str]) -> Iterator[None]:
 
 @contextmanager
 def _environment(name: str, paths: Sequence[str]) -> Iterator[None]:
-    """Have the environment name these paths, as long as the context lasts."""
+    """Set an environment variable to a list of paths within a context."""
     before = os.environ.get(name)
     os.environ[name] = os.pathsep.join(paths)
     try:
@@ -123,10 +123,10 @@ app = typer.Typer(
 
 
 class WithEstimators(TyperCommand):
-    """A command whose help names the estimators; they are looked up where it is shown, as that takes a second."""
+    """A command whose help names the estimators; they are searched only for the help, as that takes a second."""
 
     def get_help(self, ctx: Any) -> str:
-        """Return the help."""
+        """Return the help with the names of the estimators."""
         from bench.calibration.estimators import estimators_in_words
 
         for option in self.params:
@@ -136,7 +136,7 @@ class WithEstimators(TyperCommand):
 
 
 def _writable(target: str | None) -> str | None:
-    """Refuse a `--json` file that cannot be written before anything is computed. Raises `Refused`."""
+    """Return the target of `--json`. Raises `Refused`, before anything is computed, if its folder is missing."""
     if target not in {None, "-"} and not Path(str(target)).absolute().parent.is_dir():
         raise Refused(f"--json {target}: there is no such folder")
     return target
@@ -158,7 +158,10 @@ StrictFitOption = Annotated[
 
 
 def requested(command: Callable[..., int]) -> Callable[..., int]:
-    """Return a command that takes the fields of its request as options, and makes the request of them."""
+    """Return a command whose options are the fields of its request, which it constructs from them.
+
+    A command whose first parameter is a list of requests takes several sources; each request has one of them.
+    """
     hints = get_type_hints(command, include_extras=True)
     name, request, several = next(_requests(hints))
     fields = list(fields_of(request))
@@ -177,7 +180,7 @@ def requested(command: Callable[..., int]) -> Callable[..., int]:
         every = mine.pop(first.name)
         return command(**{name: [request(**{first.name: one, **mine}) for one in every]}, **given)
 
-    # those that must be given stand first, as Python wants it
+    # parameters without a default come first, as Python requires
     signature = sorted([*made, *others], key=lambda one: one.default is not NOT_GIVEN)
     call.__signature__ = inspect.Signature(signature, return_annotation=int)  # type: ignore[attr-defined]
     call.__annotations__ = {one.name: one.annotation for one in signature} | {"return": int}

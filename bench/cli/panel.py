@@ -1,4 +1,4 @@
-"""panel: the operator's panel in a browser, and who may come in."""
+"""panel: the operator's panel in a browser, and access to it."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ def panel(request: ServePanel) -> int:
 
 
 def refuse_without_packages() -> None:
-    """Raise `ImportError` where a package of the panel is missing."""
+    """Raise `ImportError` if a package that the panel needs is missing."""
     import starlette  # noqa: F401 - only whether it is there
     import uvicorn  # noqa: F401
 
 
 def link_to(run: str, runs: Path) -> str:
-    """Return a link to the page of a run, in a panel that is begun where there is none. Raises `Refused`."""
+    """Return a link to a run's page in the panel, which is started if it is not running. Raises `Refused`."""
     refuse_without_packages()
     from urllib.parse import quote
 
@@ -50,7 +50,7 @@ def link_to(run: str, runs: Path) -> str:
 
 
 def _of_people(request: ServePanel, what: PeopleCommand) -> int:
-    """Make, list or take back what people sign in with."""
+    """Make, list or revoke tokens, or print a one-time link; return 0. Raises `Refused` for invalid options."""
     from bench.panel.access import STATE, Access, Role
     from bench.panel.app import link_of
 

@@ -1,4 +1,4 @@
-"""check, init, budget, require, plan-points: what is known before anything is measured."""
+"""check, init, budget, require, plan-points: preparations of a measurement."""
 
 from __future__ import annotations
 

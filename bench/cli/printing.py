@@ -1,4 +1,4 @@
-"""What commands share in printing and writing: the console, JSON, notes, and results that several print."""
+"""Printing and writing that commands share: the console, JSON, notes, and common results."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 def console(*, json: str | None = None) -> Console:
     """Return the console for results; wide enough that no table is cut when the output is a file.
 
-    Where `json` goes to standard output ("-"), what is written for a person goes to standard error.
+    If the JSON result goes to standard output (`json` is "-"), the console prints on standard error.
     """
     from bench.base.tables import WIDTH, Screen
 
@@ -40,7 +40,7 @@ def console(*, json: str | None = None) -> Console:
 
 
 def table(*headings: str, no_wrap: bool = False) -> Table:
-    """Return an empty table; a heading that begins with ">" stands over a column of numbers, to the right."""
+    """Return an empty table; a heading that begins with ">" is for a column of numbers, aligned to the right."""
     from bench.base import tables
 
     return tables.table(*headings, no_wrap=no_wrap)
@@ -53,13 +53,13 @@ def aside(*lines: str) -> None:
 
 
 def notes_aside(notes: Iterable[str]) -> None:
-    """Print notes beside a result: standard output is JSON alone."""
+    """Print notes on standard error, so that standard output is JSON alone; nothing with `--quiet`."""
     if not quiet.get():
         aside(*(f"note: {note}" for note in notes))
 
 
 def notes_on(out: Console, notes: Iterable[str]) -> None:
-    """Print notes among a result; `--quiet` leaves them to the JSON and the page."""
+    """Print notes with a result; with `--quiet`, only JSON and page contain them."""
     from bench.base.tables import print_notes
 
     print_notes(out, notes)
@@ -69,7 +69,7 @@ def notes_on(out: Console, notes: Iterable[str]) -> None:
 
 
 def write_json(results: list[dict[str, Any]], target: str | None) -> None:
-    """Write one result, or a list of several in the order of the sources, to a file or standard output."""
+    """Write one result, or a list of several, to the file `target`; "-" is standard output, None writes nothing."""
     from bench.base.files import to_text, write_whole
 
     if target is None:
@@ -82,12 +82,15 @@ def write_json(results: list[dict[str, Any]], target: str | None) -> None:
 
 
 def failed(results: Sequence[object]) -> bool:
-    """Say which of several sources could not be evaluated, a line each; return whether there is any."""
+    """Print each source that could not be evaluated, in a line; return whether there is any.
+
+    Raises `Refused` if several failed for the same reason, which then is not in the sources.
+    """
     from bench.services.source import failures
 
     found = failures(results)
     if len(found) > 1 and len({one.problem for one in found}) == 1:
-        raise Refused(found[0].problem)  # it is not the sources
+        raise Refused(found[0].problem)  # the cause is not in the sources
     for one in found:
         print(f"bench: {visible(bounded(str(one)))}", file=sys.stderr)
     if found:
@@ -96,7 +99,11 @@ def failed(results: Sequence[object]) -> bool:
 
 
 def write_beside(path: Path, text: str | bytes, *, asked: bool) -> bool:
-    """Write a derived file; say so and go on where the place is not writable, unless it was asked for."""
+    """Write a derived file; return whether it was written.
+
+    If the place is not writable, a file that was `asked` for raises `OSError`; any other is left out, with a
+    note.
+    """
     from bench.base.files import write_whole
 
     try:
@@ -113,7 +120,7 @@ def write_beside(path: Path, text: str | bytes, *, asked: bool) -> bool:
 def write_result(
     source: Source, command: str, result: dict[str, Any], *, what_if: bool = False
 ) -> Path | None:
-    """Write the result of a command where what is derived from the source belongs; None where it cannot be.
+    """Write the result of a command to its place for a source; return the file, None if it cannot be written.
 
     A result of other options than the run's own (`what_if`) is written beside the run's own, never over it.
     """
@@ -124,14 +131,14 @@ def write_result(
 
 
 def write_files(files: Iterable[tuple[str, Path, str | bytes]], out: Console, *, asked: bool) -> None:
-    """Write derived files, each with what it is, and say where; as `write_beside`."""
+    """Write derived files (description, path, content) as `write_beside` does, and print where each was written."""
     for what, file, text in files:
         if write_beside(file, text, asked=asked):
             written(what, file, out)
 
 
 def written(what: str, file: Path, out: Console | None = None) -> None:
-    """Say where a file was written; of a what-if, that the run's own stands as it was."""
+    """Print where a file was written; for a what-if result, also that the run's own result is unchanged."""
     from bench.services.source import WHAT_IF
 
     of = "" if file.parent.name != WHAT_IF else " of this what-if (the run's own stays)"
@@ -142,16 +149,16 @@ def written(what: str, file: Path, out: Console | None = None) -> None:
 
 
 def bench_file(taken: BenchPart, json: str | None, of: str = "") -> None:
-    """Say first which bench file is taken, and why that one; `of` which readings, where there are several.
+    """Print which bench file is used, and why; `of` names the readings if there are several.
 
-    Where the result goes to standard output (`json` is "-"), it says it by itself, and errors stay alone.
+    Nothing is printed if the result goes to standard output (`json` is "-"), because the result names the file.
     """
     if json != "-":
         console().print(f"bench file{of and f' of {of}'}: {taken.words} ({taken.file})")
 
 
 def bench_files(sources: Sequence[Source], json: str | None) -> None:
-    """Say first which bench file is taken for each source, in one line where it is one for all."""
+    """Print which bench file is used for each source, in one line if it is the same for all."""
     one = len({source.taken.where for source in sources}) == 1
     for source in sources[:1] if one else sources:
         bench_file(source.taken.part(), json, "" if one else source.name)
@@ -161,7 +168,7 @@ def bench_files(sources: Sequence[Source], json: str | None) -> None:
 
 
 def calibration(result: CalibrationResult, file: Path | None, out: Console | None = None) -> None:
-    """Print the coefficients, the noise, the fit, and where they were written."""
+    """Print the coefficients, the noise, the fit, and the file of the result if it was written."""
     out = out or console()
     result.print_on(out)
     if file is not None:
@@ -180,7 +187,7 @@ def verification(result: VerificationResult, file: Path | None, out: Console | N
 def report(
     result: CalibrationResult, out: Console, asked: VerdictOptions | None = None
 ) -> tuple[VerificationResult | None, Path]:
-    """Write the page of a calibration; return the verification that is in it, and the file. Raises `OSError`."""
+    """Write the report of a calibration; return the verification in it (or None) and the file. Raises `OSError`."""
     from bench.base.files import write_whole
     from bench.services.calibration import report_page
     from bench.services.verification import NOTHING_ASKED
@@ -195,14 +202,14 @@ def report(
 
 
 _REMEMBERED_S: Final = 3600.0
-"""A part may take minutes: how fast the last ones were done is remembered for so long."""
+"""Period (s) over which the speed is estimated. It is long because a single part may take minutes."""
 
 
 @contextmanager
 def progress(console: Console | None = None, clock: Clock | None = None) -> Iterator[None]:
-    """Show what is computed, how much of it is done and the time left, as long as the context lasts.
+    """Show a bar with the name of the computation, its progress and the time left, within a context.
 
-    On a terminal only (standard error's, if no console is given), never with --quiet; nothing of it stays.
+    It is shown only on a terminal (by default that of standard error), not with `--quiet`, and erased at the end.
     """
     from rich.console import Console
     from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeRemainingColumn
@@ -238,9 +245,9 @@ EVERY_S: Final = 30.0
 
 @contextmanager
 def in_lines(clock: Clock | None = None) -> Iterator[None]:
-    """Say on standard error what `shown` shows, where that is no terminal: a line now and then, for a log.
+    """Print progress on standard error, at most every 30 s, if it is not a terminal: a log of long computations.
 
-    For what may take hours. Never with --quiet.
+    Nothing is printed with `--quiet`.
     """
     if sys.stderr.isatty() or quiet.get():
         yield
@@ -263,7 +270,10 @@ def in_lines(clock: Clock | None = None) -> Iterator[None]:
 
 
 def passphrase(question: str, again: str = "") -> bytes:
-    """Ask for a passphrase, twice where `again` asks for it once more. Raises `Refused` for none, or for two."""
+    """Ask for a passphrase, and a second time with the question `again` if that is given.
+
+    Raises `Refused` for an empty passphrase, or for two that differ.
+    """
     typed = _line(question)
     if not typed:
         raise Refused("a passphrase is wanted, and none was given")

@@ -1,4 +1,4 @@
-"""The program `bench` from its first moment to its last: one Ctrl-C is heard, and leaves a line, no traceback."""
+"""The program `bench` from start to end: one Ctrl-C ends it with a line, without a traceback."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import signal
 import sys
 from contextlib import suppress
 
-TYPE_CHECKING = False  # as in `bench`
+TYPE_CHECKING = False  # the import of typing would delay the handling of Ctrl-C
 if TYPE_CHECKING:
     from types import FrameType
 
@@ -20,11 +20,11 @@ _SAID = "stopped by Ctrl-C"
 def main() -> None:
     """Run the command line of `sys.argv` and exit with its status.
 
-    Even the import of the commands takes long enough to be interrupted. A second one ends the program at once;
-    those that come while that is told are not heard. What must be left safe hears signals by itself
-    (`bench.run.interrupts`).
+    Even the import of the commands takes long enough to be interrupted. A second Ctrl-C ends the program at once;
+    those that arrive while the message is printed are ignored. Code that must leave a bench safe handles signals
+    itself (`bench.run.interrupts`).
     """
-    gc.set_threshold(50_000, 20, 20)  # or a tenth of a short command is a search for garbage in its imports
+    gc.set_threshold(50_000, 20, 20)  # garbage collection in imports would take a tenth of a short command
     try:
         try:
             signal.signal(signal.SIGINT, _once)
@@ -33,7 +33,7 @@ def main() -> None:
             with Interrupts([signal.SIGINT]) as interrupts:
                 interrupts.release(_SAID)
                 if isinstance(sys.stdout, io.TextIOWrapper):
-                    # a terminal that knows no µ is no reason to stop
+                    # a terminal that cannot encode µ must not stop the program
                     sys.stdout.reconfigure(errors="backslashreplace")
                 from bench.cli.app import main as command_line
 
@@ -42,7 +42,7 @@ def main() -> None:
             signal.signal(signal.SIGINT, signal.SIG_IGN)
     except KeyboardInterrupt as stop:
         if isinstance(stop.__context__, SystemExit):
-            raise stop.__context__ from None  # it came when the program was done, with its own status
+            raise stop.__context__ from None  # Ctrl-C came while the program was exiting: keep its status
         print(f"bench: {_SAID}", file=sys.stderr)
         _leave(_STOPPED)
     except SystemExit as end:
@@ -52,9 +52,9 @@ def main() -> None:
 
 
 def _leave(status: int) -> None:
-    """End the program now: who has asked it to stop need not wait until all that was imported is taken down."""
+    """End the process at once, without the slow teardown of imported modules."""
     for stream in (sys.stdout, sys.stderr):
-        with suppress(Exception):  # the terminal may be what went
+        with suppress(Exception):  # the terminal may have been closed
             stream.flush()
     os._exit(status)
 

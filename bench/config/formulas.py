@@ -1,4 +1,4 @@
-"""Effects that a user states as a formula: stage, parameters, expression, units."""
+"""Effects that a user defines by a formula: stage, parameters, expression, units."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ _OF_VARIABLE: Final[Mapping[str, str]] = {
     "time": "s", "since_start": "s", "since_mounting": "s", "since_power_on": "s",
     "temperature": "K", "U": "V", "Ux": "V", "Uy": "V", "Uz": "V",
 }  # fmt: skip
-"""Units of the variables that are no plain numbers."""
+"""The units of the formula variables; those not listed are plain numbers."""
 
 Known = dict[str, Dimension]
 
 
 def dimension_mistake(effect: FormulaEffect) -> str | None:
-    """Return a sentence where the formula does not give what its stage is added to, None where it does."""
+    """Return a sentence if the formula's dimension is wrong for its stage; None if it is right."""
     known: Known = {name: unit_of(_OF_VARIABLE.get(name, ""))[1] for name in variables_of(effect.stage)}
     known |= {p.name: unit_of("" if p.unit == "1" else p.unit)[1] for p in effect.parameters}
     wanted = unit_of("V" if effect.stage is Stage.VOLTMETER_READING else "")[1]
@@ -49,23 +49,26 @@ def dimension_mistake(effect: FormulaEffect) -> str | None:
 
 
 class _DimensionReading:
-    """The dimension of a part of an expression, with its value where it is a number as written."""
+    """Interpreter of a formula that computes dimensions: each value is a pair (number, dimension).
+
+    The number is known only for a literal without a unit and for products of such literals; otherwise it is None.
+    """
 
     def __init__(self, known: Known) -> None:
         self._known = known
 
     def number(self, value: float, unit: str) -> tuple[float | None, Dimension]:
-        """Return a number as written."""
+        """Return the value of a literal."""
         return (None if unit else value), unit_of(unit)[1]
 
     def name(self, name: str) -> tuple[float | None, Dimension]:
-        """Return the dimension of a name."""
+        """Return the value of a variable or parameter."""
         return None, self._known[name]
 
     def operation(
         self, symbol: str, left: tuple[float | None, Dimension], right: tuple[float | None, Dimension]
     ) -> tuple[float | None, Dimension]:
-        """Return the dimension of an operation. Raises `ExpressionError` where unlike things meet."""
+        """Return the value of a binary operation. Raises `ExpressionError` for incompatible dimensions."""
         of_left, of_right = left[1], right[1]
         if symbol == "*":
             both = None if left[0] is None or right[0] is None else left[0] * right[0]
@@ -94,7 +97,7 @@ class _DimensionReading:
     def call(
         self, name: str, arguments: list[tuple[float | None, Dimension]]
     ) -> tuple[float | None, Dimension]:
-        """Return the dimension of what a function gives. Raises `ExpressionError` where it takes no such thing."""
+        """Return the value of a function call. Raises `ExpressionError` for arguments of a wrong dimension."""
         of_first = arguments[0][1]
         match name:
             case "abs":
@@ -115,7 +118,7 @@ class _DimensionReading:
 
 
 def _how(left: tuple[float | None, Dimension], right: tuple[float | None, Dimension]) -> str:
-    """Return how a number that should have the unit of the other side is written, where there is one."""
+    """Return a hint to write a bare number with the other operand's unit; empty if that would not help."""
     for (number, own), (_, other) in ((left, right), (right, left)):
         if number is not None and not own and [power for _, power in other] == [1.0]:
             return f"; write the number with its unit, such as '{abs(number):g} {_told(other)}'"
@@ -136,7 +139,7 @@ def _told(dimension: Dimension) -> str:
 
 FORMAT: Final = "1"
 ENVIRONMENT: Final = "BENCH_EFFECTS"
-"""Files with effects of the user's own, several with the system's path separator."""
+"""The environment variable that lists effects files, joined by the system's path separator."""
 
 StandAngle = Literal["axis_tilt", "zero_offset", "mounting_error", "mounting_offset", "mounting_roll"]
 
@@ -154,10 +157,10 @@ def _symbol(text: str) -> str:
 
 
 class FormulaParameter(FileModel):
-    """A number of a formula: a size with what is `plausible` of it (1 σ), or a shape with a `grid` of values.
+    """A parameter of a formula: a size with a `plausible` value (1 σ), or a shape with a `grid` of values.
 
-    Readings are not linear in a shape (a time constant, a width): a diagnosis tries the grid, a fit holds it at
-    one value, `default` where nobody states it. A size may have a value for each channel.
+    Readings are not linear in a shape, such as a time constant or a width. A diagnosis tries each value of the
+    grid; a fit holds the shape at the stated value, or else at `default`. A size may have a value for each channel.
     """
 
     plausible: str | None = None
@@ -167,11 +170,10 @@ class FormulaParameter(FileModel):
 
 
 class FormulaEntry(FileModel):
-    """An effect of the user's own.
+    """An effect that a user defines.
 
-    `expression` is what it adds at its `stage`: rad at the stand (to the angle `adds_to`) and at the head's
-    angle, g of the specific force, g at the block's output (the scale factor makes volts of it), V at the
-    voltmeter.
+    `expression` is the quantity added at its `stage`: rad at the stand (to the angle `adds_to`) and at the head's
+    angle, g for the specific force and at the block's output (before the scale factor), V at the voltmeter.
     """
 
     name: Annotated[str, AfterValidator(_word)]
@@ -186,7 +188,7 @@ class FormulaEntry(FileModel):
     lasts: bool = False
 
     def effect(self) -> FormulaEffect:
-        """Return the effect. Raises `ValueError` with what is wrong between its parts."""
+        """Return the effect. Raises `ValueError` if parts of the entry contradict each other."""
         taken = set(variables_of(self.stage)).union(known_functions()).intersection(self.parameters)
         if taken:
             raise ValueError(f"'{min(taken)}' is a word of the formulas; give the parameter another name")
@@ -210,19 +212,19 @@ class FormulaEntry(FileModel):
 
 
 class EffectsFile(FileModel):
-    """A file with effects of the user's own."""
+    """A file of effects that a user defines."""
 
     effects_file: Literal["1"]
     formulas: tuple[FormulaEntry, ...] = Field(min_length=1)
 
     @classmethod
     def cross_checks(cls, data: Any) -> Iterable[tuple[Place, str]]:
-        """Yield what is wrong with the formulas."""
+        """Yield the mistakes in the formulas."""
         return formula_mistakes(part(data, "formulas"), ("formulas",))
 
 
 def formula_mistakes(entries: Any, place: Place) -> Iterator[tuple[Place, str]]:
-    """Yield what is wrong between the parts of formulas, and between them and the catalogue."""
+    """Yield place and text of the mistakes between parts of formulas, and of clashes with the catalogue."""
     seen: dict[str, int] = {}
     for index, entry in _readable(entries):
         here = (*place, index)
@@ -245,16 +247,16 @@ def formula_mistakes(entries: Any, place: Place) -> Iterator[tuple[Place, str]]:
 
 
 def _readable(entries: Any) -> Iterator[tuple[int, FormulaEntry]]:
-    """Yield the entries that are what they should be as far as one looks at each key alone."""
+    """Yield number and entry of those formulas as written whose keys are all valid by themselves."""
     for index, written in enumerate(entries if isinstance(entries, list) else []):
         try:
             yield index, FormulaEntry.model_validate(written)
-        except ValueError:  # it is told where the file is validated
+        except ValueError:  # reported when the file is validated
             continue
 
 
 def effects_as_written(entries: Any) -> tuple[Effect, ...]:
-    """Return the effects of a list of formulas as written, without those that are wrong."""
+    """Return the effects of a list of formulas as written; invalid formulas are skipped."""
     effects: list[Effect] = []
     for _, entry in _readable(entries):
         try:
@@ -265,7 +267,7 @@ def effects_as_written(entries: Any) -> tuple[Effect, ...]:
 
 
 def load_effects(path: Path) -> tuple[Effect, ...]:
-    """Read a file with effects of the user's own. Raises `FileMistakes` with every mistake in it."""
+    """Read the effects from a file. Raises `FileMistakes` with every mistake in the file."""
     document = load_document(path)
     return tuple(
         replace(entry.effect(), origin=f"{path}, line {document.line_of(('formulas', index, 'expression'))}")
@@ -274,7 +276,7 @@ def load_effects(path: Path) -> tuple[Effect, ...]:
 
 
 def effects_in(paths: Iterable[Path | str]) -> tuple[Effect, ...]:
-    """Return the effects of several files. Raises `FileMistakes`, also where two of one name differ."""
+    """Return the effects of several files. Raises `FileMistakes`, also for two different effects of one name."""
     effects: dict[str, Effect] = {}
     for path in map(Path, paths):
         for effect in load_effects(path):
@@ -285,7 +287,7 @@ def effects_in(paths: Iterable[Path | str]) -> tuple[Effect, ...]:
 
 
 def files_of_environment() -> list[str]:
-    """Return the files that the environment names."""
+    """Return the effects files that the environment variable `BENCH_EFFECTS` lists."""
     return [file for file in os.environ.get(ENVIRONMENT, "").split(os.pathsep) if file]
 
 
@@ -300,7 +302,7 @@ def _shown_by(entry: FormulaEntry) -> str:
 
 
 def _parameter(name: str, stated: FormulaParameter, stage: Stage) -> Parameter:
-    """Return a parameter. Raises `ValueError` with one sentence."""
+    """Return the parameter that a file states. Raises `ValueError` with a one-sentence message."""
     if stated.grid and stated.plausible is not None:
         raise ValueError(f"{name}: a size has a plausible value, a shape a grid; give one of the two")
     if stated.grid:
@@ -357,13 +359,13 @@ def _number(name: str, text: str) -> tuple[float, str]:
 
 
 def written_formulas(effects: Iterable[Effect]) -> list[dict[str, Any]]:
-    """Return the formulas among effects as a file states them, each once."""
+    """Return the formulas among effects as entries for a file, each formula once."""
     formulas = {effect.name: effect for effect in effects if isinstance(effect, FormulaEffect)}
     return [_written(effect) for effect in formulas.values()]
 
 
 def effects_text(effects: Sequence[Effect]) -> dict[str, Any]:
-    """Return the content of a file with these formulas."""
+    """Return the content of an effects file with these formulas."""
     return {"effects_file": int(FORMAT), "formulas": written_formulas(effects)}
 
 
@@ -389,7 +391,7 @@ def _written_parameter(parameter: Parameter) -> Mapping[str, Any]:
 
 
 def _exact(si: float, unit: float) -> float:
-    """Return the number that is read back as the same SI value, the shortest of those that are near."""
+    """Return the shortest number of units that converts back to exactly the same SI value."""
     plain = si / unit
     near = (float(f"{plain:.{digits}g}") for digits in range(1, 18))
     return next((number for number in near if number * unit == si), plain)

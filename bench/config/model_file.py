@@ -1,4 +1,4 @@
-"""Model files: the effects of a forward model with their values; unnamed terms that get a name."""
+"""Model files: the effects of a forward model with their values; naming of unnamed terms."""
 
 from __future__ import annotations
 
@@ -31,13 +31,14 @@ from bench.model.effects.formula import QUANTITY, FormulaEffect
 from drivers.interfaces import Channel
 
 FORMAT: Final = "1"
-"""Version of the format; a reader refuses any other."""
+"""The version of the file format; readers refuse any other version."""
 
 
 class EffectEntry(FileModel):
-    """One effect of a file: its name in the catalogue, the channels and mountings that have it, its values.
+    """An effect in a file: its name in the catalogue, its values, and the channels and mountings that it affects.
 
-    `either_of` are the names of a tie, of which the first was taken; empty where the name stands alone.
+    `either_of` lists the names of effects that the readings could not distinguish, this one first; empty if there
+    were no others.
     """
 
     name: str
@@ -62,10 +63,11 @@ class EffectEntry(FileModel):
 
 
 class OpenShape(FileModel):
-    """A sum of other shapes that the effect `of` may have, too: all `changes` together, `times` ± `u` times.
+    """An open part of an effect's shape: the sum of `changes`, scaled by the common factor `times` ± `u`.
 
-    The readings that it was found in make all such sums independent of each other. `says` is the same in words
-    for the reader of the file; nothing is computed from it.
+    `of` names the effect that may differ by this sum. The factors of different sums are uncorrelated, given the
+    readings in which they were found. `says` describes the sum for the reader of the file; nothing is computed from
+    it.
     """
 
     of: str
@@ -77,19 +79,19 @@ class OpenShape(FileModel):
     @model_validator(mode="before")
     @classmethod
     def _as_written_before(cls, written: Any) -> Any:
-        """Take `part` and `effects` of earlier versions for `times` and `changes`."""
+        """Accept the keys `part` and `effects` of earlier versions for `times` and `changes`."""
         if not isinstance(written, dict) or "part" not in written:
             return written
         renamed = {"part": "times", "effects": "changes"}
         return {renamed.get(key, key): value for key, value in written.items()}
 
     def applied(self, number: int) -> AppliedEffect:
-        """Return it as an effect with its size, the `number`th of its own."""
+        """Return the sum as one effect with its size; `number` counts the sums of the same effect."""
         return in_part(self.of, number, tuple(entry.applied() for entry in self.changes), self.times, self.u)
 
 
 class WithEffects(FileModel):
-    """What states `effects`, the `formulas` of the user's own that some rest on, what is `left_open` of them."""
+    """A file or section with `effects`, the user's `formulas` that they use, and open shapes, `left_open`."""
 
     if TYPE_CHECKING:
         formulas: tuple[FormulaEntry, ...]
@@ -98,15 +100,15 @@ class WithEffects(FileModel):
 
     @classmethod
     def cross_checks(cls, data: Any) -> Iterable[tuple[Place, str]]:
-        """Yield the mistakes in the effects and in the formulas that they rest on."""
+        """Yield the mistakes in the effects and in the formulas that they use."""
         return mistakes_with_formulas(data)
 
     def own_effects(self) -> tuple[Effect, ...]:
-        """Return the effects of the user's own whose formulas stand in the file."""
+        """Return the effects that the formulas in the file define."""
         return tuple(entry.effect() for entry in self.formulas)
 
     def applied_effects(self) -> tuple[AppliedEffect, ...]:
-        """Return the effects with their values in SI, with what is left open of their shapes."""
+        """Return the effects and the open shapes, with their values in SI."""
         count: Counter[str] = Counter()
         with CATALOGUE.also(self.own_effects()):
             applied = [entry.applied() for entry in self.effects]
@@ -117,11 +119,11 @@ class WithEffects(FileModel):
 
 
 class ModelFile(WithEffects):
-    """A model file: `parent` is the model that it was made from, `data_sha256` what it was found in.
+    """A model file; `parent` names the model that it extends, `data_sha256` the readings that it was derived from.
 
-    `evidence` is kept as text for the reader of the file; nothing is computed from it. `dark_uncertainty` is what
-    stays unexplained in each reading beside terms that have no name (1 σ): whoever uses the file is told.
-    `left_open` is what is not known of the effects' shapes.
+    `evidence` is text for the reader of the file; nothing is computed from it. `dark_uncertainty` is the part of
+    each reading (1 σ) that unnamed terms leave unexplained; users of the file are warned of it. `left_open` lists
+    the open parts of the effects' shapes.
     """
 
     model_file: Literal["1"]
@@ -136,9 +138,9 @@ class ModelFile(WithEffects):
 
 
 def load_model(path: Path, installations: Collection[str] = ()) -> ModelFile:
-    """Read a model file. Raises `FileMistakes` with every mistake in it.
+    """Read a model file. Raises `FileMistakes` with every mistake in the file.
 
-    With `installations`, those of the bench, it is a mistake, too, that an effect is of another one.
+    If the bench's `installations` are given, an effect of any other installation is a mistake, too.
     """
     model = load_validated(path, ModelFile)
     mistakes = [
@@ -157,11 +159,11 @@ def load_model(path: Path, installations: Collection[str] = ()) -> ModelFile:
 def mistakes_with_formulas(
     data: Any, installations: Collection[str] = (), place: Place = ()
 ) -> Iterator[tuple[Place, str]]:
-    """Yield what is wrong with the `formulas` as written at a place, and with the `effects` that rest on them."""
+    """Yield the mistakes in the formulas, effects and open shapes of `data`, a section at `place`."""
     wrong = list(formula_mistakes(part(data, "formulas"), (*place, "formulas")))
     yield from wrong
     if wrong:
-        return  # which effects there are is not known
+        return  # without valid formulas, the set of effects is unknown
     with CATALOGUE.also(effects_as_written(part(data, "formulas"))):
         yield from list(effect_mistakes(part(data, "effects"), (*place, "effects"), installations))
         yield from list(_left_open_mistakes(part(data, "left_open"), (*place, "left_open"), installations))
@@ -186,9 +188,9 @@ def _left_open_mistakes(
 def effect_mistakes(
     entries: Any, place: Place, installations: Collection[str] = ()
 ) -> Iterator[tuple[Place, str]]:
-    """Yield what is wrong with the names and values of a list of effects as written at `place`.
+    """Yield place and text of the mistakes in a list of effects as written at `place`.
 
-    With `installations`, those of the bench, effects must not be of another one.
+    If the bench's `installations` are given, an effect of any other installation is a mistake, too.
     """
     seen: set[tuple[object, ...]] = set()
     for index, entry in enumerate(entries if isinstance(entries, list) else []):
@@ -227,7 +229,7 @@ def effect_mistakes(
 
 
 def _mounting_mistakes(written: Iterable[str], installations: Collection[str]) -> Iterator[str]:
-    """Yield a sentence for each mounting, such as "2" or "2/3" (of series 3), of an unknown installation."""
+    """Yield a sentence for each invalid mounting; valid ones are such as "2", or "2/3" for series 3."""
     for written_one in written:
         mounting, of_pass, number = written_one.partition(PASS)
         label, slash, series = mounting.partition("/")
@@ -240,12 +242,15 @@ def _mounting_mistakes(written: Iterable[str], installations: Collection[str]) -
 
 
 def _channels(written: Any) -> tuple[Channel, ...]:
-    """Return the channels as written, all where they cannot be read."""
+    """Return the channels as written; all channels if they are missing or unreadable."""
     return tuple(c for c in CHANNELS if c in written) if isinstance(written, list) and written else CHANNELS
 
 
 class _Reader:
-    """Reads the value of a parameter; `problems` holds places below it and sentences."""
+    """Reader of one parameter as written: `values` and standard uncertainties `u` in SI, (3,) or ().
+
+    `problems` collects the mistakes, each with its place below the parameter.
+    """
 
     def __init__(self, parameter: Parameter, channels: tuple[Channel, ...]) -> None:
         self._parameter = parameter
@@ -260,7 +265,7 @@ class _Reader:
         self.problems: list[tuple[Place, str]] = []
 
     def all(self, written: Any) -> None:
-        """Read a value for all channels, or a mapping of channels to values."""
+        """Read one value for all channels, or a mapping from channels to values."""
         if not isinstance(written, dict) or not set(written) & set(CHANNELS):
             rows = [CHANNELS.index(channel) for channel in self._channels]
             self._one(written, rows if self._parameter.per_channel else (), ())
@@ -325,9 +330,9 @@ def write_model_file(
     evidence: Mapping[str, object] | None = None,
     dark_uncertainty: str | None = None,
 ) -> None:
-    """Write a model file that `load_model` reads back to the same values.
+    """Write a model file that `load_model` reads back with equal values.
 
-    Raises `FileMistakes` when `path` exists: a model file is never overwritten.
+    Raises `FileMistakes` if `path` exists: a model file is never overwritten.
     """
     content: dict[str, Any] = {"model_file": int(FORMAT), "name": name, "parent": parent}
     if data_sha256 is not None:
@@ -347,7 +352,7 @@ def write_model_file(
 
 
 def written_effects(effects: Sequence[AppliedEffect]) -> dict[str, Any]:
-    """Return effects as a file states them: `effects`, and `formulas` and `left_open` where there are any."""
+    """Return the keys `effects`, and where needed `formulas` and `left_open`, as written in a file."""
     content: dict[str, Any] = {}
     formulas = written_formulas(applied.effect for applied in effects)
     if formulas:
@@ -377,7 +382,7 @@ def _written_left_open(applied: AppliedEffect) -> dict[str, Any]:
 
 
 def _said_of_open(effect: InPart, times: float, u: float) -> str:
-    """Return in words what a sum adds to its effect: each change with its u, as large as it is in the sum."""
+    """Return the description of an open shape: each change with its u, scaled as in the sum."""
     listed = []
     for one in effect.parts:
         sizes = [
@@ -392,7 +397,7 @@ def _said_of_open(effect: InPart, times: float, u: float) -> str:
 
 
 def _sizes(parameter: Parameter, applied: AppliedEffect) -> Iterator[tuple[str, float]]:
-    """Yield the values of a parameter, SI, each with the channel that it is of in words."""
+    """Yield the values of a parameter in SI, each with its channel in words (" in x", or empty)."""
     value = applied.complete_values()[parameter.name]
     if parameter.per_channel:
         yield from ((f" in {c}", float(value[i])) for i, c in enumerate(CHANNELS) if c in applied.channels)
@@ -434,24 +439,28 @@ def _written_value(parameter: Parameter, value: Any, u: Any) -> str | dict[str, 
 
 UNNAMED: Final = "unnamed_"
 WIDENED: Final = ("tau", "lag")
-"""Shapes of which an effect with a name has more values to be tried: half and twice as much."""
+"""Shapes for which a named effect tries further values: half and twice the value found."""
 
 
 @dataclass(frozen=True)
 class AcceptedTerms:
-    """The effect with its name, and the effects of the model with it in place of the terms."""
+    """The effect that has been named, and the effects of the model with it in place of its terms."""
 
     effect: FormulaEffect
     effects: tuple[AppliedEffect, ...]
 
 
 def unnamed_in(effects: Sequence[AppliedEffect]) -> list[str]:
-    """Return the names of the terms among effects that have none yet."""
+    """Return the names of the unnamed terms among effects."""
     return [applied.effect.name for applied in effects if applied.effect.name.startswith(UNNAMED)]
 
 
 def accept(effects: Sequence[AppliedEffect], terms: Sequence[str], name: str, sentence: str) -> AcceptedTerms:
-    """Give terms a name and a sentence, as one effect. Raises `ValueError` with what speaks against it."""
+    """Combine unnamed terms into one effect with a name and a sentence; all unnamed terms if `terms` is empty.
+
+    The effect replaces the terms among `effects`. Raises `ValueError` for unknown terms, or terms at different
+    places.
+    """
     known = unnamed_in(effects)
     if not known:
         raise ValueError("no term without a name is in this model file; 'bench diagnose' writes them")
@@ -485,7 +494,7 @@ def _joined(
         renamed = _new_names(formula, parameters, number if len(chosen) > 1 else 0)
         expressions.append(_with_names(formula.expression, renamed))
         complete = applied.complete_values()
-        # the phase of a wave is nobody's to expect: all sizes of a term are as large as its largest
+        # the phase of a wave is arbitrary: any of its sizes may become as large as the largest one
         largest = max(float(np.max(np.abs(complete[p.name]))) for p in formula.parameters if not p.is_shape)
         for parameter in formula.parameters:
             new = renamed[parameter.name]
@@ -505,7 +514,7 @@ def _joined(
 
 
 def _new_names(formula: FormulaEffect, taken: dict[str, Parameter], number: int) -> dict[str, str]:
-    """Return the new name of each parameter: numbered where several terms are joined, but for equal shapes."""
+    """Return the new name of each parameter: numbered if several terms are joined, except for equal shapes."""
     names = {}
     for parameter in formula.parameters:
         same = taken.get(parameter.name)
@@ -520,7 +529,7 @@ def _with_names(expression: str, names: dict[str, str]) -> str:
 
 
 def _widened(parameter: Parameter, largest: float) -> Parameter:
-    """Return the parameter with what is plausible of it now: as large as it was found, a shape about as long."""
+    """Return the parameter with an enlarged plausible size, at least the size found, or a grid around a shape."""
     if parameter.is_shape:
         if parameter.name not in WIDENED:
             return parameter

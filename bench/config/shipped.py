@@ -1,6 +1,6 @@
-"""The procedures and bench files that come with the program, by name.
+"""The procedures and bench files that are shipped with the program, by name.
 
-An installed program carries them in its folder `shipped_files`; in a checkout they stand at the top level.
+An installed package has them in its folder `shipped_files`; in a checkout they are at the top level.
 """
 
 from __future__ import annotations
@@ -18,25 +18,26 @@ _PACKAGE: Final = Path(__file__).resolve().parents[1]
 
 
 def shipped_folder(kind: str) -> Path:
-    """Return the folder of the shipped `PROCEDURES`, `CONFIG` or `CERTIFICATE`."""
+    """Return the folder of the shipped files of a kind: `PROCEDURES`, `CONFIG` or `CERTIFICATE`."""
     installed = _PACKAGE / "shipped_files" / kind
     return installed if installed.is_dir() else _PACKAGE.parent / kind
 
 
 def find_procedure(name: str) -> Path:
-    """Return the file of a procedure, by path or shipped name. Raises `FileMistakes` for an unknown one."""
+    """Return the path of a procedure, by path or shipped name. Raises `FileMistakes` for an unknown one."""
     return _find(name, PROCEDURES, "procedure")
 
 
 def find_bench(name: str) -> Path:
-    """Return a bench file, by path or by shipped name. Raises `FileMistakes` for an unknown one."""
+    """Return the path of a bench file, by path or shipped name. Raises `FileMistakes` for an unknown one."""
     return _find(name, CONFIG, "bench file")
 
 
 def _find(name: str, kind: str, called: str) -> Path:
-    """A path wins over an edited copy in the working folder (as `bench init` makes it), that over a shipped file.
+    """Return the path of a file named by path or by name, with or without `.yaml`.
 
-    A name may have its `.yaml` or not.
+    An existing path takes precedence, then an edited copy in the working folder (as made by `bench init`), then a
+    shipped file.
     """
     path = Path(name)
     if path.is_file():
@@ -56,9 +57,10 @@ def _find(name: str, kind: str, called: str) -> Path:
 
 
 def copy_shipped(target: Path) -> list[Path]:
-    """Copy the shipped files into `target`/procedures, /config and /config/certificate; return what was written.
+    """Copy the shipped files into `target`; return the paths written.
 
-    A file that is there already is left as it is. Raises `OSError` where nothing can be written.
+    They go to the folders procedures, config and config/certificate. Existing files are left unchanged. Raises
+    `OSError` if a file cannot be written.
     """
     written = []
     for kind in (PROCEDURES, CERTIFICATE, CONFIG):

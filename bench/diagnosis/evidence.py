@@ -28,7 +28,7 @@ from bench.base.arrays import Floats, Ints
 from bench.base.computing import tracked
 from bench.diagnosis.candidates import KIND_PRIOR, Candidates
 from bench.diagnosis.linear import LinearSystem
-from bench.diagnosis.noise_grid import RATIOS, ColumnProducts, GramProducts, NoiseGrid, Products
+from bench.diagnosis.noise_grid import RATIOS, ColumnProducts, GramProducts, NoiseGrid, Products, Whitener
 from bench.model import CATALOGUE
 from bench.model.effects import FormulaEffect
 
@@ -85,17 +85,20 @@ class Whitened:
     def of(cls, grid: NoiseGrid, candidates: Candidates, *, few_known: bool = False) -> Whitened:
         """Whiten the columns of all candidates. With `few_known`, products are computed only on demand."""
         rows, many = candidates.columns.shape
-        scaled = candidates.columns / grid.sigma
         if many > rows or few_known:
             whitened = np.empty((len(grid.white), rows, many))
-            for ratio, white in enumerate(grid.white):
-                whitened[ratio] = white @ scaled
+            for white, columns in zip(grid.white, whitened, strict=True):
+                _whiten(white, candidates.columns, grid.sigma, columns)
             return cls(grid, candidates, ColumnProducts(whitened))
-        gram = np.empty((len(grid.white), many, many))
-        for ratio, white in enumerate(grid.white):
-            columns = white @ scaled
-            gram[ratio] = columns.T @ columns
+        gram, columns = np.empty((len(grid.white), many, many)), np.empty((rows, many))
+        for white, product in zip(grid.white, gram, strict=True):
+            _whiten(white, candidates.columns, grid.sigma, columns)
+            np.matmul(columns.T, columns, out=product)
         return cls(grid, candidates, GramProducts(gram))
+
+    def forget(self) -> None:
+        """Drop the results kept of searches: they refer back to this, and would hold its memory."""
+        self.kept.clear()
 
     @property
     def ratios(self) -> int:
@@ -145,6 +148,13 @@ class Whitened:
                 square[ratio, part] = np.einsum("ns,ns->s", response[:, part] / size, weighed)
                 along[ratio, :, part] = self.candidates.columns.T @ (weighed / size)
         return Data(square, along)
+
+
+def _whiten(white: Whitener, columns: Floats, sigma: float, into: Floats) -> None:
+    """Write whitened columns (N, P), in units of `sigma`, `into` an array of that shape, some at a time."""
+    for start in range(0, columns.shape[1], CHUNK):
+        part = slice(start, start + CHUNK)
+        into[:, part] = white @ (columns[:, part] / sigma)
 
 
 @dataclass(frozen=True)

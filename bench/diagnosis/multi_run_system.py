@@ -32,7 +32,7 @@ from bench.diagnosis.candidates import (
 )
 from bench.diagnosis.evidence import Data, Threshold, ThresholdCache, Whitened
 from bench.diagnosis.linear import LinearSystem, Rows, make_linear
-from bench.diagnosis.mistakes.search import MistakeSearch, find_mistakes
+from bench.diagnosis.mistakes.search import FALSE_MISTAKE, Mistake, MistakeSearch, find_mistakes
 from bench.diagnosis.naming import FoundEffect, Naming, Scored, name
 from bench.diagnosis.noise_grid import (
     NoiseGrid,
@@ -222,21 +222,54 @@ def _told(readings: Readings, block: Ints) -> Iterator[str]:
 def find_mistakes_in_each(
     readings: Readings, model: ForwardModel, stand_u: Mapping[str, float], nominal: Floats | None
 ) -> MistakeSearch:
-    """Return the mistakes in the runs of each block, as `find_mistakes`; `nominal` is (3,) or (blocks, 3)."""
-    if readings.block is None:
-        return find_mistakes(readings, model, stand_u, None if nominal is None else np.atleast_2d(nominal)[0])
-    numbers = np.unique(readings.block)
-    sheets = [None] * len(numbers) if nominal is None else np.broadcast_to(nominal, (len(numbers), 3))
-    found = [
-        find_mistakes(readings.select(readings.block == number), model, stand_u, sheet)
-        for number, sheet in zip(numbers, sheets, strict=True)
-    ]
+    """Return the mistakes in each run by itself, as `find_mistakes`; `nominal` is (3,) or (blocks, 3).
+
+    A mistake is made in one run. The probability of a false one is shared among the runs, and each p counts all.
+    """
+    sheets = None if nominal is None else np.atleast_2d(nominal)
+    if not readings.run.any():
+        return find_mistakes(readings, model, stand_u, None if sheets is None else sheets[0])
+    parts = sorted(_searched_together(readings, model), key=lambda part: int(np.argmax(part[0])))
+    found = []
+    for rows, block in parts:
+        sheet = None if sheets is None else sheets[min(block, len(sheets) - 1)]
+        found.append(find_mistakes(readings.select(rows), model, stand_u, sheet, FALSE_MISTAKE / len(parts)))
+    looks = sum(one.looks for one in found)
+    if not any(one.mistakes for one in found):
+        return MistakeSearch((), readings, looks)
     corrected = stacked([one.corrected for one in found])
     return MistakeSearch(
-        tuple(mistake for one in found for mistake in one.mistakes),
+        tuple(_of_run(mistake, readings.select(rows), len(parts))
+              for one, (rows, _) in zip(found, parts, strict=True) for mistake in one.mistakes),
         replace(corrected, source=readings.source, notes=readings.notes, skipped=_skipped(found, readings)),
-        sum(one.looks for one in found),
-    )
+        looks,
+    )  # fmt: skip
+
+
+def _searched_together(readings: Readings, model: ForwardModel) -> Iterator[tuple[Mask, int]]:
+    """Yield the rows of each run with the place of its block.
+
+    Runs of a block that do not determine its coefficients go with the first that does, or with each other.
+    """
+    run = readings.run
+    block = np.zeros(len(readings), dtype=np.int64) if readings.block is None else readings.block
+    for place, number in enumerate(np.unique(block)):
+        runs = np.unique(run[block == number]).tolist()
+        able = [one for one in runs if _guess(readings.select(run == one), model) is not None]
+        unable = [one for one in runs if one not in able]
+        for first in able or unable[:1]:
+            together = [first, *(unable if first in {*able[:1], *unable[:1]} else [])]
+            yield (block == number) & np.isin(run, together), place
+
+
+def _of_run(mistake: Mistake, run: Readings, runs: int) -> Mistake:
+    """Return a mistake of one of several runs, with the mountings of a whole run named and its p of all runs."""
+    p = min(runs * mistake.p, 1.0)
+    if mistake.installations:
+        return replace(mistake, p=p)
+    labels = tuple(str(mount) for mount in run.oriented().conditions().mounts)
+    series = ", ".join(str(number) for number in np.unique(run.series))
+    return replace(mistake, p=p, installations=labels, words=f"series {series}: {mistake.words}")
 
 
 def _skipped(found: list[MistakeSearch], readings: Readings) -> tuple[str, ...]:
@@ -458,6 +491,7 @@ def _name_in_all_and_each(
     at_first = _look_in_each(whitened.candidates, runs, np.zeros(len(linear)), of_one)
     grown, alone = at_first
     if alone and len({one.variant.mounts for one in alone}) <= max(1, many // COMMON):
+        whitened.forget()
         whitened = Whitened.of(whitened.grid, grown)
         data = whitened.reduce(response)
     else:
@@ -515,6 +549,7 @@ def _look_in_each(
         for one in name(whitened, whitened.reduce(response[:, None]), limit).found:
             candidates, embedded = _embedded(candidates, one, run)
             found.append(embedded)
+        whitened.forget()
     return candidates, tuple(found)
 
 
@@ -525,8 +560,8 @@ def _runs(linear: LinearSystem, each: _EachRun) -> Iterator[_Run]:
         table = replace(readings.select(readings.run == number), block=None)
         rows: Mask = of_row == number
         alone = make_linear(table, linear.model, each.stand_u)
-        by_row, by_place = (None if size is None else size[rows] for size in (linear.by_row, linear.by_place))
-        alone = replace(alone, by_channel=linear.by_channel, by_row=by_row, by_place=by_place)
+        by_row = None if linear.by_row is None else linear.by_row[rows]
+        alone = replace(alone, by_channel=linear.by_channel, by_row=by_row)
         sigma = each.sigma * (1.0 if linear.by_run is None else float(linear.by_run.sizes[number]))
         alone = with_rounding(alone, each.resolution, sigma)
         grid = grid_with_rounding(alone, sigma, each.setting_rad, each.resolution)

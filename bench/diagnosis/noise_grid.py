@@ -14,7 +14,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from bench.base.arrays import Floats, Ints, Mask
-from bench.diagnosis.linear import MODULUS, LinearSystem, RunSizes
+from bench.diagnosis.linear import LinearSystem, RunSizes
 from bench.readings.table import Readings
 
 
@@ -38,7 +38,9 @@ RATIO_SPREAD: Final = 1.0
 """Prior standard deviation of ln gamma about the bench file's value, which is known to a factor of three."""
 
 LOCAL: Final = 0.5
-"""A random column in at most this fraction of the rows joins them in one block; a wider one is fitted."""
+"""A random column in at most this fraction of the rows joins them in one block; a wider one is fitted.
+
+Of several runs it is one in at most a run's rows: what all runs share would join them all in one dense block."""
 
 ROUNDING: Final = 1e-12
 """Remaining fraction of variance below which a fitted direction counts as completely removed."""
@@ -190,7 +192,8 @@ def make_whitener(linear: LinearSystem, sigma: float, setting_rad: float) -> Whi
 
 def _wide(linear: LinearSystem) -> Mask:
     """Return a mask of the random columns that are in more than the fraction `LOCAL` of the rows."""
-    return np.asarray(np.count_nonzero(linear.random, axis=0) > LOCAL * len(linear))
+    most = min(LOCAL, 1.0 / len(np.unique(linear.readings.run))) * len(linear)
+    return np.asarray(np.count_nonzero(linear.random, axis=0) > most)
 
 
 def _blocks(linear: LinearSystem, wide: Mask) -> tuple[Ints, ...]:
@@ -508,11 +511,8 @@ def with_rounding(linear: LinearSystem, digit: float, sigma: float) -> LinearSys
     size = repeated(digit, sigma)
     oriented = np.flatnonzero(linear.setting >= 0)
     key = 3 * np.repeat(cells_of(linear), 3) + linear.rows.channel[oriented]
-    moduli = np.flatnonzero(linear.rows.channel == MODULUS)
-    columns = np.zeros((len(linear), int(key.max()) + 1 + len(moduli)))
+    columns = np.zeros((len(linear), int(key.max()) + 1))
     columns[oriented, key] = size
-    # a verification point is read once, so that nothing of its rounding error averages out
-    columns[moduli, int(key.max()) + 1 + np.arange(len(moduli))] = size
     return linear.with_noise(columns)
 
 

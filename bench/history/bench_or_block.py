@@ -1,4 +1,4 @@
-"""Bench or block: effects of units and benches in all twelve coefficients."""
+"""Bench or block: effects of units and of benches on all twelve coefficients."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ from bench.stats.crossed_effects import (
 )
 
 FLAT: Final = 1e3
-"""Factor on the scatter: a prior size this large has no influence on the estimates."""
+"""A prior this many times wider than the scatter has no influence on the estimates."""
 
 
 @dataclass(frozen=True)
 class Allotment:
-    """A Hausman test of whether units were assigned to benches at random: `chi2` with `dof`.
+    """A Hausman test of the hypothesis that units were assigned to benches at random: `chi2` with `dof`.
 
-    It compares two estimates of the differences between benches. The first uses differences within units
-    alone, the second also the means of all units; a bench that is given units of another kind biases only the
-    second. Source: J. A. Hausman, Econometrica 46 (1978) 1251.
+    It compares two estimates of the differences between benches. One uses differences within units only; the other
+    also uses the means of units. A bench that measures units of a different kind biases only the second estimate.
+    Source: J. A. Hausman, Econometrica 46 (1978) 1251.
     """
 
     chi2: float
@@ -44,12 +44,12 @@ class Allotment:
 
     @property
     def p(self) -> float:
-        """The p-value of `chi2` where units were assigned to benches at random."""
+        """The p-value of `chi2`; 1 without degrees of freedom."""
         return float(special.chdtrc(self.dof, self.chi2)) if self.dof else 1.0
 
 
 def allotment(found: Crossed) -> Allotment:
-    """Return the test of the differences between benches within units against those with means of units."""
+    """Return the test of random assignment for one coefficient's fit."""
     at = found.at
     crossing = at.crossing
     wide = found.sizes.copy()
@@ -66,20 +66,19 @@ def allotment(found: Crossed) -> Allotment:
 
 
 SHOWN_P: Final = 0.05
-"""Level of significance of an effect, with the number of tests taken into account."""
+"""Significance level of an effect, after correction for the number of tests."""
 ALLOTTED_P: Final = 0.01
 LITTLE_SCATTER_P: Final = 0.01
 WELL_KNOWN: Final = 0.15
-"""Sizes of a smaller relative u have limits by it; others by the profile of the likelihood."""
+"""Below this relative u, the upper limit of a size is value + 1.645 u; else from the profile likelihood."""
 ONE_SIDED: Final = 1.645
 
 
 @dataclass(frozen=True)
 class EstimatedSize:
-    """An estimated size, 1 sigma, its standard uncertainty (NaN where it is zero), its upper limit of 95 %.
+    """An estimated standard deviation, its standard uncertainty (NaN if it is zero), its upper 95 % limit.
 
-    `p_all_looks` is the p-value of the likelihood ratio, corrected for twelve coefficients; NaN where no test
-    was asked for.
+    `p_all_looks` is the p-value of the likelihood ratio, corrected for twelve coefficients; NaN if not tested.
     """
 
     value: float
@@ -95,13 +94,13 @@ class EstimatedSize:
 
 @dataclass(frozen=True)
 class Sizes:
-    """Variance components of one coefficient, 1 sigma: units of a type, benches, excess, stated u (rms).
+    """Variance components of one coefficient, as standard deviations: units of a type, benches, excess scatter.
 
-    `stated` is the part of the stated u that each calibration has of its own, `meters` the part that the same
-    meters bring again: a part of the bench. `allotment` tests whether units were assigned to benches at
-    random; where not, the size and effects of benches, and the excess, are from differences within units
-    alone. `scatter` is the reduced chi-square of repeated calibrations of a unit on a bench against their
-    stated u, with degrees of freedom.
+    `stated` (rms) is the part of the stated u that is independent between calibrations. `meters` is the part that
+    recurs with the same meters, and so belongs to the bench. `allotment` tests whether units were assigned to
+    benches at random. If they were not, `by_chance` is false; the values for benches and excess are then estimated
+    from differences within units only. `scatter` is the reduced chi-square, with `scatter_dof`, of repeated
+    calibrations of a unit on a bench.
     """
 
     unit: EstimatedSize
@@ -116,7 +115,7 @@ class Sizes:
 
     @property
     def shares(self) -> dict[str, float]:
-        """The parts of the variance of one calibration about the mean of its type."""
+        """The fraction of each component in the variance of one calibration about the mean of its type."""
         squares = {
             "unit": self.unit.value**2,
             "bench": self.bench.value**2,
@@ -129,7 +128,7 @@ class Sizes:
 
 @dataclass(frozen=True)
 class OutlyingEffect:
-    """A unit or bench whose effect on one coefficient stands out from the others'."""
+    """A unit or bench with an outlying effect on one coefficient."""
 
     name: str
     coefficient: str
@@ -142,9 +141,8 @@ class OutlyingEffect:
 class BenchOrBlock:
     """The variation between units and between benches; `effect` of each bench and its `u` are (B, 12).
 
-    `connected` are the sets of benches that common units join; an effect is the difference from the mean of
-    the set. The effect of a bench that shares no unit with another is NaN. `units_apart` are the outlying
-    units.
+    `connected` are the sets of benches linked by common units; an effect is the difference from the mean of its
+    set. The effect of a bench that shares no unit with another is NaN. `units_apart` are the outlying units.
     """
 
     benches: tuple[str, ...]
@@ -161,7 +159,7 @@ class BenchOrBlock:
 
     @property
     def benches_apart(self) -> tuple[OutlyingEffect, ...]:
-        """Benches whose effect is significant, the largest ratio of effect to uncertainty first."""
+        """The significant effects of benches, the most significant first."""
         found = [
             OutlyingEffect(
                 self.benches[b], COEFFICIENTS[k], float(self.effect[b, k]), float(self.u[b, k]), float(p)
@@ -173,7 +171,7 @@ class BenchOrBlock:
 
     @property
     def answer(self) -> str:
-        """The sentence that says whether the bench or the block causes the differences."""
+        """The sentence that attributes differences between calibrations to benches, blocks or both."""
         if all(len(one) == 1 for one in self.connected):
             return "bench or block cannot be told: no unit was measured on two benches; measure some on each"
         shown = [name for name, s in zip(COEFFICIENTS, self.sizes, strict=True) if s.bench.shown]
@@ -192,9 +190,9 @@ class BenchOrBlock:
 
 
 def bench_or_block(measured: ComparedCalibrations) -> BenchOrBlock:
-    """Return sizes and effects of units and benches over calibrations of many units on many benches.
+    """Return the variance components and effects of units and benches from calibrations of many units.
 
-    Raises `CalibrationError` where no unit was calibrated twice, or all on one bench.
+    Raises `CalibrationError` if no unit was calibrated twice, or all calibrations were made on one bench.
     """
     (kinds, kind), (units, unit), (benches, bench) = (
         coded(labels) for labels in (measured.kind, _whole_names(measured), measured.bench)
@@ -240,7 +238,7 @@ def bench_or_block(measured: ComparedCalibrations) -> BenchOrBlock:
 
 
 def _whole_names(measured: ComparedCalibrations) -> list[str]:
-    """Return labels of type and unit together, since two types may have the same serial number."""
+    """Return unique unit names that include the type, since units of two types may share a serial number."""
     return [
         unit if unit.startswith(kind) else f"{kind} {unit}"
         for kind, unit in zip(measured.kind.tolist(), measured.unit.tolist(), strict=True)
@@ -249,7 +247,7 @@ def _whole_names(measured: ComparedCalibrations) -> list[str]:
 
 @dataclass(frozen=True)
 class _Column:
-    """One coefficient: values and stated variances (n,)."""
+    """The values and the stated variances of one coefficient, (n,)."""
 
     crossing: Crossing
     y: Floats
@@ -259,7 +257,7 @@ class _Column:
         return fit(self.crossing, self.y, self.variance, without=without, units_fixed=units_fixed)
 
     def scatter(self) -> tuple[float, int]:
-        """Return reduced chi-square and degrees of freedom of repeats of a unit on a bench."""
+        """Return reduced chi-square and degrees of freedom of repeated calibrations of a unit on a bench."""
         cell, unit, _ = self.crossing.cells
         dof = len(cell) - len(unit)
         w = 1.0 / self.variance
@@ -269,7 +267,7 @@ class _Column:
 
 
 def _chosen(columns: list[_Column]) -> list[tuple[Crossed, Allotment]]:
-    """Return the fit of each column, with units as fixed effects where they were not assigned at random."""
+    """Return the fit of each column and its test; units are fixed effects if they were not assigned at random."""
     found = [column.fit() for column in columns]
     allotted = [allotment(one) for one in found]
     p = holm(np.array([one.p for one in allotted]))
@@ -282,14 +280,14 @@ def _chosen(columns: list[_Column]) -> list[tuple[Crossed, Allotment]]:
 def _sizes(
     columns: list[_Column], chosen: list[tuple[Crossed, Allotment]], meters: Floats
 ) -> tuple[Sizes, ...]:
-    """Return the sizes of all columns, with the p-values of the sizes of benches and of the excess."""
+    """Return the variance components of all columns, with p-values for benches and excess."""
     p = {}
     for which in (BENCH, EXCESS):
         gained = [
             one.at.likelihood - column.fit(which, units_fixed=bool(np.isinf(one.sizes[UNIT]))).at.likelihood
             for column, (one, _) in zip(columns, chosen, strict=True)
         ]
-        # at the end of its range a size has half of a chi-square of one degree of freedom
+        # a size of zero is at the end of its range: half of a chi-square of one degree of freedom
         p[which] = holm(0.5 * special.erfc(np.sqrt(np.maximum(gained, 0.0))))
     sizes = []
     for k, (column, (one, how)) in enumerate(zip(columns, chosen, strict=True)):

@@ -1,4 +1,4 @@
-"""Calibration and measurement capability from a laboratory's history, drift of units taken out."""
+"""The calibration and measurement capability that a laboratory's history shows, corrected for unit drift."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from bench.stats.crossed_effects import Crossing
 from bench.stats.unit_histories import CalibrationSpread, Histories, Within, histories, spread_of
 
 EVERYDAY: Final = 0.5
-"""The share of everyday calibrations that reach what is stated."""
+"""The default quantile of the stated u: the median."""
 
 
 CONFIDENCE: Final = 0.95
@@ -27,14 +27,14 @@ LEAST_CALIBRATIONS: Final = 20
 
 
 LEAST_REPEATS: Final = 10
-"""With so many degrees of freedom a standard deviation is known to 22 %."""
+"""A standard deviation with this many degrees of freedom has a relative uncertainty of 22 %."""
 
 
 LEAST_DAYS: Final = 180
 
 
 LEAST_RUNS: Final = 3
-"""Of a unit; fewer tell nothing of its drift."""
+"""Fewer runs of a unit do not show its drift."""
 
 
 YEAR: Final = np.timedelta64(31_557_600, "s")
@@ -42,11 +42,12 @@ YEAR: Final = np.timedelta64(31_557_600, "s")
 
 @dataclass(frozen=True)
 class Capability:
-    """The capability, (12,) each: `stated` u at the share `quantile` with its limit `stated_most` of 95 %.
+    """The calibration and measurement capability of a laboratory, for twelve coefficients: arrays are (12,).
 
-    `spreads` (12 items) has the scatter of calibrations of a unit in excess of what is stated, what benches differ
-    by and what units drift by. `below` counts calibrations whose stated U is below the capability: their
-    certificates are to state the latter.
+    `stated` is the quantile `quantile` of the stated u, `stated_most` its upper 95 % limit. `spreads` (12 items)
+    has the scatter of repeated calibrations in excess of the stated u, the difference between benches and the drift
+    of units. `below` counts the calibrations with a stated U below the capability: their certificates must state
+    the capability.
     """
 
     quantile: float
@@ -61,29 +62,29 @@ class Capability:
 
     @property
     def scatter(self) -> Floats:
-        """Scatter in excess of what is stated, 1 sigma, (12,)."""
+        """Scatter of repeated calibrations in excess of the stated u, 1 σ, (12,)."""
         return np.array([one.scatter for one in self.spreads])
 
     @property
     def bench(self) -> Floats:
-        """What benches differ by, 1 sigma, (12,); NaN where there is one bench."""
+        """Standard deviation between benches, (12,); NaN for a single bench."""
         return np.array([one.bench for one in self.spreads])
 
     @property
     def u(self) -> Floats:
-        """Combined standard uncertainty, (12,)."""
+        """The combined standard uncertainty of the capability, (12,)."""
         return np.sqrt(self.stated**2 + self.scatter**2 + np.nan_to_num(self.bench) ** 2)
 
     @property
     def U(self) -> Floats:  # noqa: N802 - the symbol of the field
-        """Expanded uncertainty, k = 2, (12,)."""
+        """The expanded uncertainty of the capability, k = 2, (12,)."""
         return COVERAGE_FACTOR * self.u
 
 
 def capability(measured: ComparedCalibrations, quantile: float = EVERYDAY) -> Capability:
     """Return the capability that a laboratory's calibrations show.
 
-    Raises `CalibrationError` with all that the history lacks where it is too short to say.
+    Raises `CalibrationError` if the history is too short, with everything that it lacks.
     """
     (units, unit), (benches, bench) = coded(measured.unit), coded(measured.bench)
     _, kind = coded(measured.kind)
@@ -141,7 +142,7 @@ def _notes(found: tuple[CalibrationSpread, ...], of: Histories, *, several: bool
 
 
 def _ranks(count: int, quantile: float) -> tuple[int, int]:
-    """Return the places, in rising order, of a quantile and of its upper limit of 95 %."""
+    """Return the indices in ascending order of a quantile of `count` values and of its upper 95 % limit."""
     place = min(count - 1, int(np.ceil(quantile * count)) - 1)
     limit = int(stats.binom.ppf(CONFIDENCE, count, quantile))
     return max(place, 0), min(limit, count - 1)

@@ -1,4 +1,4 @@
-"""Comparison of calibrations of one block: E_n, a joint chi-square, errors that they have in common."""
+"""Comparison of calibrations of one block: E_n numbers, joint chi-square tests, shared errors."""
 
 from __future__ import annotations
 
@@ -19,26 +19,26 @@ from bench.model.geometry import COEFFICIENTS
 from bench.stats import holm
 
 CHANGED_P: Final = 0.05
-"""Level of significance of a change of a coefficient, for all coefficients and calibrations together."""
+"""Significance level of a change in a coefficient, for all coefficients and calibrations together."""
 JOINT_P: Final = 0.01
 LEAST_FOR_DRIFT: Final = 3
 LEAST_SPAN: Final = timedelta(days=1)
-"""Calibrations within a shorter time show a scatter, no drift."""
+"""Calibrations within a shorter time show scatter, not drift."""
 MOST_CONDITION: Final = 1e12
 ALIKE: Final = 0.01
-"""Calibrations apart agree in all twelve coefficients within this part of u once in 10^25 times."""
+"""Independent calibrations agree within this fraction of u in all twelve coefficients once in 10^25 times."""
 SECONDS_PER_YEAR: Final = 365.25 * 86400.0
 
 
 @dataclass(frozen=True)
 class Snapshot:
-    """A dated calibration: coefficients `vector` (12,) in unit/g with g = `g_m_s2`, `covariance` (12, 12).
+    """A dated calibration: `vector` (12,) in unit/g with g = `g_m_s2`, and its `covariance` (12, 12).
 
-    `block` says which block it was (type and serial number), empty where nobody recorded it. `same_meters`
-    (12, 12) is the covariance without what cancels where the same meters measure again, None where there is no such
-    part; `meters` are their identities, empty where unknown. `block_terms` (12, q) is what K2 and K3 of the block,
-    one u large, add to the coefficients: the same block brings the same ones. `wander` (3,) is how far each bias
-    may wander about its mean over the run, rms: from one run to the next it goes on.
+    `block` is the type and serial number of the block, empty if not recorded. `same_meters` (12, 12) is the
+    covariance without the part that cancels if the same meters measure again, None if there is no such part;
+    `meters` are the meters' identities, empty if unknown. Each column of `block_terms` (12, q) is the error due to
+    one u of K2 or K3 of the block, which is the same in each of its calibrations. `wander` (3,) is the rms wander
+    of each bias about its mean in the run.
     """
 
     name: str
@@ -55,7 +55,7 @@ class Snapshot:
     wander: Floats | None = None
 
     def per(self, g_m_s2: float) -> Snapshot:
-        """Return the snapshot with scale factors per another local gravity; per m/s^2 they are the same."""
+        """Return the snapshot with scale factors converted to another local g; per m/s² they stay the same."""
         factor = np.where(np.arange(len(COEFFICIENTS)) < 9, g_m_s2 / self.g_m_s2, 1.0)
         both = np.outer(factor, factor)
         own = None if self.same_meters is None else self.same_meters * both
@@ -70,15 +70,14 @@ class Snapshot:
 
     @property
     def without_meters(self) -> Floats:
-        """The covariance without what cancels where the same meters measure again, (12, 12)."""
+        """The covariance without the part that cancels if the same meters measure again, (12, 12)."""
         return self.covariance if self.same_meters is None else self.same_meters
 
     @property
     def _gone_on(self) -> Floats:
-        """The covariance (12, 12) of the change of the biases from the beginning of the run to its mean.
+        """The covariance (12, 12) of the change of the biases between the start of the run and its mean.
 
-        For a random walk with rms s about its mean over a run, this change has the standard deviation sqrt(2)
-        s.
+        For a random walk with rms s about its mean over a run, this change has the standard deviation sqrt(2) s.
         """
         between = np.zeros(len(COEFFICIENTS))
         if self.wander is not None:
@@ -86,11 +85,12 @@ class Snapshot:
         return np.diag(between)
 
     def against(self, first: Snapshot) -> Snapshot:
-        """Return the snapshot with the covariance to compare it with `first.without_meters`.
+        """Return the snapshot with the covariance that applies to a comparison with the calibration `first`.
 
-        Gain and offset of meters that are the same cancel on one day, and less the longer they may have drifted:
-        after `METERS_DRIFT` they may be anywhere within their limits. Those of other meters, or of ones that nobody
-        named, never cancel. K2 and K3 of the block cancel as far as both calibrations take them up alike.
+        The covariance of the difference is this one plus that of `first.against(first)`. Gain and offset of the
+        same meters cancel within a day, and less as time passes: after `METERS_DRIFT` they may lie anywhere within
+        their limits. Errors of different or unidentified meters never cancel. K2 and K3 of the same block cancel
+        where their effects are equal.
         """
         theirs = _of_block(first.block_terms)
         own = self.without_meters + self._gone_on
@@ -106,16 +106,16 @@ class Snapshot:
 
 
 def _of_block(terms: Floats | None) -> Floats:
-    """Return the covariance (12, 12) of what terms (12, q) of the block, each one u large, add."""
+    """Return the covariance (12, 12) due to the columns of `block_terms` (12, q); zero for None."""
     return np.zeros((len(COEFFICIENTS),) * 2) if terms is None else np.asarray(terms @ terms.T)
 
 
 @dataclass(frozen=True)
 class Changes:
-    """The changes of a later calibration from the first: `difference`, `u`, `en`, each (12,).
+    """The changes of a later calibration relative to the first: `difference`, `u` and `en`, (12,) each.
 
-    `p_all_looks` (12,) are two-sided probabilities after Holm over all coefficients and calibrations compared;
-    `chi2` with twelve degrees of freedom and `p` judge all coefficients together, with their covariances.
+    `p_all_looks` (12,) are two-sided p-values after Holm's correction for all coefficients and calibrations
+    compared. `chi2` with twelve degrees of freedom and its `p` test all coefficients jointly.
     """
 
     later: Snapshot
@@ -128,16 +128,16 @@ class Changes:
 
     @property
     def changed(self) -> Mask:
-        """Which coefficients changed beyond their uncertainty, shape (12,)."""
+        """Which coefficients changed significantly, (12,)."""
         return self.p_all_looks < CHANGED_P
 
 
 @dataclass(frozen=True)
 class DriftLines:
-    """Weighted straight lines through each coefficient over time.
+    """Straight lines fitted to all coefficients over time by generalised least squares.
 
-    `per_year` and `u` (12,); `p_all_looks` (12,) after Holm over the twelve; `chi2` and `p` of what the lines
-    leave, with `dof` degrees of freedom.
+    `per_year` (12,) are the slopes with standard uncertainties `u`; `p_all_looks` (12,) their p-values after Holm's
+    correction. `chi2` with `dof` degrees of freedom and its `p` test the residuals.
     """
 
     per_year: Floats
@@ -149,7 +149,7 @@ class DriftLines:
 
     @property
     def shown(self) -> Mask:
-        """Which coefficients drift, shape (12,)."""
+        """Which coefficients drift significantly, (12,)."""
         return self.p_all_looks < CHANGED_P
 
 
@@ -157,7 +157,8 @@ class DriftLines:
 class Comparison:
     """The comparison of all later calibrations with the first, and tests of all of them together.
 
-    `p_constant` is the p-value of the hypothesis that no coefficient changed in any of them.
+    `p_constant` is the p-value of the hypothesis that no coefficient changed in any calibration. `drift` is None if
+    dates are missing, the calibrations are too few, or their time span is too short.
     """
 
     first: Snapshot
@@ -168,15 +169,15 @@ class Comparison:
 
     @property
     def changed(self) -> bool:
-        """Whether any coefficient changed, or all together did."""
+        """Whether any single coefficient, or the set of all coefficients, changed significantly."""
         return self.p_constant < JOINT_P or any(bool(np.any(c.changed)) for c in self.changes)
 
 
 def compare(snapshots: Sequence[Snapshot]) -> Comparison:
-    """Compare calibrations of one block, the earliest being the reference where all have a date.
+    """Compare calibrations of one block; the reference is the earliest, or the first if any date is missing.
 
-    Coefficients are brought to the local gravity of the first. Raises `CalibrationError` when there are fewer
-    than two, their units differ, or covariances are singular.
+    Scale factors are converted to the local gravity of the reference. Raises `CalibrationError` if there are fewer
+    than two calibrations, their units differ, or a covariance is singular.
     """
     if len(snapshots) < 2:
         raise CalibrationError("a comparison needs two calibrations or more; name another run or result")
@@ -217,7 +218,7 @@ def _changes(first: Snapshot, later: Snapshot, difference: Floats, u: Floats, p:
 
 
 def _require_regular(snapshot: Snapshot) -> None:
-    """Raise `CalibrationError` for a result in which a coefficient was fixed, or is a sum of others."""
+    """Raise `CalibrationError` for a singular covariance: a coefficient was fixed or depends on others."""
     u = u_of(snapshot.covariance)
     if not np.all(u > 0) or np.linalg.cond(snapshot.covariance / np.outer(u, u)) > MOST_CONDITION:
         raise CalibrationError(
@@ -227,14 +228,14 @@ def _require_regular(snapshot: Snapshot) -> None:
 
 
 def _chi2(difference: Floats, covariance: Floats) -> float:
-    """Return the quadratic form, by correlations so that the units of coefficients do not matter."""
+    """Return the chi-square of a difference (12,), computed from correlations to be independent of units."""
     u = u_of(covariance)
     scaled = difference / u
     return float(scaled @ np.linalg.solve(covariance / np.outer(u, u), scaled))
 
 
 def _constant(snapshots: Sequence[Snapshot]) -> float:
-    """Return the p-value of the hypothesis of one vector for all calibrations (generalised least squares)."""
+    """Return the p-value of the hypothesis that all calibrations have one common vector."""
     weights = [np.linalg.inv(snapshot.covariance) for snapshot in snapshots]
     mean = np.linalg.solve(sum(weights), sum(w @ s.vector for w, s in zip(weights, snapshots, strict=True)))
     chi2 = sum(_chi2(s.vector - mean, s.covariance) for s in snapshots)
@@ -242,7 +243,7 @@ def _constant(snapshots: Sequence[Snapshot]) -> float:
 
 
 def _drift(snapshots: Sequence[Snapshot], dates: Sequence[datetime]) -> DriftLines:
-    """Return straight lines by generalised least squares, all coefficients at once with their covariances."""
+    """Return straight lines fitted by generalised least squares to all coefficients with their covariances."""
     seconds = np.sort([date.timestamp() for date in dates])
     years = (seconds - seconds[0]) / SECONDS_PER_YEAR
     count = len(COEFFICIENTS)
@@ -316,7 +317,7 @@ def _on_meters(snapshots: Sequence[Snapshot]) -> str:
 
 
 def _drifted(first: Snapshot, later: Snapshot) -> float:
-    """Return the part of the meters' limits by which they may differ between two calibrations, 0 to 1."""
+    """Return the fraction of the meters' limits by which they may differ between two calibrations, 0 to 1."""
     return drifted((first.meters, first.when), (later.meters, later.when))
 
 
@@ -329,10 +330,10 @@ SECONDS_PER_DAY: Final = 86400.0
 
 
 def joint_covariances(snapshots: Sequence[Snapshot]) -> Floats:
-    """Return for each coefficient the covariance of n calibrations with one another, (12, n, n).
+    """Return, for each coefficient, the covariance between n calibrations, (12, n, n).
 
-    In common are the gains and offsets of the same meters, less the longer they may have drifted (all, from
-    `METERS_DRIFT` on), and K2 and K3 of the same block. Scale factors have to be per one g.
+    Calibrations share the gains and offsets of the same meters (less as time passes, and none from `METERS_DRIFT`
+    on), and the K2 and K3 of the same block. All scale factors must be per the same g.
     """
     n = len(snapshots)
     found = np.zeros((len(COEFFICIENTS), n, n))
@@ -350,11 +351,11 @@ def joint_covariances(snapshots: Sequence[Snapshot]) -> Floats:
 
 @dataclass(frozen=True)
 class Joint:
-    """The covariance of all twelve coefficients of n calibrations, in its parts.
+    """The joint covariance of all twelve coefficients of n calibrations, in parts.
 
-    `own` (n, 12, 12) is the independent part of each; `meters` (n, 12, 12) are square roots of the
-    covariances due to the meters, correlated by `alike` (n, n); `terms` (n, 12, q) are the contributions of
-    K2 and K3 of a block to all its calibrations; `block` (n,) numbers the blocks.
+    `own` (n, 12, 12) is the independent part of each. `meters` (n, 12, 12) are square roots of the covariances due
+    to the meters, which `alike` (n, n) correlates between calibrations. `terms` (n, 12, q) are the errors due to K2
+    and K3 of the block, shared by all calibrations with the same block index in `block` (n,).
     """
 
     own: Floats
@@ -364,7 +365,7 @@ class Joint:
     block: Ints
 
     def of_sums(self, weights: Floats) -> Floats:
-        """Return the covariance (12, 12) of sums over calibrations, each coefficient with its weights (12, n)."""
+        """Return the covariance (12, 12) of sums over calibrations, for weights (12, n) by coefficient."""
         found = np.einsum("kn,ln,nkl->kl", weights, weights, self.own, optimize=True)
         meters = weights.T[:, :, None] * self.meters
         n, size, _ = meters.shape
@@ -378,7 +379,7 @@ class Joint:
 
 
 def joint_of(snapshots: Sequence[Snapshot]) -> Joint:
-    """Return the joint covariance of n calibrations over all twelve coefficients; as `joint_covariances`."""
+    """Return the joint covariance of n calibrations over all twelve coefficients; see `joint_covariances`."""
     size = len(COEFFICIENTS)
     meters = np.array([s.covariance - s.without_meters for s in snapshots])
     level, along = np.linalg.eigh(meters)
@@ -398,7 +399,7 @@ def joint_of(snapshots: Sequence[Snapshot]) -> Joint:
 
 
 def _still_alike(first: Snapshot, other: Snapshot) -> float:
-    """Return the correlation of the meters' errors by whole days: 1 on one day, 0 for other meters."""
+    """Return the correlation of the meters' errors by whole days: 1 on one day, 0 for different meters."""
     if not first.meters or first.meters != other.meters or first.when is None or other.when is None:
         return 0.0
     apart = abs(_day(first.when) - _day(other.when))

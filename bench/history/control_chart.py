@@ -1,4 +1,4 @@
-"""The control chart of a check block: which runs it rejects, as words and as JSON."""
+"""The control chart of a check block: runs judged against a baseline, with reasons and notes in words."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ from bench.stats.control_charts import (
 )
 
 FEW_RUNS = 8
-"""With fewer runs in the baseline, limits are wide, and a note says so."""
+"""A baseline of fewer runs gives wide limits, and a note says so."""
 
 
 def reasons_of(chart: ControlChart, row: int) -> tuple[str, ...]:
-    """Return the reasons to reject a later run, a clause for each statistic beyond its limit."""
+    """Return the reasons to reject the later run with index `row`: a clause for each statistic beyond its limit."""
     reasons = []
     shewhart, ewma, short = chart.shewhart, chart.ewma, chart.short
     if shewhart.t2[row] > chart.limit_t2:
@@ -54,7 +54,7 @@ def reasons_of(chart: ControlChart, row: int) -> tuple[str, ...]:
 
 
 def _which(z: Floats, limit: float) -> str:
-    """Say which coefficients are beyond their own limit, the farthest first; else the farthest, that none is."""
+    """Return the coefficients beyond their own limit, farthest first; if there are none, the farthest of all."""
     order = np.argsort(-np.abs(z))
     beyond = [k for k in order if abs(z[k]) > limit]
     named = [f"{COEFFICIENTS[k]} {z[k]:+.1f} u".replace("-", MINUS) for k in order]
@@ -62,7 +62,7 @@ def _which(z: Floats, limit: float) -> str:
 
 
 def notes_of(chart: ControlChart) -> tuple[str, ...]:
-    """Return notes for the reader of the chart, a sentence each."""
+    """Return the notes for the reader of the chart, one sentence each."""
     return (*_on_baseline(chart), *_on_components(chart), *_on_meters(chart), *_on_drift(chart))
 
 
@@ -148,12 +148,13 @@ LEAST_SPAN_YEARS = 7.0 / 365.25
 
 @dataclass(frozen=True)
 class CheckRun:
-    """A calibration of the check block: `value` (12,), with `covariance` (12, 12) of what came anew with this run.
+    """A calibration of the check block: `value` (12,), and `covariance` (12, 12) of errors that vary by run.
 
-    `noise` (12,) is the part of u that reading noise makes. `s` is the short-term standard deviation of a reading,
-    with `s_dof`. Runs of one `design` (their plan) have the same covariance but for chance. `meters` are the
-    identities of the voltmeters, `of_meters` (12, 12) what their limits add where others are taken, `lasting`
-    (12, 12) all else in the u of this run that does not come anew.
+    `noise` (12,) is the part of u due to reading noise. `s` is the short-term standard deviation of a reading, with
+    `s_dof` degrees of freedom. Runs with the same `design` (plan) have equal covariances, except by chance.
+    `meters` are the identities of the voltmeters; `of_meters` (12, 12) is the covariance due to their limits, which
+    counts if they were replaced. `lasting` (12, 12) is the covariance of all other errors that do not vary from run
+    to run.
     """
 
     name: str
@@ -189,7 +190,7 @@ class KnownDrift:
 
 @dataclass(frozen=True)
 class Verdict:
-    """Whether a run is accepted, and `reasons` why not, a clause each."""
+    """The verdict on a run: accepted, or rejected with `reasons`, one clause each."""
 
     run: str
     when: datetime
@@ -197,17 +198,17 @@ class Verdict:
 
     @property
     def accepted(self) -> bool:
-        """Whether the bench was in control."""
+        """Whether the run is accepted, so that the bench was in control."""
         return not self.reasons
 
 
 @dataclass(frozen=True)
 class ControlChart:
-    """The chart: `baseline` runs, `reference` in their place where there is one, and `later` runs that are judged.
+    """The control chart: `baseline` runs, or a `reference` in place of them, and the `later` runs judged.
 
-    `shewhart` and `ewma` have a row for each later run; a run that T² rejects is not carried on by the EWMA,
-    and its row there is NaN. `alone` (m,) are the probabilities of each baseline run beside the others, None
-    where they are too few. `verdicts` are of the later runs, in their order.
+    `shewhart` and `ewma` have a row for each later run. The EWMA skips a run that T² rejects; its row there is NaN.
+    `alone` (m,) is the p-value of each baseline run in comparison with the others, None for too few runs.
+    `verdicts` are those on the later runs, in order.
     """
 
     design: ChartDesign
@@ -226,27 +227,27 @@ class ControlChart:
 
     @property
     def in_control(self) -> bool:
-        """Whether the last run is accepted; true for a baseline without later runs."""
+        """Whether the last run is accepted; true without later runs."""
         return not self.verdicts or self.verdicts[-1].accepted
 
     @cached_property
     def limit_t2(self) -> float:
-        """Limit of T² of a run."""
+        """The limit of T² of a run."""
         return self.centre.joint_limit(self.design.alpha)
 
     @cached_property
     def limit_ewma(self) -> float:
-        """Limit of T² of the EWMA."""
+        """The limit of T² of the EWMA."""
         return self.centre.joint_limit(self.design.alpha_ewma(self.centre.dimensions))
 
     @cached_property
     def limit_single(self) -> float:
-        """Limit of one coefficient, in its u, on its Shewhart chart."""
+        """The limit of a single coefficient on its Shewhart chart, in units of its u."""
         return self.centre.single_limit(self.design.alpha_single(self.centre.dimensions))
 
     @cached_property
     def limit_single_ewma(self) -> float:
-        """Limit of one coefficient, in its u, on its EWMA chart."""
+        """The limit of a single coefficient on its EWMA chart, in units of its u."""
         return self.centre.single_limit(self.design.alpha_single_ewma(self.centre.dimensions))
 
 
@@ -259,10 +260,10 @@ def control_chart(
     drift: KnownDrift | None = None,
     restarted: datetime | None = None,
 ) -> ControlChart:
-    """Judge `later` runs of a check block, in the order of time, by a baseline of others, or by a reference.
+    """Judge `later` runs of a check block against its `baseline` runs, or against a `reference` calibration.
 
-    `restarted` is when the bench was repaired: the EWMA begins anew then. Raises `CalibrationError` where the
-    baseline has too few runs to set the limits.
+    `drift` is the known drift of the block. `restarted` is the time of a repair, at which the EWMA starts anew.
+    Raises `CalibrationError` if the baseline has too few runs for limits.
     """
     baseline = tuple(sorted(baseline, key=lambda run: run.when))
     later = tuple(sorted(later, key=lambda run: run.when))
@@ -281,7 +282,7 @@ def control_chart(
         centre = centre_of(values, covariances, design.basis)
         alone = without_one(values, covariances, design.basis)
     else:
-        # the errors of this bench that last are in every difference from a reference of another one
+        # lasting errors of this bench are part of every difference from a reference measured on another bench
         lasting = np.mean([run.lasting + run.of_meters for run in (*baseline, *later)], axis=0)
         one = np.ones(())
         centre = Centre(reference.value, reference.covariance + lasting, one, np.inf, 1)
@@ -299,7 +300,7 @@ def control_chart(
 
 
 class _Pooled:
-    """Covariances of runs: all runs of one design have the pooled covariance of its baseline runs."""
+    """Covariances by design, pooled over the baseline runs; for other designs, over the later runs."""
 
     def __init__(self, baseline: Sequence[CheckRun], later: Sequence[CheckRun]) -> None:
         self._by_design: dict[str, Floats] = {}
@@ -309,30 +310,30 @@ class _Pooled:
                 self._by_design[design] = np.mean(own, axis=0)
 
     def of(self, runs: Sequence[CheckRun]) -> Floats:
-        """Return covariances, shape (n, 12, 12)."""
+        """Return the pooled covariance of each run, (n, 12, 12)."""
         p = len(COEFFICIENTS)
         return np.array([self._by_design[run.design] for run in runs]).reshape(-1, p, p)
 
 
 class _Lines:
-    """The known drift of the block, counted from a reference time; zero where none is known."""
+    """The known drift of the block since the time `begun` (POSIX, s); zero if no drift is known."""
 
     def __init__(self, begun: float, drift: KnownDrift | None) -> None:
         self._begun, self._drift = begun, drift
 
     def years(self, runs: Sequence[CheckRun]) -> Floats:
-        """Return years since then, shape (n,)."""
+        """Return the time of each run in years since `begun`, (n,)."""
         return np.array([(run.when.timestamp() - self._begun) / SECONDS_PER_YEAR for run in runs])
 
     def without(self, runs: Sequence[CheckRun]) -> Floats:
-        """Return values (n, 12) minus the known drift."""
+        """Return the values (n, 12) minus the known drift."""
         values = np.array([run.value for run in runs]).reshape(-1, len(COEFFICIENTS))
         if self._drift is None:
             return values
         return values - self.years(runs)[:, None] * self._drift.per_year
 
     def error(self, runs: Sequence[CheckRun]) -> Floats:
-        """Return the effect of an error of the drift by one u on the values, shape (n, 12, 12)."""
+        """Return the effect on the values of a drift error of one u, by coefficient, (n, 12, 12)."""
         u = np.zeros(len(COEFFICIENTS)) if self._drift is None else self._drift.u
         return self.years(runs)[:, None, None] * np.diag(u)
 
@@ -351,7 +352,7 @@ class _Judging:
     def ewma(
         self, runs: Sequence[CheckRun], shewhart: JudgedDeviations, restarted: datetime | None
     ) -> JudgedDeviations:
-        """Return the EWMA of runs that T² does not reject, begun anew where it was restarted."""
+        """Return the EWMA of the runs that T² does not reject; it starts anew at `restarted`."""
         kept = shewhart.p_joint >= self.design.alpha
         after = np.array([restarted is not None and run.when >= restarted for run in runs], dtype=bool)
         p = len(COEFFICIENTS)
@@ -380,18 +381,18 @@ class _Judging:
         )
 
     def _other_meters(self, runs: Sequence[CheckRun]) -> Floats:
-        """Return the covariance (n, 12, 12) that the limits of meters other than the baseline's add."""
+        """Return square roots (n, 12, 12) of the covariances due to meters other than those of the baseline."""
         known = {run.meters for run in self.baseline}
         parts = []
         for run in runs:
             other = bool(known) and run.meters not in known
-            # both the new ones and those of the baseline may be anywhere within their limits
+            # factor 2: the new meters and those of the baseline may each be anywhere within their limits
             parts.append(_root(2.0 * run.of_meters) if other else np.zeros_like(run.of_meters))
         return np.array(parts)
 
 
 def _root(covariance: Floats) -> Floats:
-    """Return a square root of a covariance that need not be of full rank."""
+    """Return a square root of a covariance, which may be singular."""
     sizes, axes = np.linalg.eigh(covariance)
     return np.asarray(axes * np.sqrt(np.maximum(sizes, 0.0)))
 
@@ -423,7 +424,7 @@ def _drift(
     pooled: _Pooled,
     design: ChartDesign,
 ) -> DriftSeen | None:
-    """Return the drift that accepted runs show, baseline included; none for few runs or a short time."""
+    """Return the drift of the baseline and accepted runs; None for few runs, a short time or different meters."""
     kept = [run for run, p in zip(later, shewhart.p_joint, strict=True) if p >= design.alpha]
     runs = [*baseline, *kept]
     if len(runs) < LEAST_FOR_DRIFT or len({run.meters for run in runs}) > 1:

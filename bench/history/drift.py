@@ -1,4 +1,4 @@
-"""Drift of coefficients between calibrations, and the day when a block is due again."""
+"""Drift of coefficients between calibrations, and the due date of a block's next calibration."""
 
 from __future__ import annotations
 
@@ -20,30 +20,30 @@ from bench.history.measured import ComparedCalibrations
 Dates = NDArray[np.datetime64]
 
 SHOWN_P: Final = 0.05
-"""Level of significance of a rate of drift, for all twelve coefficients together."""
+"""Significance level of a drift rate, for all twelve coefficients together."""
 GRID: Final = 14
 LEAST_SIZE: Final = 0.02
-"""Sizes below this fraction of their scale count as zero."""
+"""Standard deviations below this fraction of their scale count as zero."""
 MOST_SIZE: Final = 30.0
 PRIOR_DOF: Final = 3.0
 PRIOR_WIDTH: Final = (1.0, 4.0)
-"""Of the priors of scatter and walk, in their scales: what is left of a walk about a line is a part of it."""
+"""Widths of the priors of scatter and walk, in their scales; a line absorbs part of a walk, hence the larger."""
 FORGOTTEN: Final = 12.0
-"""Sizes whose logarithmic density is this far below the maximum are left out."""
+"""Grid points are discarded if their log density is below the maximum by more than this."""
 LEVEL: Final = 0.95
 PRODUCTS: Final = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
-"""Index pairs of the products of values (0) and the two columns of a line (1, 2)."""
+"""Index pairs of the products of the values (0) and the two columns of a line (1, 2)."""
 
 
 @dataclass(frozen=True)
 class UnitDrift:
     """The drift of one block from n calibrations; arrays are (12,), in the order of `COEFFICIENTS`.
 
-    `rate` with `u_rate` per year; `between` the scatter between calibrations beyond their stated u and `walk`
-    the random walk in a year, 1 sigma, as the restricted likelihood has them (0: none is shown), each below
-    its `…_most` with 95 %. `first` and `last` are the dates of the calibrations, `count` their number.
-    `p_all_looks` is the p-value of the rate, corrected for twelve coefficients (Bonferroni). Predictions are
-    made from `states`.
+    `rate` with standard uncertainty `u_rate` is per year. `between` is the scatter between calibrations beyond
+    their stated u, `walk` the random walk in a year (1 σ each, restricted maximum likelihood, 0 if not detected);
+    `…_most` are their upper 95 % limits. `first` and `last` are the dates of the first and last calibration,
+    `count` is their number. `p_all_looks` is the p-value of the rate with Bonferroni's correction for twelve
+    coefficients. `states` serve to predict; `common` is the u of errors that all calibrations share.
     """
 
     rate: Floats
@@ -61,14 +61,14 @@ class UnitDrift:
 
     @property
     def shown(self) -> Mask:
-        """Which coefficients drift at a rate beyond its uncertainty, shape (12,)."""
+        """Which coefficients have a significant drift rate, (12,)."""
         return self.p_all_looks < SHOWN_P
 
     def predicted(self, date: np.datetime64 | Dates) -> tuple[Floats, Floats]:
-        """Return the values expected at dates (…) and their standard uncertainties, (…, 12) each.
+        """Return the expected values at dates (…) and their standard uncertainties, (…, 12) each.
 
-        u is that of the coefficient as an errorless calibration would find it on that day: scatter between
-        calibrations is in it. Raises `CalibrationError` for a date before the last calibration.
+        u is that of the result of an errorless calibration on that date, so it includes the scatter between
+        calibrations. Raises `CalibrationError` for a date before the last calibration.
         """
         days = np.asarray(date, dtype="datetime64[s]")
         years = (days - self.first.astype("datetime64[s]")).astype(float).ravel() / SECONDS_PER_YEAR
@@ -84,11 +84,12 @@ class UnitDrift:
 
 @dataclass(frozen=True)
 class States:
-    """The state at the last calibration, for each coefficient and each of m pairs of sizes: (12, m, …).
+    """The state at the last calibration, by coefficient, for m pairs of sizes of scatter and walk: (12, m, …).
 
-    `weight` sums to 1 over m; `between` and `walk` are variances (per year); `line` (12, m, 2) level and rate with
-    `covariance` (12, m, 2, 2); `walked` (12, m) what the walk has come to, `columns` (12, m, 2) that of the
-    columns of the line, `left` (12, m) its variance. `last_year` counts from the first calibration.
+    `weight` sums to 1 over m. `between` and `walk` are variances (`walk` per year). `line` (12, m, 2) is level and
+    rate, with `covariance` (12, m, 2, 2). `walked` (12, m) and `columns` (12, m, 2) are the filtered walk of the
+    values and of the two columns of the line; `left` (12, m) is its variance. `last_year` is the time of the last
+    calibration since the first.
     """
 
     last_year: float
@@ -103,9 +104,9 @@ class States:
 
     @cached_property
     def _foretold(self) -> tuple[Floats, Floats]:
-        """Polynomials in years since the last calibration, over all sizes: mean (2, 12), variance (3, 12).
+        """Coefficients of polynomials in years since the last calibration: mean (2, 12), variance (3, 12).
 
-        At each pair of sizes the mean is a line in time, and its variance a parabola.
+        They average over all pairs of sizes. For each pair the mean is linear in time, and its variance quadratic.
         """
         at = np.stack([1.0 - self.columns[..., 0], self.last_year - self.columns[..., 1]], axis=-1)
         slope = self.line[..., 1]
@@ -122,21 +123,21 @@ class States:
         return np.array(centre), np.array([np.sum(self.weight * one, axis=-1) for one in powers])
 
     def predicted(self, years: Floats) -> tuple[Floats, Floats]:
-        """Return mean and variance (d, 12) at years (d,) since the first calibration."""
+        """Return the means and variances (d, 12) at times (d,) in years since the first calibration."""
         further = (years - self.last_year)[:, None]
         mean, variance = self._foretold
         return mean[0] + further * mean[1], variance[0] + further * (variance[1] + further * variance[2])
 
     @property
     def rate(self) -> tuple[Floats, Floats]:
-        """Mean and variance (12,) of the rate, per year."""
+        """The mean and the variance (12,) of the rate, per year."""
         mean, variance = self._foretold
         return mean[1], variance[2]
 
 
 @dataclass(frozen=True)
 class OfUnit:
-    """The drift of a unit on its benches, with notes on other effects that may look like drift."""
+    """The drift of a unit, with notes on other effects that may look like drift."""
 
     unit: str
     signal: str
@@ -146,7 +147,7 @@ class OfUnit:
 
 
 def drift_of_unit(measured: ComparedCalibrations) -> OfUnit:
-    """Return the drift of the one unit of a table. Raises `CalibrationError` for several, and as `unit_drift`."""
+    """Return the drift of a table's only unit. Raises `CalibrationError` as `unit_drift`, and for several units."""
     units, benches = (sorted(set(labels.tolist())) for labels in (measured.unit, measured.bench))
     if len(units) > 1:
         raise CalibrationError(
@@ -163,7 +164,7 @@ def drift_of_unit(measured: ComparedCalibrations) -> OfUnit:
 
 
 def day_of(text: str) -> np.datetime64:
-    """Return the day that a text states. Raises `CalibrationError` for a text that is no date."""
+    """Return the date in a text such as "2027-06-01". Raises `CalibrationError` for any other text."""
     try:
         return np.datetime64(text, "s")
     except ValueError:
@@ -171,18 +172,18 @@ def day_of(text: str) -> np.datetime64:
 
 
 def unit_drift(when: Dates, vector: Floats, covariance: Floats, common: Floats | None = None) -> UnitDrift:
-    """Return the drift of one block from calibrations `vector` (n, 12) at `when` (n,), in any order.
+    """Return the drift of one block from calibrations `vector` (n, 12) at times `when` (n,), in any order.
 
-    `covariance` (n, 12, 12) are the stated covariances. `common` (12,) are the standard uncertainties of
-    errors that all calibrations share, such as the gain of the same meters; they are a part of the stated
-    ones. Common errors change no rate, and further calibrations do not lower them. Raises `CalibrationError`
-    for fewer than three calibrations, or all of one day.
+    `covariance` (n, 12, 12) are the stated covariances. `common` (12,) are the standard uncertainties of errors
+    that all calibrations share, such as the gain of the same meters; they are part of the stated u. Such errors do
+    not affect rates, and further calibrations do not reduce them. Raises `CalibrationError` for fewer than three
+    calibrations, or if all lie within a day.
     """
     return history_drift(when, vector, np.diagonal(covariance, axis1=1, axis2=2), common)
 
 
 def history_drift(when: Dates, values: Floats, variance: Floats, common: Floats | None = None) -> UnitDrift:
-    """Return the drift of any m sizes, `values` (n, m) with `variance` (n, m), in place of the twelve; as above."""
+    """Return the drift of any m quantities, `values` (n, m) with `variance` (n, m); otherwise as `unit_drift`."""
     order = np.argsort(when, kind="stable")
     dates = np.asarray(when, dtype="datetime64[s]")[order]
     seconds = (dates - dates[0]).astype(float) if len(dates) else np.zeros(0)
@@ -207,7 +208,7 @@ def history_drift(when: Dates, values: Floats, variance: Floats, common: Floats 
 
 @dataclass(frozen=True)
 class _History:
-    """Values `y` (n, 12) with variances `own` (n, 12) at rising `years` (n,) since the first."""
+    """Values `y` (n, 12) with variances `own` (n, 12) at ascending times `years` (n,) since the first."""
 
     years: Floats
     y: Floats
@@ -215,14 +216,14 @@ class _History:
 
     @cached_property
     def _scales(self) -> tuple[Floats, Floats]:
-        """Return the scales (12,) of the scatter, and of the random walk per root year."""
+        """The scales (12,) of the scatter, and of the random walk in a root year."""
         line = np.stack([np.ones_like(self.years), self.years], axis=1)
         left = self.y - line @ np.linalg.lstsq(line, self.y, rcond=None)[0]
         scatter = np.sqrt(np.median(self.own, axis=0) + np.sum(left**2, axis=0) / (len(self.y) - 2))
         return scatter, scatter / np.sqrt(self.years[-1] / (len(self.y) - 1))
 
     def known(self) -> tuple[States, tuple[Floats, Floats, Floats, Floats]]:
-        """Return the states, and the REML estimates and upper limits of scatter and walk, (12,) each."""
+        """Return the states, and the REML estimates and upper limits of scatter and of walk, (12,) each."""
         lowest = np.full((2, self.y.shape[1]), np.log(LEAST_SIZE))
         highest = np.full_like(lowest, np.log(MOST_SIZE))
         for _ in range(2):
@@ -239,7 +240,10 @@ class _History:
         return states, (found[0], found[1], found[2], found[3])
 
     def _at(self, nodes: Floats) -> tuple[States, Floats, Floats]:
-        """Filter at all pairs of logarithmic sizes (2, 12, g): states, log density and likelihood (12, g, g)."""
+        """Run the filter for all pairs of sizes whose logarithms are `nodes` (2, 12, g).
+
+        Return the states, and the log density (with priors) and the log likelihood, (12, g, g) each.
+        """
         scatter, step = self._scales
         between = np.exp(2 * nodes[0]) * scatter[:, None] ** 2
         walk = np.exp(2 * nodes[1]) * step[:, None] ** 2
@@ -261,7 +265,7 @@ class _History:
         weight = heights / heights.sum(axis=1, keepdims=True)
         gone = walked[:, :, 0] - np.einsum("kmc,kmc->km", walked[:, :, 1:], line)
         columns = walked[:, :, 1:]
-        # the walk of the columns is taken off by `columns`, so that of the values stands alone
+        # `columns` accounts for the walk of the columns, so the walk of the values is stored by itself
         states = States(
             float(self.years[-1]), weight, tau, q, line, covariance,
             gone + np.einsum("kmc,kmc->km", columns, line), columns, left,
@@ -269,10 +273,10 @@ class _History:
         return states, density, likelihood.reshape(shape)
 
     def _filtered(self, tau: Floats, q: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-        """Run the filter of the walk over values and columns of the line, for variances (12, m).
+        """Run the Kalman filter of the walk on the values and on the columns of the line, for variances (12, m).
 
-        Return sums of squares and products of whitened innovations (12, m, 3, 3), the sum of logarithms of their
-        variances, the walk of each (12, m, 3), and its variance (12, m).
+        Return the sums of squares and products of whitened innovations (12, m, 3, 3), the sum of the logarithms of
+        their variances (12, m), the filtered walk of each (12, m, 3), and its variance (12, m).
         """
         # component by component: arrays (12, m) that stay in the processor's cache
         walked = [np.zeros_like(tau) for _ in range(3)]
@@ -299,7 +303,7 @@ class _History:
 
 
 def _within(nodes: Floats, density: Floats) -> tuple[Floats, Floats]:
-    """Return the ends (2, 12) of the nodes that count, widened by one node to each side."""
+    """Return the lowest and highest relevant nodes, (2, 12) each, extended by one node on either side."""
     top = density.max(axis=(1, 2), keepdims=True)
     counts = density > top - FORGOTTEN
     ends: list[Floats] = []
@@ -313,26 +317,26 @@ def _within(nodes: Floats, density: Floats) -> tuple[Floats, Floats]:
 
 
 def _taken(values: Floats, index: Ints) -> Floats:
-    """Return from each row of values (12, g) the one at its index (12,)."""
+    """Return the element at `index` (12,) from each row of `values` (12, g)."""
     return np.take_along_axis(values, index[:, None], axis=1)[:, 0]
 
 
 DIRECTIONS: Final[Floats] = np.array([d for d in product((-1.0, 0.0, 1.0), repeat=3) if any(d)])
-"""Directions of the specific force, shape (26, 3), not of unit length."""
+"""Directions of the specific force, (26, 3), not normalised."""
 MOST_YEARS: Final = 20.0
-"""The longest time over which a history is extrapolated, years."""
+"""The longest extrapolation of a history, years."""
 STEPS: Final = (92, 7, 1)
-"""Step sizes of the search for the due date, days; each search refines the one before."""
+"""Step sizes of the search for the due date, days; each search refines the previous one."""
 DAY: Final = np.timedelta64(1, "D")
 
 
 @dataclass(frozen=True)
 class Due:
-    """The date when a block is due: `date`, by `basis`, "drift" or "interval", with the reason `why`.
+    """The due date of a block's next calibration, with its `basis` ("drift" or "interval") and the reason `why`.
 
-    `predicted_g` is the expanded error expected on that day, `now_g` on the day of the last calibration, in
-    local g; both are None where only the interval decides. `count` is the number of calibrations, `last` the
-    last day.
+    `predicted_g` is the expanded error expected on that day, and `now_g` on the day of the last calibration, in
+    local g; both are None if the basis is the interval. `count` is the number of calibrations, `last` the time of
+    the last one.
     """
 
     date: np.datetime64
@@ -356,12 +360,12 @@ def due(
     *,
     simulated: bool = False,
 ) -> Due:
-    """Return when a block is due again that was calibrated at `when` (n,) with `vector` (n, 12) per one g.
+    """Return the due date of a block that was calibrated at `when` (n,) with coefficients `vector` (n, 12) per g.
 
-    `covariance` (n, 12, 12) are the stated ones; `u_meters` (n, 12) is the part of u that the same meters
-    bring again, None where other meters read. `limit_g` is the error allowed, in g, at 1 g in any direction.
-    `interval_days` is used where the history is too short, and `why` then says so. Raises `CalibrationError`
-    where there is no calibration, or the last has a K without inverse.
+    `covariance` (n, 12, 12) are the stated covariances. `u_meters` (n, 12) is the part of u that recurs with the
+    same meters; None if the meters differ. `limit_g` is the permitted error, in g, of a measurement of 1 g in any
+    direction. If the history is too short to show drift, `interval_days` determines the date. Raises
+    `CalibrationError` if there is no calibration, or if K of the last one is singular.
     """
     if len(when) == 0:
         raise CalibrationError("no calibration with a date tells when it is due")
@@ -394,7 +398,7 @@ def due(
 
 
 def _first_day(drift: UnitDrift, last: np.datetime64, limit_g: float) -> tuple[np.datetime64, float]:
-    """Return the first day after the last on which the error reaches the limit, to within a step of `STEPS`."""
+    """Return the first day after the last calibration on which the error reaches the limit, and that error."""
     begin, end = 0, round(MOST_YEARS * 365.25)
     for step in STEPS:
         days = np.unique(np.append(np.arange(begin + step, end, step), end))
@@ -405,9 +409,9 @@ def _first_day(drift: UnitDrift, last: np.datetime64, limit_g: float) -> tuple[n
 
 
 def sensitivities(vector: Floats) -> Floats:
-    """Return what a change of each coefficient does to 1 g measured along each direction, shape (26, 12).
+    """Return the sensitivity coefficients of 1 g measured along 26 directions, (26, 12).
 
-    Raises `CalibrationError` for a K without inverse.
+    They are the derivatives by the coefficients `vector` (12,). Raises `CalibrationError` if K is singular.
     """
     along = DIRECTIONS / np.linalg.norm(DIRECTIONS, axis=1, keepdims=True)
     try:
@@ -419,6 +423,6 @@ def sensitivities(vector: Floats) -> Floats:
 
 
 def _expanded(drift: UnitDrift, days: Dates) -> Floats:
-    """Return the expanded error |mean| + k u of the worst direction on each day, g."""
+    """Return the largest expanded error |mean| + k u of any direction on each day, g."""
     mean, u = drift.predicted(days)
     return np.asarray(np.max(np.abs(mean) + COVERAGE_FACTOR * u, axis=-1))

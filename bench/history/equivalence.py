@@ -1,4 +1,4 @@
-"""Degrees of equivalence of benches that measured the same units: by coefficient, and all twelve together."""
+"""Degrees of equivalence of benches that measured the same units, by coefficient and for all twelve jointly."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from bench.model.geometry import COEFFICIENTS
 from bench.stats import holm
 
 CONSISTENT_P: Final = 0.05
-"""Values are consistent with their stated uncertainties where the p-value is at least this."""
+"""The least p-value at which values count as consistent with their stated uncertainties."""
 WEIGHTED_MEAN: Final = "weighted mean"
 MANDEL_PAULE: Final = "Mandel-Paule"
 DERSIMONIAN_LAIRD: Final = "DerSimonian-Laird"
@@ -28,7 +28,7 @@ METHODS: Final = (WEIGHTED_MEAN, MANDEL_PAULE, DERSIMONIAN_LAIRD)
 
 @dataclass(frozen=True)
 class Participants:
-    """Values `y` (n,) with covariance (n, n) of units `unit` (n,) on benches `bench` (n,), counted from 0."""
+    """Values `y` (n,) with their covariance (n, n), of units `unit` (n,) on benches `bench` (n,), by index."""
 
     y: Floats
     covariance: Floats
@@ -37,32 +37,32 @@ class Participants:
 
     @cached_property
     def Z_unit(self) -> Floats:  # noqa: N802 - the symbol of the field
-        """The indicator matrix of units, one column for each, (n, U)."""
+        """The indicator matrix of units, (n, U)."""
         return np.eye(int(self.unit.max()) + 1)[self.unit]
 
     @cached_property
     def Z_bench(self) -> Floats:  # noqa: N802
-        """The indicator matrix of benches, one column for each, (n, B)."""
+        """The indicator matrix of benches, (n, B)."""
         return np.eye(int(self.bench.max()) + 1)[self.bench]
 
     def with_dark(self, dark: float) -> Floats:
-        """Return the covariance (n, n) with an additional error of size `dark` for each bench."""
+        """Return the covariance (n, n) with an additional independent error of each bench, 1 σ = `dark`."""
         return self.covariance + dark**2 * (self.Z_bench @ self.Z_bench.T)
 
     @cached_property
     def between_dof(self) -> int:
-        """Degrees of freedom of differences between benches: their number less that of connected sets."""
+        """Degrees of freedom between benches: the number of benches less that of connected sets of benches."""
         both = np.linalg.matrix_rank(np.concatenate([self.Z_unit, self.Z_bench], axis=1))
         return int(both) - int(self.unit.max()) - 1
 
     def between(self, dark: float) -> Floats:
-        """Return the matrix (n, n) of the quadratic form of the differences between benches."""
+        """Return the matrix (n, n) of the quadratic form in `y` that measures differences between benches."""
         V = self.with_dark(dark)
         return _left(V, self.Z_unit) - _left(V, np.concatenate([self.Z_unit, self.Z_bench], axis=1))
 
 
 def _left(V: Floats, X: Floats) -> Floats:
-    """Return V^-1 minus its part along the columns of X (n, p), which may be linearly dependent."""
+    """Return V^-1 less its part in the column space of X (n, p), whose columns may be linearly dependent."""
     lower = linalg.cholesky(V, lower=True)
     whitened = linalg.solve_triangular(lower, X, lower=True)
     along, size, _ = np.linalg.svd(whitened, full_matrices=False)
@@ -73,12 +73,12 @@ def _left(V: Floats, X: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class Equivalence:
-    """The reference value of each unit, and the degree of equivalence of each bench.
+    """The reference value of each unit and the degree of equivalence of each bench, for one coefficient.
 
-    `reference` (U,) with `u_reference`; `degree` (B,) of equivalence d with `covariance` (B, B), each
-    with its own claim taken at its word, and `dark` the size of what the others may be off by more.
-    `chi2` with `dof` tests the stated uncertainties; `birge` is the root of the reduced chi-square. `map` (B, n)
-    maps the values to the degrees of equivalence.
+    `reference` (U,) has the standard uncertainties `u_reference`. `degree` (B,) are the degrees of equivalence d
+    with `covariance` (B, B). `dark` is the dark uncertainty of benches (1 σ). The variance of d includes it for all
+    benches but the one that d belongs to, whose stated u is kept. `chi2` with `dof` tests the stated uncertainties;
+    `map` (B, n) is the matrix that maps `y` to d.
     """
 
     method: str
@@ -93,35 +93,35 @@ class Equivalence:
 
     @property
     def p(self) -> float:
-        """The p-value of `chi2` where the stated uncertainties are right."""
+        """The p-value of `chi2` for the hypothesis that the stated uncertainties are correct."""
         return float(special.chdtrc(self.dof, self.chi2))
 
     @property
     def consistent(self) -> bool:
-        """Whether values agree with their stated uncertainties."""
+        """Whether the values agree with their stated uncertainties."""
         return self.p >= CONSISTENT_P
 
     @property
     def birge(self) -> float:
-        """Birge ratio."""
+        """The Birge ratio: the root of the reduced chi-square."""
         return float(np.sqrt(self.chi2 / self.dof))
 
     @property
     def u_degree(self) -> Floats:
-        """Standard uncertainties (B,) of the degrees of equivalence."""
+        """The standard uncertainties of the degrees of equivalence, (B,)."""
         return u_of(self.covariance)
 
     @property
     def en(self) -> Floats:
-        """|d| over U(d), k = 2, (B,)."""
+        """The E_n numbers |d|/U(d) with k = 2, (B,)."""
         return np.asarray(np.abs(self.degree) / (COVERAGE_FACTOR * self.u_degree))
 
 
 def equivalence(of: Participants, method: str | None = None) -> Equivalence:
-    """Return reference values and degrees of equivalence by a method, or by Cox's choice where none is named.
+    """Return reference values and degrees of equivalence by one of `METHODS`; by default Cox's choice.
 
-    Cox's choice is the weighted mean where the stated uncertainties pass the chi-square test, else
-    Mandel-Paule. Raises `CalibrationError` where no unit was measured on two benches.
+    Cox's choice is the weighted mean if the stated uncertainties pass the chi-square test, otherwise Mandel-Paule.
+    Raises `CalibrationError` if no unit was measured on two benches.
     """
     if not of.between_dof:
         raise CalibrationError(
@@ -135,7 +135,7 @@ def equivalence(of: Participants, method: str | None = None) -> Equivalence:
 
 
 def mandel_paule(of: Participants) -> float:
-    """Return the dark size at which chi-square between benches equals its degrees of freedom; 0 for less."""
+    """Return the dark uncertainty (>= 0) at which chi-square between benches equals its degrees of freedom."""
 
     def gap(variance: float) -> float:
         return float(of.y @ of.between(np.sqrt(variance)) @ of.y) - of.between_dof
@@ -149,7 +149,7 @@ def mandel_paule(of: Participants) -> float:
 
 
 def dersimonian_laird(of: Participants) -> float:
-    """Return the dark size by the method of moments; 0 where benches differ by less than expected."""
+    """Return the dark uncertainty by the method of moments; 0 if benches differ less than expected."""
     form = of.between(0.0)
     per_variance = float(np.sum((form @ of.Z_bench) * of.Z_bench))
     return float(np.sqrt(max(0.0, (float(of.y @ form @ of.y) - of.between_dof) / per_variance)))
@@ -168,7 +168,7 @@ def _by(of: Participants, dark: float, method: str) -> Equivalence:
         w = linalg.solve(of.covariance[np.ix_(own, own)], np.ones(len(own)), assume_a="pos")
         means[b, own] = w / w.sum()
     degrees = means @ residual
-    # a bench's own claim is taken at its word: the dark size is that of the others
+    # the stated u of a bench itself is kept: the dark uncertainty applies to the other benches only
     own_part = degrees @ of.Z_bench
     covariance = degrees @ of.covariance @ degrees.T
     covariance += dark**2 * (own_part @ own_part.T)
@@ -176,16 +176,16 @@ def _by(of: Participants, dark: float, method: str) -> Equivalence:
     plain = _left(of.covariance, of.Z_unit)
     return Equivalence(
         method, to_reference @ of.y, u_of(u2), degrees @ of.y, covariance, dark,
-        # values that are all alike leave nothing, and rounding of it
+        # chi-square of equal values is zero, but rounding may make it negative
         max(float(of.y @ plain @ of.y), 0.0), n - of.Z_unit.shape[1], degrees,
     )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Pair:
-    """The difference of two benches, first minus second, on the `units` of both; with u and E_n (k = 2).
+    """The difference between two benches, first minus second, from the number `units` of common units.
 
-    `map` (n,) maps the values to the difference.
+    `map` (n,) is the vector that maps `y` to the difference.
     """
 
     first: int
@@ -197,12 +197,12 @@ class Pair:
 
     @property
     def en(self) -> float:
-        """The number E_n."""
+        """The E_n number of the difference, k = 2."""
         return abs(self.difference) / (COVERAGE_FACTOR * self.u)
 
 
 def pairs(of: Participants) -> tuple[Pair, ...]:
-    """Return the comparison of every two benches, from the units alone that both measured."""
+    """Return the difference between every two benches with common units, from these units alone."""
     found = []
     benches = int(of.bench.max()) + 1
     seen = [set(of.unit[of.bench == b].tolist()) for b in range(benches)]
@@ -224,12 +224,12 @@ def pairs(of: Participants) -> tuple[Pair, ...]:
 
 
 APART_P: Final = 0.05
-"""Level of significance of a difference between benches, for all differences together."""
+"""Significance level of differences between benches, for all differences together."""
 
 
 @dataclass(frozen=True)
 class JointDifference:
-    """A chi-square test of a vector of differences: `chi2` with `dof`, `p` alone and over all tests."""
+    """A chi-square test of a vector of differences; `p_all_looks` is `p` after Holm's correction."""
 
     chi2: float
     dof: int
@@ -238,18 +238,18 @@ class JointDifference:
 
     @property
     def apart(self) -> bool:
-        """Whether the benches differ beyond chance."""
+        """Whether the differences are significant."""
         return self.p_all_looks < APART_P
 
 
 def together(
     differences: Floats, u: Floats, errors: Floats, of_errors: Floats
 ) -> tuple[JointDifference, ...]:
-    """Return the tests of m vectors of differences (m, 12) with standard uncertainties `u` (m, 12).
+    """Return the chi-square tests of m vectors of differences (m, 12) with standard uncertainties `u` (m, 12).
 
-    `errors` (m, 12, 12) are covariances of the errors of calibrations, which give the correlations of
-    coefficients; `of_errors` (m, 12) is the part of u due to these errors. The rest of u, such as a dark
-    size, is uncorrelated between coefficients.
+    `errors` (m, 12, 12) are covariances due to calibration errors; only their correlations between coefficients are
+    used. `of_errors` (m, 12) is the part of u due to these errors. The rest of u, such as the dark uncertainty, is
+    uncorrelated between coefficients.
     """
     chi2 = []
     for d, whole, covariance, own in zip(differences, u, errors, of_errors, strict=True):
@@ -267,8 +267,9 @@ def together(
 class BenchComparison:
     """The comparison of benches with one another, for each of the twelve coefficients.
 
-    `benches` and `units` are those that take part; `alone` are benches that share no unit with another. `together`
-    judges the degrees of equivalence of each bench in all twelve at once, `pairs_together` the pairs.
+    `benches` and `units` are the participants; `alone` are benches that share no unit with another. `found` has the
+    degrees of equivalence and `pairs` the differences between benches, by coefficient. `together` tests the degrees
+    of equivalence of each bench in all twelve coefficients jointly, `pairs_together` the differences of each pair.
     """
 
     benches: tuple[str, ...]
@@ -285,7 +286,7 @@ class BenchComparison:
 
     @property
     def apart(self) -> tuple[tuple[str, str, float], ...]:
-        """Bench, coefficient and E_n of degrees of equivalence beyond U (k = 2), the largest first."""
+        """Bench, coefficient and E_n of each degree of equivalence with E_n > 1, the largest first."""
         rows = [
             (bench, name, float(en))
             for name, one in zip(COEFFICIENTS, self.found, strict=True)
@@ -298,10 +299,11 @@ class BenchComparison:
 def compare_benches(
     measured: ComparedCalibrations, there: Sequence[Snapshot], method: str | None = None
 ) -> BenchComparison:
-    """Return the comparison of benches by calibrations of common units; `there` are their snapshots.
+    """Return the comparison of benches by their calibrations of common units.
 
-    The snapshots are per g of `STANDARD_GRAVITY`. They supply the errors that calibrations have in common
-    (meters, K2 and K3 of a block). Raises `CalibrationError` where nothing joins the benches.
+    `there` holds the snapshots of the n calibrations, per g of `STANDARD_GRAVITY`. They supply the errors that
+    calibrations share (of the meters, and K2 and K3 of a block). Raises `CalibrationError` if no common unit links
+    the benches.
     """
     covariances, joint = joint_covariances(there), joint_of(there)
     (units, unit), (benches, bench) = coded(measured.unit), coded(measured.bench)
@@ -331,7 +333,7 @@ def compare_benches(
 def _benches_together(
     taking: Sequence[Participants], found: Sequence[Equivalence], joint: Joint
 ) -> tuple[JointDifference, ...]:
-    """Return the tests of the degrees of equivalence of each bench, in all coefficients."""
+    """Return the joint test of the degrees of equivalence of each bench over all coefficients."""
     degrees = np.stack([one.degree for one in found], axis=1)
     u = np.stack([one.u_degree for one in found], axis=1)
     maps = np.stack([one.map for one in found], axis=1)
@@ -342,7 +344,7 @@ def _benches_together(
 
 
 def _pairs_together(by_coefficient: Sequence[Sequence[Pair]], joint: Joint) -> tuple[JointDifference, ...]:
-    """Return the tests of the difference of each pair of benches, in all coefficients."""
+    """Return the joint test of the difference of each pair of benches over all coefficients."""
     each = list(zip(*by_coefficient, strict=True))
     u = np.array([[pair.u for pair in one] for one in each])
     errors = np.array([joint.of_sums(np.array([pair.map for pair in one])) for one in each])

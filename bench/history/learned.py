@@ -1,4 +1,4 @@
-"""What was learned of a bench: sizes with u, and how its meters differ."""
+"""The errors learned from the runs of one bench, with their u, and the differences between its meters."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from bench.calibration.noise import KnownStand
 from bench.stats import contrasts_within
 
 NONE: Final = 1e-6
-"""A variance below this fraction of the stated one counts as zero."""
+"""Variances below this fraction of the stated one count as zero."""
 FEW_DOF: Final = 4.0
-"""With at most so many degrees of freedom only the upper limit of a size is meaningful."""
+"""Up to this many degrees of freedom, only the upper limit of a standard deviation is meaningful."""
 SHOWN_P: Final = 0.01
-"""Level of significance of a wave (harmonic) of the head."""
+"""Significance level of a harmonic of the head's scale."""
 HARDLY_BETTER: Final = 0.95
 WAVE_NAMES: Final = (
     "head_eccentricity.cosine", "head_eccentricity.sine", "head_ellipticity.cosine", "head_ellipticity.sine",
@@ -32,7 +32,7 @@ NEVER: Final = (
 
 @dataclass(frozen=True)
 class LearnedSize:
-    """One learned size in `unit`, with its standard uncertainty and degrees of freedom."""
+    """A learned quantity in `unit` with u and degrees of freedom; `told` is false if it keeps its prior."""
 
     name: str
     value: float
@@ -44,7 +44,7 @@ class LearnedSize:
 
 @dataclass(frozen=True)
 class Variance:
-    """A variance component: `theta` and its u in terms of `unit` squared; `held` where it keeps its prior."""
+    """A variance component `theta` with its u, in terms of `unit` squared; `held` is true if it keeps its prior."""
 
     name: str
     theta: float
@@ -54,24 +54,24 @@ class Variance:
 
     @property
     def dof(self) -> float:
-        """Degrees of freedom of the variance, 2 v^2/u(v)^2."""
+        """The degrees of freedom of the variance, 2 v^2/u(v)^2."""
         return 2.0 * self.theta**2 / max(self.u_theta**2, 1e-300)
 
     @property
     def size(self) -> float:
-        """The standard deviation, SI."""
+        """The standard deviation, in the unit of `unit`; 0 for a negligible variance."""
         return float(np.sqrt(self.theta)) * self.unit if self.theta > NONE else 0.0
 
     @property
     def u(self) -> float:
-        """Standard uncertainty of the standard deviation, SI, by its degrees of freedom."""
+        """The standard uncertainty of `size`; for few degrees of freedom, the distance to its upper limit."""
         if self.dof > FEW_DOF:
             return self.size / float(np.sqrt(2.0 * (self.dof - 2.0)))
         return (float(np.sqrt(self.theta + self.u_theta)) - float(np.sqrt(self.theta))) * self.unit
 
     @property
     def u_next(self) -> float:
-        """The standard deviation as it counts for a further run, SI: widened, and never nothing."""
+        """The standard deviation that applies to a further run: widened for its dof, never zero."""
         if self.held:
             return self.size
         nu = max(self.dof, FEW_DOF)
@@ -82,7 +82,7 @@ class Variance:
 
 @dataclass(frozen=True)
 class Contradiction:
-    """A run that contradicts the others: in `what`, `size` times what is expected, `p` with all looks counted."""
+    """A run that contradicts the others: `what` is `size` times the expectation, with corrected p-value `p`."""
 
     run: str
     what: str
@@ -91,20 +91,21 @@ class Contradiction:
 
     @property
     def sentence(self) -> str:
-        """The contradiction in a sentence."""
+        """The contradiction as a sentence."""
         return f"{self.run} contradicts the others: {self.what} is {self.size:.3g} times what they lead to expect"
 
 
 @dataclass(frozen=True)
 class Learned:
-    """The errors that runs of one bench share, as learned from these runs.
+    """The errors that the runs of one bench share.
 
-    `means` (m + waves,) rad by `keys` (name of the angle, installation or empty), then the waves of the head,
-    with `covariance`; `stated` (m,) their u before, rad. `variances` are those of remounts by kind, then of
-    the drift by channel (unit of the signal, per root hour), with `variances_covariance` (k, k) of their
-    squares. `noise` (4,) are the sizes of x, y, z and of the setting (rad). `known` is the part that a
-    further calibration uses. `meters` are the differences of the voltmeters, or a sentence on why they are
-    not told.
+    `means` (m + waves,), rad, belong to `keys` (angle and installation, or empty for all), followed by the
+    harmonics of the head; their covariance is `covariance`. `stated` (m,) are their u before learning, rad.
+    `variances` are those between mountings by kind of angle, then of the drift by channel (unit of the signal, per
+    root hour); `variances_covariance` (k, k) is that of their squares. `noise` (4,) is that of x, y, z and of the
+    setting (rad). `known` is the prior knowledge for further calibrations. `not_told` gives the reason for each
+    kind that the runs do not determine. `meters` are the differences between voltmeters, or a sentence on why they
+    are unknown.
     """
 
     runs: tuple[str, ...]
@@ -127,12 +128,12 @@ class Learned:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the means and waves."""
+        """The names of the means and of the harmonics."""
         own = [f"{name}[{installation}]" if installation else name for name, installation in self.keys]
         return (*own, *WAVE_NAMES[: self.waves])
 
     def sizes(self) -> Iterator[LearnedSize]:
-        """Yield every size: means, remounts, noise, setting error, drift, waves of the head."""
+        """Yield all learned quantities: means, mountings, noise, setting error, drift, harmonics, meters."""
         u = np.sqrt(np.diag(self.covariance))
         for j, name in enumerate(self.names):
             told = j >= len(self.stated) or u[j] < HARDLY_BETTER * self.stated[j]
@@ -155,7 +156,7 @@ class Learned:
             yield from self.meters.sizes()
 
     def shown_waves(self) -> list[int]:
-        """Return which harmonics of the head, counted from 0, are larger than chance makes them."""
+        """Return the indices (from 0) of the significant harmonics of the head."""
         m, found = len(self.keys), []
         for k in range(self.waves // 2):
             at = slice(m + 2 * k, m + 2 * k + 2)
@@ -165,7 +166,7 @@ class Learned:
         return found
 
     def not_identified(self) -> list[str]:
-        """Return sentences on the quantities that these runs do not determine, and why."""
+        """Return a sentence for each quantity that these runs do not determine, with the reason."""
         told = [
             f"{name}.remount: {why}; it keeps its prior, a part of the stated limit that nobody knows"
             for name, why in self.not_told.items()
@@ -181,14 +182,14 @@ class Learned:
 
 
 def _u(size: float, dof: float) -> float:
-    """Return u of a standard deviation; with few degrees of freedom the distance to its upper limit."""
+    """Return the u of a standard deviation; for few degrees of freedom, the distance to its upper limit."""
     if dof > FEW_DOF:
         return float(size / np.sqrt(2.0 * (dof - 2.0)))
     return float(size * (np.sqrt(1.0 + np.sqrt(2.0 / max(dof, 1e-30))) - 1.0))
 
 
 LEAST_FREEDOM: Final = 2
-"""Degrees of freedom that must be left to tell what a block does from run to run from what the meters do."""
+"""Least degrees of freedom to separate a block's variation between runs from differences of meters."""
 NOT_EXCHANGED: Final = (
     "differences between the voltmeters: no block was measured with voltmeters exchanged between its channels, "
     "so that a difference passes for the block's; three runs of one block (two of two blocks), each voltmeter "
@@ -204,12 +205,13 @@ _PPM, _MICROVOLT = 1e-6, 1e-6
 
 @dataclass(frozen=True)
 class MeterRun:
-    """A calibration of a unit as its meters saw it.
+    """A calibration of a unit, reduced to the quantities that its voltmeters affect.
 
-    `meters` are their identities by channel, `day` when (days of any count). `values` (6,) are the logarithms of
-    the rows' lengths (V/g), then the biases in g; `covariance` (6, 6) holds all that comes anew with a run, the
-    meters' own errors left out; `block` (6, q) what the block brings to each of its runs, one u a column. `drift`
-    (3, 2) is how far gain (1) and zero (V) of the meter of each channel may move within `per_days`.
+    `meters` are the meters' identities by channel; `day` is the time in days from any origin. `values` (6,) are the
+    logarithms of the lengths of the rows of K (in V/g), then the biases in g. `covariance` (6, 6) contains the
+    errors that vary from run to run, without those of the meters. `block` (6, q) are the errors that the block
+    causes in all its runs, one u per column. `drift` (3, 2) is the standard uncertainty of the change of gain (1)
+    and zero (V) within `per_days`, by channel.
     """
 
     name: str
@@ -227,7 +229,7 @@ class MeterRun:
         cls, name: str, unit: str, meters: tuple[str, str, str], day: float, coefficients: Floats,
         covariance: Floats, block: Floats, drift: Floats, per_days: float,
     ) -> MeterRun:  # fmt: skip
-        """Return it for twelve coefficients (12,) with covariance (12, 12) and terms of the block (12, q)."""
+        """Return the run for coefficients (12,) with covariance (12, 12) and errors of the block (12, q)."""
         values, slope = lengths_and_biases(coefficients)
         return cls(
             name, unit, meters, day, values, slope @ covariance @ slope.T, slope @ block, drift, per_days
@@ -235,7 +237,7 @@ class MeterRun:
 
 
 def lengths_and_biases(coefficients: Floats) -> tuple[Floats, Floats]:
-    """Return ln |row| and bias over |row| of three channels, (6,), and their slopes by the twelve, (6, 12)."""
+    """Return ln |row| of K and bias over |row| by channel, (6,), and the derivatives by the twelve, (6, 12)."""
     rows, bias = coefficients[:9].reshape(3, 3), coefficients[9:]
     length = np.linalg.norm(rows, axis=1)
     slope = np.zeros((6, 12))
@@ -249,10 +251,11 @@ def lengths_and_biases(coefficients: Floats) -> tuple[Floats, Floats]:
 
 @dataclass(frozen=True)
 class Contrasts:
-    """One quantity of M meters: `values` (M,) about the mean of each group, with `covariance` (M, M).
+    """One quantity of M meters: `values` (M,) relative to the mean of each group, with `covariance` (M, M).
 
-    `freedom` (M,) are the degrees of freedom of the difference from the first meter of the group (inf for itself),
-    `between` what a block adds from run to run beyond what is stated, as it counts here; all SI.
+    `freedom` (M,) are the degrees of freedom of the difference from the first meter of the group (inf for that
+    meter). `between` is the standard deviation between runs of a block beyond the stated u. All values are in SI
+    units.
     """
 
     values: Floats
@@ -261,16 +264,17 @@ class Contrasts:
     between: float
 
     def difference(self, a: int, b: int) -> tuple[float, float]:
-        """Return the difference of meter `a` minus meter `b`, with its standard uncertainty."""
+        """Return the difference of meter `a` minus meter `b`, and its standard uncertainty."""
         c = self.covariance
         return float(self.values[a] - self.values[b]), float(np.sqrt(c[a, a] + c[b, b] - 2.0 * c[a, b]))
 
 
 @dataclass(frozen=True)
 class MeterDifferences:
-    """Differences of the meters about day `day`; meters of different `group` (M,) are not compared.
+    """The differences between M meters, referred to the time `day`.
 
-    `used` says how often each meter read which channel.
+    Meters of different `group` (M,) cannot be compared. `used` counts the runs in which each meter read each
+    channel.
     """
 
     meters: tuple[str, ...]
@@ -282,7 +286,7 @@ class MeterDifferences:
     day: float
 
     def pairs(self) -> Iterator[tuple[int, int]]:
-        """Yield each meter with the first one of its group, by number."""
+        """Yield the indices of each meter and of the first meter of its group."""
         for b, group in enumerate(self.group):
             first = self.group.index(group)
             if first != b:
@@ -299,13 +303,13 @@ class MeterDifferences:
                 yield LearnedSize(f"voltmeter_{what}[{b + 1}-{a + 1}]", value / scale, u / scale, unit, dof)
 
     def words(self) -> Iterator[str]:
-        """Yield which meter has which number, and what it read."""
+        """Yield a line for each meter: its number, its identity and the channels that it read."""
         for number, (meter, used) in enumerate(zip(self.meters, self.used, strict=True), start=1):
             read = ", ".join(f"{c} in {n}" for c, n in zip(CHANNELS, used, strict=True) if n)
             yield f"voltmeter {number}: {meter} (read {read} of {len(self.runs)} runs with exchanged voltmeters)"
 
     def not_told(self) -> Iterator[str]:
-        """Yield a sentence where some of the meters were never compared with the others."""
+        """Yield a sentence if there are groups of meters that cannot be compared."""
         if len(set(self.group)) > 1:
             groups = [
                 " and ".join(str(m + 1) for m, own in enumerate(self.group) if own == group)
@@ -341,7 +345,10 @@ def meter_differences(runs: Sequence[MeterRun]) -> MeterDifferences | str:
 
 
 def exchanged(runs: Sequence[tuple[str, tuple[str, str, str]]]) -> list[int]:
-    """Return the numbers of the runs, each with its unit and meters, of units of which a channel met several."""
+    """Return the indices of the runs of units of which some channel was read by several meters.
+
+    Each run is given by its unit and its meters by channel; runs with an unidentified meter are left out.
+    """
     met: dict[tuple[str, int], set[str]] = {}
     for unit, meters in runs:
         for channel, meter in enumerate(meters):
@@ -352,7 +359,7 @@ def exchanged(runs: Sequence[tuple[str, tuple[str, str, str]]]) -> list[int]:
 
 
 def _stacked(runs: Sequence[MeterRun], day: float, quantity: int, scale: Floats) -> tuple[Floats, Floats]:
-    """Return the values (N,) of a quantity times `scale`, and their covariance as it is stated (N, N)."""
+    """Return the values (N,) of a quantity times `scale`, and their covariance (N, N) with the meters' drift."""
     at = slice(3 * quantity, 3 * quantity + 3)
     y = scale * np.concatenate([run.values[at] for run in runs])
     known = linalg.block_diag(*(run.covariance[at, at] for run in runs))
@@ -371,7 +378,8 @@ def _stacked(runs: Sequence[MeterRun], day: float, quantity: int, scale: Floats)
 def _moved(runs: Sequence[MeterRun], day: float, quantity: int) -> Floats:
     """Return the covariance (N, N) of the drift of each meter from its state on a day.
 
-    As far as its limits in proportion to the time, on a way that nobody knows: steps apart in time are independent.
+    The drift reaches its limit in proportion to the time. Drifts of a meter before and after that day are
+    independent; on the same side, two drifts have the shorter one in common.
     """
     of = np.array([meter for run in runs for meter in run.meters])
     part = np.repeat([np.clip((run.day - day) / run.per_days, -1.0, 1.0) for run in runs], 3)
@@ -382,9 +390,10 @@ def _moved(runs: Sequence[MeterRun], day: float, quantity: int) -> Floats:
 
 @dataclass(frozen=True)
 class _Design:
-    """The design of the meter comparison: N readings by meter and unit, one of each channel in each run.
+    """The design of the meter comparison: N readings, one of each channel in each run.
 
-    `cell` (N,) numbers unit and channel, `meter_of` (N,) the meter; meters of one `group` (M,) are compared.
+    `cell` (N,) is the index of the pair of unit and channel, `meter_of` (N,) that of the meter. Only meters with
+    the same `group` (M,) can be compared.
     """
 
     meters: tuple[str, ...]
@@ -414,12 +423,12 @@ class _Design:
         return self.readings - int(self.cell.max()) - 1 - int(contrasts_within(self.group).shape[1])
 
     def mean_length(self, logarithms: Floats) -> Floats:
-        """Return the mean length of its cell for each reading (N,), V/g."""
+        """Return for each reading the geometric mean of the row lengths in its cell, V/g, (N,)."""
         mean = np.bincount(self.cell, logarithms) / np.bincount(self.cell)
         return np.asarray(np.exp(mean[self.cell]))
 
     def fit(self, y: Floats, known: Floats) -> Contrasts:
-        """Return the contrasts from values (N,) of stated covariance (N, N), the rest by restricted likelihood."""
+        """Return the contrasts of the meters, with a variance between runs estimated by restricted likelihood."""
         cells = np.eye(int(self.cell.max()) + 1)[self.cell]
         basis = contrasts_within(self.group)
         X = np.concatenate([cells, np.eye(len(self.meters))[self.meter_of] @ basis], axis=1)
@@ -440,7 +449,7 @@ class _Design:
         )  # fmt: skip
 
     def _freedom(self, covariance: Callable[[float], Floats], variance: float, u_variance: float) -> Floats:
-        """Return degrees of freedom (M,) of the differences from the first of each group, by Satterthwaite."""
+        """Return the degrees of freedom (M,) of differences from each group's first meter, by Satterthwaite."""
         step = 0.01 * variance
         here, slope = covariance(variance), (covariance(variance + step) - covariance(variance)) / step
         found = np.full(len(self.meters), np.inf)
@@ -455,9 +464,9 @@ class _Design:
 
 
 def _beyond(y: Floats, X: Floats, known: Floats) -> tuple[float, float]:
-    """Return the variance of each reading beyond what is stated, as it counts, and its standard uncertainty.
+    """Return the variance of each reading beyond the stated covariance `known`, and its standard uncertainty.
 
-    By restricted likelihood of what X leaves; widened for how few tell it, so that it is never nothing.
+    Restricted likelihood, with `X` as fixed effects, gives the variance; it is widened for its dof and never zero.
     """
     off = linalg.null_space(X.T)
     size, axes = np.linalg.eigh(off.T @ known @ off)

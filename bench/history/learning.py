@@ -1,4 +1,4 @@
-"""Errors that the runs of one bench share: variances by restricted likelihood, contradicting runs, sizes."""
+"""Learning of the errors that runs of one bench share: restricted likelihood, contradicting runs, sizes."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ from bench.stats import holm
 from bench.stats.reml import scoring_step
 
 LEAST: Final = 1e-8
-"""Least variance, in terms of what was stated: there it is as good as none."""
+"""The least variance, relative to the stated one; it is practically zero."""
 START: Final = 0.05
 STEP: Final = 0.02
-"""Relative step of the differences that make the observed information from the score."""
+"""Relative step of the numerical derivative of the score that gives the observed information."""
 ROUNDS: Final = 100
 AT_REST: Final = 1e-4
 MOST_CHANGE: Final = 5.0
@@ -40,9 +40,10 @@ MOST_CHANGE: Final = 5.0
 
 @dataclass(frozen=True)
 class Beliefs:
-    """Prior beliefs: precision (m,) of the means in stated units, and about variances.
+    """Prior beliefs: the precision (m,) of the means, in units of their stated u, and beliefs about variances.
 
-    `centre` (k,) and `spread` (k,) are those of a variance that keeps its prior, NaN for one that the runs tell.
+    `centre` (k,) and `spread` (k,) are mean and standard deviation of a variance that keeps its prior; NaN for a
+    variance that is estimated from the runs.
     """
 
     precision: Floats
@@ -57,9 +58,9 @@ class Beliefs:
 
 @dataclass(frozen=True)
 class LikelihoodPoint:
-    """The likelihood at some variances: value, score (k,), information (k, k), means (m,) with covariance (m, m).
+    """The likelihood at given variances: -2 ln L, score (k,), information (k, k), means and their covariance.
 
-    The waves of the head stand behind the means.
+    `means` (m + waves,) are the m means followed by the harmonics of the head; `covariance` is theirs.
     """
 
     minus_two_log: float
@@ -71,7 +72,10 @@ class LikelihoodPoint:
 
 @dataclass(frozen=True)
 class Weighed:
-    """The sums (runs, w, w) of (B, F, y) of each run with V^-1 in place of R^-1, and ln det of V/R, (runs,)."""
+    """The sums (runs, w, w) of (B, F, y) of each run, weighted by V^-1 instead of R^-1, and ln det of V/R, (runs,).
+
+    R is the covariance of the noise alone; V includes the shared variances.
+    """
 
     whole: Floats
     log_det: Floats
@@ -79,7 +83,7 @@ class Weighed:
 
     @classmethod
     def of(cls, body: RunSums, theta: Floats, means: int) -> Weighed:
-        """Return the weighed sums for variances (k,)."""
+        """Return the weighted sums for variances (k,)."""
         c = body.columns
         gram = body.by_mean(means)
         root = np.sqrt(np.append(theta, 0.0)[body.random])
@@ -90,7 +94,7 @@ class Weighed:
         return cls(gram - np.swapaxes(half, 1, 2) @ half, logs, c)
 
     def means(self, beliefs: Beliefs, without: int | None = None) -> tuple[Floats, Floats]:
-        """Return means and waves with their covariance, of all runs or of all but one."""
+        """Return means and harmonics with their covariance, from all runs or without one of them."""
         c, m = self.columns, len(beliefs.precision)
         normal = self.whole[:, c:-1, c:-1].sum(axis=0)
         right = self.whole[:, c:-1, -1].sum(axis=0)
@@ -99,14 +103,14 @@ class Weighed:
             right = right - self.whole[without, c:-1, -1]
         places = np.arange(m)
         normal[places, places] += beliefs.precision
-        # a wave that no run shows stays open, and takes nothing
+        # regularise: a harmonic that no run determines gets a huge variance and affects nothing else
         normal[np.diag_indices_from(normal)] += 1e-12 * np.maximum(np.diag(normal), 1e-12)
         covariance = np.linalg.inv(normal)
         return covariance @ right, covariance
 
 
 def at(body: RunSums, theta: Floats, beliefs: Beliefs) -> LikelihoodPoint:
-    """Return the likelihood of variances (k,), in stated units; `beliefs` of the means, waves without a prior."""
+    """Return the restricted likelihood at variances (k,), relative to the stated ones; harmonics have no prior."""
     c, m = body.columns, len(beliefs.precision)
     weighed = Weighed.of(body, theta, m)
     whole = weighed.whole
@@ -130,9 +134,9 @@ def at(body: RunSums, theta: Floats, beliefs: Beliefs) -> LikelihoodPoint:
 
 @dataclass(frozen=True)
 class VarianceEstimate:
-    """The variances (k,) of greatest restricted likelihood in stated units, and what goes with them.
+    """The variances (k,) that maximise the restricted likelihood, relative to the stated ones.
 
-    `information` (k, k) is the observed one, priors included; `at` the likelihood there.
+    `information` (k, k) is the observed information, priors included; `at` is the likelihood at the maximum.
     """
 
     theta: Floats
@@ -141,13 +145,13 @@ class VarianceEstimate:
 
 
 def maximise(body: RunSums, beliefs: Beliefs, start: Floats | None = None) -> VarianceEstimate:
-    """Return the variances of greatest likelihood, none below zero, with the observed information."""
+    """Return the non-negative variances that maximise the likelihood, with the observed information."""
     theta = fitted(body, beliefs, start)
     return VarianceEstimate(theta, observed_information(body, theta, beliefs), at(body, theta, beliefs))
 
 
 def fitted(body: RunSums, beliefs: Beliefs, start: Floats | None = None) -> Floats:
-    """Return the variances (k,) of greatest likelihood alone, by scoring in relative steps."""
+    """Return the variances (k,) that maximise the likelihood, found by Fisher scoring in relative steps."""
     theta = np.full(len(beliefs.centre), START) if start is None else np.maximum(start, 100 * LEAST)
     best, damping = at(body, theta, beliefs), 0.0
     for _ in range(ROUNDS):
@@ -166,7 +170,7 @@ def fitted(body: RunSums, beliefs: Beliefs, start: Floats | None = None) -> Floa
 
 
 def observed_information(body: RunSums, theta: Floats, beliefs: Beliefs) -> Floats:
-    """Return minus the second derivatives of ln L (k, k) by differences of the score."""
+    """Return the negative second derivatives of ln L (k, k), by differences of the score."""
     k = len(theta)
     information = np.zeros((k, k))
     for j in range(k):
@@ -180,18 +184,18 @@ def observed_information(body: RunSums, theta: Floats, beliefs: Beliefs) -> Floa
 
 
 NAMED_P: Final = 0.01
-"""Level of significance of a contradicting run, for all runs together."""
+"""Significance level of a contradicting run, for all runs together."""
 LOOKED_AT_P: Final = 0.1
-"""Variances are estimated anew without a run only where its p-value by all runs is below this."""
+"""The variances are estimated again without a run only if its preliminary p-value is below this."""
 MOST_PART: Final = 1 / 3
-"""No more of the runs are left out: where more contradict, it is the bench that is not one."""
+"""The largest fraction of runs left out; if more contradict, the runs do not share one state of the bench."""
 ANGLES: Final = "its angles of the stand"
 FIT: Final = "what it leaves beyond the scatter of its repeats"
 SCATTER: Final = "the scatter of its repeats"
 
 
 def odd_runs(runs: list[RunFit], body: RunSums, theta: Floats, beliefs: Beliefs) -> list[Contradiction]:
-    """Return for every run and question how odd it is, p with all looks counted, the oddest first."""
+    """Return the test of each run for each kind of contradiction, most significant first, with Holm's p-values."""
     found = [*_angles(body, theta, beliefs), *_fit(body, at(body, theta, beliefs).means), *_scatter(runs)]
     found.sort(key=lambda one: one.p)
     adjusted = holm(np.array([one.p for one in found]))
@@ -204,7 +208,7 @@ def _angles(body: RunSums, theta: Floats, beliefs: Beliefs) -> list[Contradictio
     for r, name in enumerate(body.names):
         size, p = _angle_test(body, r, theta, *weighed.means(beliefs, without=r))
         if p < LOOKED_AT_P:
-            # an odd run makes its own scatter look usual
+            # a contradicting run inflates the variances and so hides itself: estimate them without it
             others = body.without([r])
             anew = fitted(others, beliefs, theta)
             size, p = _angle_test(
@@ -218,7 +222,7 @@ def _angles(body: RunSums, theta: Floats, beliefs: Beliefs) -> list[Contradictio
 def _angle_test(
     body: RunSums, r: int, theta: Floats, means: Floats, covariance: Floats
 ) -> tuple[float, float]:
-    """Return reduced chi-square and p of the angles that a run shows against the prediction of the others."""
+    """Return reduced chi-square and p-value of the angles of run `r` against the prediction from the others."""
     c = body.columns
     own = np.flatnonzero(body.mean[r] >= 0)
     by_means = body.by_mean(len(means) - body.waves)[r][own, c:-1]
@@ -237,7 +241,7 @@ def _angle_test(
 
 
 def _fit(body: RunSums, means: Floats) -> list[Contradiction]:
-    """Return the test of the lack of fit of each run against the others, the head's waves subtracted."""
+    """Return the test of each run's lack of fit against that of the others, without the head's harmonics."""
     waves = means[len(means) - body.waves :]
     c = body.columns
     H = slice(c, c + body.waves)
@@ -264,7 +268,10 @@ def _scatter(runs: list[RunFit]) -> list[Contradiction]:
 def _held_against(
     names: tuple[str, ...], ratio: Floats, dof: Floats, what: str, *, upper: bool
 ) -> list[Contradiction]:
-    """Return how odd each of several mean squares with degrees of freedom is, by the others as they differ."""
+    """Return the test of each of several mean squares (with degrees of freedom) against the others.
+
+    The test allows for the variation between the others. It is one-sided with `upper`, otherwise two-sided.
+    """
     usable = np.flatnonzero(dof > 0)
     found = []
     for r in usable:
@@ -275,7 +282,7 @@ def _held_against(
         x = float(np.log(ratio[r]) - special.digamma(dof[r] / 2) + np.log(dof[r] / 2))
         u = np.sqrt(special.polygamma(1, dof[r] / 2) + spread2 + told)
         t = (x - mean) / float(u)
-        # a spread that was estimated is known to the degrees of freedom of the others
+        # Student's t if the variation between runs was estimated from the others
         above = special.ndtr(-t) if spread2 == 0.0 else special.stdtr(max(len(others) - 1, 1), -t)
         p = float(above if upper else 2 * min(above, 1 - above))
         found.append(Contradiction(names[r], what, float(np.exp(x - mean)), p))
@@ -284,7 +291,7 @@ def _held_against(
 
 @dataclass(frozen=True)
 class Agreed:
-    """Runs that agree, with their noise (4,) and their sums; those that do not, the oddest first."""
+    """The runs that agree, their sums and noise (4,), and contradictions; `most` if too many runs contradict."""
 
     runs: list[RunFit]
     body: RunSums
@@ -294,7 +301,7 @@ class Agreed:
 
 
 def agreed(runs: list[RunFit], body: RunSums, noise: Floats, beliefs: Beliefs, layout: Any) -> Agreed:
-    """Leave out runs that contradict the others, the oddest first, one at a time."""
+    """Remove runs that contradict the others, most significant first, one at a time; return the result."""
     named: list[Contradiction] = []
     kept = list(runs)
     most = int(len(runs) * MOST_PART)
@@ -315,16 +322,16 @@ def agreed(runs: list[RunFit], body: RunSums, noise: Floats, beliefs: Beliefs, l
 
 LEAST_RUNS: Final = 2
 SHOWN: Final = 0.1
-"""What a run must tell of an angle, in terms of what was stated of it, to show it at all."""
+"""The least information of a run on an angle, relative to the stated one, for the angle to be visible."""
 ALIKE: Final = 0.9
-"""Cosine beyond which two angles show alike."""
+"""The cosine between the effects of two angles beyond which they cannot be separated."""
 HELD_CENTRE: Final = 0.5
 HELD_SPREAD: Final = 1 / np.sqrt(12.0)
-"""The part of a stated variance that comes with a remount, where nothing tells it: any from 0 to 1, alike."""
+"""Prior mean and standard deviation of an undetermined remount variance: uniform from 0 to the stated one."""
 MEANS_OF_HELD: Final = 1.0 / HELD_CENTRE
-"""Precision of the mean of such an angle: both parts together are what was stated."""
+"""The precision of the mean of such an angle: mean and remount variance add up to the stated variance."""
 HALF_ITSELF: Final = 0.5
-"""A variance is not told that is known to no better part of itself, nor better than what was stated."""
+"""A variance is undetermined if its u exceeds both this fraction of it and the u of its prior."""
 
 
 def learn(
@@ -334,11 +341,11 @@ def learn(
     by_installation: bool = False,
     waves: bool = True,
 ) -> Learned:
-    """Return the errors that runs of one bench share. `stand_u` are the stated u of the stand's angles, rad.
+    """Return the errors that runs of one bench share; `stand_u` are the stated u of the stand angles, rad.
 
-    With `by_installation` each installation has mean angles of its own, as where each has a bracket; else the
-    mean is the stand's. `waves` looks for the head's eccentricity and ellipticity. Raises `CalibrationError`
-    where the runs are too few, of several units of the signal, or hold too few repeats.
+    With `by_installation`, each installation has separate mean angles, as if each had its own bracket; otherwise
+    all share the means of the stand. With `waves`, the eccentricity and ellipticity of the head's scale are
+    estimated. Raises `CalibrationError` if there are too few runs or repeats, or signals in different units.
     """
     if len(runs) < LEAST_RUNS:
         raise CalibrationError(f"{len(runs)} run tells nothing of what runs share; give {LEAST_RUNS} or more")
@@ -360,9 +367,10 @@ def learn(
 
 
 def told_by_runs(body: RunSums, layout: Layout, free: Beliefs) -> tuple[Beliefs, dict[str, str]]:
-    """Return the beliefs with those variances held that the runs do not tell, and why, by kind.
+    """Return the beliefs in which undetermined variances are held at their prior, with reasons by kind of angle.
 
-    Of several that only show together the ones of the smallest stated size are held, so that the others are told.
+    Of variances that cannot be separated, those with the smallest stated size are held first, so that the others
+    are determined.
     """
     beliefs, reasons = free, {}
     for j, kind in enumerate(layout.kinds):
@@ -378,7 +386,7 @@ def told_by_runs(body: RunSums, layout: Layout, free: Beliefs) -> tuple[Beliefs,
 
 
 def _holding(beliefs: Beliefs, layout: Layout, j: int) -> Beliefs:
-    """Return the beliefs with the variance of a kind held, and the rest of the stated size in its mean."""
+    """Return the beliefs with the variance of a kind held; its mean receives the rest of the stated variance."""
     centre, spread = beliefs.centre.copy(), beliefs.spread.copy()
     centre[j], spread[j] = HELD_CENTRE, HELD_SPREAD
     own = np.array([name == layout.kinds[j] for name, _ in layout.means])
@@ -386,13 +394,13 @@ def _holding(beliefs: Beliefs, layout: Layout, j: int) -> Beliefs:
 
 
 def _shown(body: RunSums, j: int) -> bool:
-    """Whether any run determines an angle better than it was stated."""
+    """Whether any run has information on a kind of angle, compared with the stated uncertainty."""
     own = np.diagonal(body.gram[:, : body.columns, : body.columns], axis1=1, axis2=2)[body.random == j]
     return bool(np.max(own, initial=0.0) > SHOWN)
 
 
 def _untold(body: RunSums, theta: Floats, beliefs: Beliefs, layout: Layout) -> dict[int, str]:
-    """Return the kinds whose variance these runs do not determine, with the reason."""
+    """Return the kinds whose variance these runs do not determine, by index, with the reason."""
     information = at(body, theta, beliefs).information
     k = len(layout.kinds)
     size = np.maximum(np.sqrt(np.diag(information)), 1e-6)
@@ -408,7 +416,7 @@ def _untold(body: RunSums, theta: Floats, beliefs: Beliefs, layout: Layout) -> d
 
 
 def _why(body: RunSums, j: int, layout: Layout) -> str:
-    """Return why an angle is not determined: which others it cannot be separated from, if any."""
+    """Return the reason why an angle is not determined: the angles from which it is inseparable, if any."""
     together = set()
     for gram, random in zip(body.gram, body.random, strict=True):
         own = np.flatnonzero(random == j)
@@ -475,7 +483,7 @@ def _learned(
 
 
 def variances_of(shared: VarianceEstimate) -> Floats:
-    """Return the covariance (k, k) of the variances; one at its lower end hangs together with no other."""
+    """Return the covariance (k, k) of the variances; a variance of zero is uncorrelated with all others."""
     k = len(shared.theta)
     inside = np.flatnonzero(shared.theta > 1e-6)
     spread = np.zeros((k, k))
@@ -491,11 +499,11 @@ def variances_of(shared: VarianceEstimate) -> Floats:
 
 
 def means_dof(body: RunSums, theta: Floats, beliefs: Beliefs, spread: Floats) -> Floats:
-    """Return degrees of freedom (m + waves,) of the variances of the means, by Satterthwaite's approximation.
+    """Return the degrees of freedom (m + waves,) of the means' variances, by Satterthwaite's approximation.
 
-    2 c^2 / (g^T W g), c the variance of a mean, g its slope by the variances, W (k, k) their covariance. Source:
-    F. E. Satterthwaite, Biometrics Bull. 2 (1946) 110; A. H. Fai, P. L. Cornelius, J. Stat. Comput. Simul. 54
-    (1996) 363.
+    They are 2 c^2 / (g^T W g) with the variance c of a mean, its gradient g by the variance components, and their
+    covariance `spread` (k, k), W. Sources: F. E. Satterthwaite, Biometrics Bull. 2 (1946) 110; A. H. Fai, P. L.
+    Cornelius, J. Stat. Comput. Simul. 54 (1996) 363.
     """
     here = np.diag(at(body, theta, beliefs).covariance)
     slopes = np.zeros((len(here), len(theta)))

@@ -1,4 +1,4 @@
-"""Calibrations of many units on many benches, as arrays."""
+"""A table of calibrations of many units on many benches, as arrays."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from bench.calibration.result import CalibrationError
 from bench.model.geometry import COEFFICIENTS
 
 STANDARD_GRAVITY: Final = 9.80665
-"""Scale factors of several places are compared per g of so many m/s^2."""
+"""The g (m/s²) to which scale factors from different places are converted for comparison."""
 
 
 LEAST_OWN: Final = 1e-3
-"""Of a stated variance at least this part is taken as a calibration's own."""
+"""The least fraction of a stated variance that counts as a calibration's own, independent part."""
 
 
 @dataclass(frozen=True)
 class ComparedCalibrations:
-    """n calibrations: which `unit` of which `kind` (n,) on which `bench` (n,), and `when` (n,).
+    """A table of n calibrations: labels `unit`, `kind` (unit type) and `bench`, and times `when`, (n,) each.
 
-    `vector` (n, 12) in `signal`/g with g = `STANDARD_GRAVITY`, biases in `signal`, `covariance` (n, 12, 12) as
-    stated; `meters` (n, 12) is the part of u that the same meters bring to each of their calibrations (zero where
-    nobody stated one); `simulated` tells that all were found on simulated instruments. Raises `CalibrationError`
-    where nothing is left of them.
+    `vector` (n, 12) has scale factors in `signal`/g with g = `STANDARD_GRAVITY` and biases in `signal`;
+    `covariance` (n, 12, 12) is as stated. `meters` (n, 12) is the part of u that recurs in every calibration with
+    the same meters, zero if not stated. `simulated` is whether all calibrations used simulated instruments. Raises
+    `CalibrationError` for an empty table.
     """
 
     unit: Labels
@@ -51,7 +51,7 @@ class ComparedCalibrations:
         return len(self.unit)
 
     def of(self, kept: Mask | Ints) -> ComparedCalibrations:
-        """Return some of them."""
+        """Return the table of selected calibrations, by mask or by index."""
         return ComparedCalibrations(
             self.unit[kept], self.kind[kept], self.bench[kept], self.when[kept], self.vector[kept],
             self.covariance[kept], self.meters[kept], self.signal, self.simulated,
@@ -59,23 +59,23 @@ class ComparedCalibrations:
 
     @property
     def variance(self) -> Floats:
-        """Stated variances, (n, 12)."""
+        """The stated variances, (n, 12)."""
         return np.asarray(np.diagonal(self.covariance, axis1=1, axis2=2))
 
     @property
     def own_variance(self) -> Floats:
-        """Stated variances without what the same meters bring again, (n, 12)."""
+        """The stated variances without the part that recurs with the same meters, (n, 12)."""
         return np.maximum(self.variance - self.meters**2, LEAST_OWN * self.variance)
 
 
 def to_standard_gravity(g_m_s2: Floats) -> Floats:
-    """Return what coefficients found where g is `g_m_s2` (n,) are to be multiplied by, (n, 12)."""
+    """Return the factors (n, 12) that convert coefficients per local g `g_m_s2` (n,) to standard gravity."""
     factor = np.ones((len(g_m_s2), len(COEFFICIENTS)))
     factor[:, :9] = (STANDARD_GRAVITY / g_m_s2)[:, None]
     return factor
 
 
 def coded(labels: Sequence[str] | Labels) -> tuple[Labels, Ints]:
-    """Return the different labels, sorted, and which of them each is, counted from 0."""
+    """Return the sorted distinct labels and the index of each label: "b", "a", "b" -> ["a", "b"], [1, 0, 1]."""
     names, codes = np.unique(np.asarray(labels, dtype=str), return_inverse=True)
     return names, codes.astype(np.int64)

@@ -1,9 +1,10 @@
-"""What the units of a type tell of a further one before it is measured, and a calibration with that.
+"""A prior for an unmeasured unit from calibrated units of its type, and its combination with a calibration.
 
-Means of units scatter by what units differ by and by their calibrations' own errors. The covariance between units
-is that of their scatter less the latter; its correlations are shrunk where units are few; it is widened as an
-estimate of so many degrees of freedom is. What no repetition shows (errors of a bench, of meters) is in the mean.
-Sources: J. Schäfer, K. Strimmer, Stat. Appl. Genet. Mol. Biol. 4 (2005) 32 (shrinking); JCGM 101:2008, 6.4.9.4.
+The means of units scatter by the variation between units and by calibration errors. The covariance between units is
+the covariance of the means less that of the calibration errors. Its correlations are shrunk, the more the fewer the
+units, and its variances are enlarged for their finite degrees of freedom. Errors that no repetition reveals (of a
+bench or its meters) are included in the uncertainty of the mean. Sources: J. Schäfer, K. Strimmer, Stat. Appl.
+Genet. Mol. Biol. 4 (2005) 32 (shrinkage); JCGM 101:2008, 6.4.9.4.
 """
 
 from __future__ import annotations
@@ -20,26 +21,27 @@ from bench.history.measured import STANDARD_GRAVITY, ComparedCalibrations, coded
 from bench.model.geometry import COEFFICIENTS
 
 LEAST_UNITS: Final = 6
-"""From fewer units a covariance of twelve coefficients is not worth the name."""
+"""Fewer units give no meaningful covariance of twelve coefficients."""
 
 
 CONFLICT_P: Final = 0.01
-"""A prior is not used where it and the readings disagree as chance does less often than this."""
+"""The prior is not used if the p-value of its agreement with the readings is below this level."""
 
 
 LEAST_DOF: Final = 4.0
 
 
 LEAST_REPEATS: Final = 10
-"""Repeated calibrations from which their own scatter is known."""
+"""The least number of repeated calibrations that determines their own scatter."""
 
 
 @dataclass(frozen=True)
 class Prior:
-    """A further unit of type `kind`: `mean` (12,) and `covariance` (12, 12), in `signal` per standard g.
+    """The prior of an unmeasured unit of type `kind`: `mean` (12,) and `covariance` (12, 12).
 
-    `between` (12,) is what units differ by, 1 sigma, `mean_u` (12,) the u of the mean; `dof` the degrees of
-    freedom, `shrunk` the part that was taken off the correlations. `units` and `benches` are those behind it.
+    Both are in `signal` per standard g. `between` (12,) is the standard deviation between units, `mean_u` (12,) the
+    standard uncertainty of the mean, `dof` the degrees of freedom, and `shrunk` the fraction by which correlations
+    were reduced. `units` and `benches` are those behind the prior.
     """
 
     kind: str
@@ -58,15 +60,15 @@ class Prior:
     notes: tuple[str, ...] = ()
 
     def per(self, g_m_s2: float) -> tuple[Floats, Floats]:
-        """Return mean (12,) and covariance (12, 12) with scale factors per a local g."""
+        """Return the mean (12,) and the covariance (12, 12) with scale factors per a local g of `g_m_s2`."""
         factor = np.where(np.arange(len(COEFFICIENTS)) < 9, g_m_s2 / STANDARD_GRAVITY, 1.0)
         return self.mean * factor, self.covariance * np.outer(factor, factor)
 
 
 def prior_of(measured: ComparedCalibrations) -> Prior:
-    """Return what calibrations of several units of one type tell of a further unit of it.
+    """Return the prior for an unmeasured unit from calibrations of units of one type.
 
-    Raises `CalibrationError` for units of several types, or too few of them.
+    Raises `CalibrationError` for units of several types, or for too few units.
     """
     kinds, _ = coded(measured.kind)
     units, unit = coded(measured.unit)
@@ -102,10 +104,10 @@ def prior_of(measured: ComparedCalibrations) -> Prior:
 
 
 def _own(measured: ComparedCalibrations, unit: Ints) -> tuple[Floats, tuple[str, ...]]:
-    """Return the part (n, 12, 12) of stated covariances that each calibration has of its own, and notes.
+    """Return the part (n, 12, 12) of the stated covariances that is independent between calibrations, and notes.
 
-    It is what repeated calibrations of a unit scatter by, at most what is stated; nothing, where few were
-    repeated: then all the scatter of units is theirs.
+    It is the scatter of repeated calibrations of a unit, limited to the stated covariance. With too few repeats it
+    is zero, so that all scatter of the means is attributed to the units.
     """
     count = np.bincount(unit)
     dof = int(np.sum(count - 1))
@@ -124,7 +126,7 @@ def _own(measured: ComparedCalibrations, unit: Ints) -> tuple[Floats, tuple[str,
 
 
 def _means(vector: Floats, own: Floats, unit: Ints, count: int) -> tuple[Floats, Floats]:
-    """Return the plain means (m, 12) of units, and what their own errors give them (m, 12, 12)."""
+    """Return the unweighted means (m, 12) of units, and their covariances (m, 12, 12) due to calibration errors."""
     many = np.bincount(unit, minlength=count).astype(float)
     means = np.stack([np.bincount(unit, c, count) for c in vector.T], axis=1) / many[:, None]
     flat = own.reshape(len(own), -1)
@@ -133,10 +135,10 @@ def _means(vector: Floats, own: Floats, unit: Ints, count: int) -> tuple[Floats,
 
 
 def _between(means: Floats, of_means: Floats) -> tuple[Floats, Floats, float]:
-    """Return mean (12,), covariance between units (12, 12), and by how much correlations were shrunk.
+    """Return the mean (12,), the covariance between units (12, 12), and the shrinkage of its correlations.
 
-    The total variance of means is known as an estimate of m - 1 degrees of freedom is: its expectation is larger by
-    (m - 1)/(m - 3); what own errors give is taken off it.
+    The total variance of the means is estimated with m - 1 degrees of freedom, so that its posterior expectation is
+    larger by the factor (m - 1)/(m - 3). The variance due to calibration errors is subtracted from it.
     """
     m = len(means)
     mean = means.mean(axis=0)
@@ -150,7 +152,8 @@ def _between(means: Floats, of_means: Floats) -> tuple[Floats, Floats, float]:
     off = ~np.eye(len(scale), dtype=bool)
     spread = np.sum((1.0 - correlation[off] ** 2) ** 2) / (m - 1)
     shrunk = float(min(1.0, spread / max(float(np.sum(correlation[off] ** 2)), 1e-12)))
-    # twelve degrees of freedom for no correlation: few units have some directions too narrow by chance
+    # at least as if twelve more degrees of freedom showed no correlation: else few units may by chance give too
+    # narrow a spread in some directions
     shrunk = max(shrunk, len(scale) / (m - 1 + len(scale)))
     own_scale = np.sqrt(np.where(shown > 0, shown, 1.0))
     between = _positive(raw / np.outer(own_scale, own_scale) * np.outer(shown > 0, shown > 0))
@@ -161,17 +164,18 @@ def _between(means: Floats, of_means: Floats) -> tuple[Floats, Floats, float]:
 
 
 def _positive(matrix: Floats) -> Floats:
-    """Return the nearest matrix without negative eigenvalues."""
+    """Return the nearest symmetric matrix without negative eigenvalues."""
     size, along = np.linalg.eigh(0.5 * (matrix + matrix.T))
     return np.asarray((along * np.maximum(size, 0.0)) @ along.T)
 
 
 @dataclass(frozen=True)
 class Joined:
-    """A calibration with a prior: `vector` (12,), `covariance` (12, 12), `part` (12, 12) what the prior counts.
+    """A calibration combined with a prior: `vector` (12,), `covariance` (12, 12), prior weight `part` (12, 12).
 
-    `chi2` for twelve and `p` test whether prior and readings agree; `used` is false where not, and then the
-    calibration stands as it was. `pull` (12,) is readings less prior over its u.
+    `chi2`, with twelve degrees of freedom, and its p-value `p` test whether prior and readings agree. If they do
+    not, the calibration is unchanged and `used` is false. `pull` (12,) is the calibration minus the prior mean,
+    over the u of this difference.
     """
 
     vector: Floats
@@ -183,15 +187,16 @@ class Joined:
 
     @property
     def used(self) -> bool:
-        """Whether the prior was used."""
+        """Whether the prior agreed with the readings and was used."""
         return self.p >= CONFLICT_P
 
 
 def join(calibration: Floats, own: Floats, alike: Floats, prior: Prior, g_m_s2: float) -> Joined:
-    """Join a calibration (12,), per local g, and a prior, by generalised least squares.
+    """Combine a calibration (12,), per a local g of `g_m_s2`, with a prior by generalised least squares.
 
-    `own` (12, 12) is the part of the calibration's covariance that its readings have; `alike` what no reading
-    shows, as gain of a meter: earlier calibrations had it too, and the prior takes nothing off it.
+    `own` (12, 12) is the part of the calibration's covariance due to its readings. `alike` (12, 12) is the part
+    that readings do not reveal, such as a meter's gain: earlier calibrations shared it, so the prior does not
+    reduce it.
     """
     mean, covariance = prior.per(g_m_s2)
     gap = calibration - mean
@@ -199,7 +204,7 @@ def join(calibration: Floats, own: Floats, alike: Floats, prior: Prior, g_m_s2: 
     scale = u_of(between)
     solved = np.linalg.solve(between / np.outer(scale, scale), gap / scale)
     chi2 = float(gap / scale @ solved)
-    # the prior's part of the covariance is an estimate, and widened as one
+    # the prior's part of the covariance is an estimate: hence the F distribution with its degrees of freedom
     of_prior = float(np.mean(np.diag(covariance) / np.diag(between)))
     dof = max(prior.dof / of_prior**2, LEAST_DOF)
     p = float(special.fdtrc(len(gap), dof, chi2 / len(gap) * dof / (dof - 2.0)))

@@ -1,4 +1,4 @@
-"""Runs as sums of squares and products about a bench, and the noise that they share."""
+"""Runs as sums of squares and products, and the noise that they share."""
 
 from __future__ import annotations
 
@@ -23,21 +23,23 @@ from bench.readings.table import Readings
 from bench.stats.repeats_likelihood import freedom_of, sizes_of
 
 WAVES: Final = 2
-"""Harmonics of the head's circle: its eccentricity and its ellipticity."""
+"""Number of harmonics of the head's scale: its eccentricity and its ellipticity."""
 WALKS: Final = 4
-"""Shapes of a random walk that are kept: those left out have 5 % of its variance."""
+"""Number of retained shapes of a random walk; the others contain 5 % of its variance."""
 LEAST_SETTINGS: Final = 4
-"""The least number of repeated settings from which a run's noise is estimated."""
+"""The least number of repeated settings from which the noise of a run is estimated."""
 
 
 @dataclass(frozen=True)
 class RunFit:
-    """One run about its own fit.
+    """One run, linearised about a fit of its own.
 
-    `y` (n, 3), `X` (n, 3, 12 and those of effects), `stand` (n, 3, a) by the angles that the stated limits
-    allow, `angles` (a,) their name and installation, `levels` (a, 2) what a level showed of each with u, rad
-    (NaN where none did), `slope` (n, 3) du/dphi, `waves` (n, 3, 2 WAVES), `walk` (n, q) shapes of drift per root
-    hour, `scatter` that of its repeats, `floor` the least noise that is believed.
+    `y` (n, 3) are residuals, with the fitted contribution of the stand angles added back. `X` (n, 3, …) are
+    derivatives by the run's own unknowns: 12 coefficients and any effects. `stand` (n, 3, a) are derivatives by the
+    stand angles `angles` (a,), each a name and an installation; `levels` (a, 2) is the value of each angle by a
+    level with its u, rad (NaN if unmeasured). `slope` (n, 3) is du/dphi. `waves` (n, 3, 2 WAVES) are harmonics of
+    the head; `walk` (n, q) are shapes of a random walk per root hour. `scatter` is that of repeats, `floor` the
+    lowest credible noise.
     """
 
     name: str
@@ -54,7 +56,7 @@ class RunFit:
     unit: str
 
     def noise(self) -> Floats | None:
-        """Return the variances (4,) of x, y, z and the setting from its own repeats; None where those are few."""
+        """Return the variances (4,) of x, y, z and the setting from the run's repeats; None for too few."""
         if self.scatter.settings < LEAST_SETTINGS:
             return None
         own = self.scatter
@@ -62,20 +64,21 @@ class RunFit:
 
 
 def run_fit(name: str, readings: Readings, model: ForwardModel, stand_u: Mapping[str, float]) -> RunFit:
-    """Fit one run by itself with the stated limits. Raises `CalibrationError` where that cannot be.
+    """Fit one run by itself with the stated limits of the stand. Raises `CalibrationError` if that is impossible.
 
-    `stand_u` are the stated standard uncertainties of the stand's angles, rad, those that nobody stated among them.
+    `stand_u` has the standard uncertainty of every stand angle, rad, including those that the bench file does not
+    state.
     """
     rows = usable_rows(readings, model)
     problem = make_problem(model, rows.conditions(), stand_u)
     start = first_guess(problem, rows.signal, rows.resolution)
-    # about which point a run is made linear is all that this fit decides: any sizes near the noise will do
+    # this fit only determines the point of linearisation: rough noise sizes are sufficient
     near = Noise(rms(rows.signal - problem.predict(start, problem.prior_mean)), 0.0, np.inf, "given")
     fit = gls.fit(problem, rows.signal, start, near, rows.resolution)
     system, phase = fit.system, problem.conditions.angle_rad
     a = len(problem.stand)
     by_stand = system.jacobian[:, :, FIXED : FIXED + a]
-    # effects of the model are each run's own here, as its coefficients are: nothing of them passes for the stand's
+    # model effects are fitted in each run by itself, like its coefficients, so the stand does not absorb them
     own = np.concatenate([system.jacobian[:, :, :FIXED], system.jacobian[:, :, FIXED + a :]], axis=2)
     waves = [fit.slope * wave(k * phase)[:, None] for k in range(1, WAVES + 1) for wave in (np.cos, np.sin)]
     groups = repeat_groups(problem.conditions)
@@ -106,12 +109,12 @@ def _levels(problem: Problem) -> Floats:
 
 
 def _walk(conditions: Conditions) -> Floats:
-    """Return shapes (n, WALKS) of a random walk of the bias that takes one unit of variance an hour."""
+    """Return the shapes (n, WALKS) of a random walk of the bias with unit variance per hour, centred on the run."""
     hours = conditions.elapsed_s / HOUR
     shapes = np.zeros((len(hours), WALKS))
     if np.ptp(hours) > 0:
         walk = np.minimum.outer(hours, hours) - hours.min()
-        # a run has biases of its own, so that the mean of the walk is nobody's
+        # the run's own biases absorb the mean of the walk
         centred = walk - walk.mean(axis=0) - walk.mean(axis=1)[:, None] + walk.mean()
         size, vectors = np.linalg.eigh(centred)
         most = min(WALKS, int(np.sum(size > 1e-9 * size[-1])))
@@ -124,12 +127,12 @@ def _walk(conditions: Conditions) -> Floats:
 
 @dataclass(frozen=True)
 class RunSums:
-    """Runs as sums, all of one shape: `gram` (runs, w, w) of W = (B, H, y), zero where a run has fewer columns.
+    """Runs as arrays of equal shape: `gram` (runs, w, w) of W = (B, H, y), with zeros for columns that a run lacks.
 
-    `random` (runs, c) says which variance each column of B has, -1 for none; `mean` (runs, c) which mean it is
-    of, -1 for none. `waves` is how many columns H has. `chi2` (runs,) and `dof` (runs,) are of what the readings
-    hold beyond the scatter of their repeats, the coefficients and H and B left out of neither: y^T P y less that
-    scatter.
+    B has c columns for stand angles and drift, H has `waves` columns for harmonics of the head. `random` (runs, c)
+    is the index of the variance of each column of B, `mean` (runs, c) that of its mean; -1 means none. `chi2`
+    (runs,) with `dof` (runs,) is y^T P y less the scatter of repeats, where P projects out the run's own
+    coefficients, but not B and H.
     """
 
     names: tuple[str, ...]
@@ -142,11 +145,11 @@ class RunSums:
 
     @property
     def columns(self) -> int:
-        """How many columns B has."""
+        """The number of columns of B."""
         return int(self.random.shape[1])
 
     def by_mean(self, means: int) -> Floats:
-        """Return the sums of (B, F, y), where F has the columns of B added up by the mean they are of, then H."""
+        """Return the sums for (B, F, y): F adds up the columns of B that share a mean, followed by H."""
         key = ("by mean", means)
         if key not in self._kept:
             c, h = self.columns, self.waves
@@ -159,7 +162,7 @@ class RunSums:
         return self._kept[key]
 
     def belongs(self, variances: int) -> Floats:
-        """Return 1 where a column of a run has a variance, shape (runs, c, k)."""
+        """Return the indicators (runs, c, k): 1 if a column of a run has that variance."""
         key = ("belongs", variances)
         if key not in self._kept:
             self._kept[key] = (self.random[:, :, None] == np.arange(variances)).astype(np.float64)
@@ -167,11 +170,11 @@ class RunSums:
 
     @cached_property
     def _kept(self) -> dict[tuple[str, int], Floats]:
-        """A cache of results of these sums that are used repeatedly."""
+        """Cache of `by_mean` and `belongs`."""
         return {}
 
     def without(self, left_out: Sequence[int]) -> RunSums:
-        """Return the sums of all other runs."""
+        """Return the sums without the runs at the given indices."""
         kept = [i for i in range(len(self.names)) if i not in set(left_out)]
         return RunSums(
             tuple(self.names[i] for i in kept), self.gram[kept], self.random[kept], self.mean[kept], self.waves,
@@ -181,12 +184,12 @@ class RunSums:
 
 @dataclass(frozen=True)
 class Layout:
-    """What the runs of a bench may share, in order.
+    """The parameters that the runs of a bench may share, in order.
 
-    `kinds` are the stand's angles with `stated` (kinds,) u, rad; `means` the pairs of angle and installation
-    (empty: of all) that have a mean; the variances are those of the kinds, then of the drift of x, y, z, of
-    which one of unit size is `walk` (unit of the signal, per root hour). With `waves` the head's circle is asked
-    for.
+    `kinds` are the names of stand angles with `stated` (kinds,) u, rad. `means` are pairs of an angle and an
+    installation (empty for all) that have a mean. The variances are those of the kinds, then of the drift of x, y
+    and z in terms of `walk` (unit of the signal, per root hour). With `waves`, the harmonics of the head are
+    parameters, too.
     """
 
     kinds: tuple[str, ...]
@@ -199,7 +202,7 @@ class Layout:
     def of(
         cls, runs: Sequence[RunFit], stand_u: Mapping[str, float], *, by_installation: bool, waves: bool
     ) -> Layout:
-        """Return the layout for runs; with `by_installation` each has means of its own."""
+        """Return the layout for runs; with `by_installation`, each installation has means of its own."""
         pairs = dict.fromkeys(pair for run in runs for pair in run.angles)
         kinds = tuple(name for name in STAND_ANGLES if any(pair[0] == name for pair in pairs))
         means = [pair if by_installation else (pair[0], "") for pair in pairs]
@@ -210,12 +213,15 @@ class Layout:
         return cls(kinds, stated, tuple(ordered), typical, waves)
 
     def mean_of(self, pair: tuple[str, str]) -> int:
-        """Return the number of the mean of an angle in an installation."""
+        """Return the index of the mean of an angle in an installation, a pair of names."""
         return self.means.index(pair if pair in self.means else (pair[0], ""))
 
 
 def body_of(runs: Sequence[RunFit], variances: Floats, layout: Layout) -> RunSums:
-    """Return the sums of runs for noise variances (4,) or (runs, 4) of x, y, z (unit^2) and the setting (rad^2)."""
+    """Return the sums of runs for given noise variances.
+
+    `variances` (4,) or (runs, 4) are those of x, y, z (unit^2) and of the setting (rad^2).
+    """
     width = max(len(run.angles) for run in runs) + 3 * WALKS
     waves = 2 * WAVES if layout.waves else 0
     every = np.broadcast_to(variances, (len(runs), 4))
@@ -230,7 +236,7 @@ def body_of(runs: Sequence[RunFit], variances: Floats, layout: Layout) -> RunSum
 def _sums(
     run: RunFit, variances: Floats, layout: Layout, width: int, waves: int
 ) -> tuple[Floats, Ints, Ints, float, float]:
-    """Return the sums of a run (w, w), the variance and the mean of each column (c,), chi-square and its dof."""
+    """Return the sums of a run (w, w), the indices of variance and mean by column (c,), chi-square, and dof."""
     n, a = len(run.y), len(run.angles)
     noise = Noise(rms(np.sqrt(variances[:3])), float(np.sqrt(variances[3])), np.inf, "given",
                   channels=tuple(np.sqrt(variances[:3]).tolist()))  # fmt: skip
@@ -263,20 +269,21 @@ def _sums(
 
 
 def _span(columns: Floats) -> Floats:
-    """Return an orthonormal basis of the space that columns (N, p) span."""
+    """Return an orthonormal basis of the column space of a matrix (N, p)."""
     length = np.linalg.norm(columns, axis=0)
     left, size, _ = np.linalg.svd(columns / np.where(length > 0, length, 1.0), full_matrices=False)
     return np.asarray(left[:, size > 1e-9 * size[0]])
 
 
 SEEN: Final = 1e-3
-"""An eigenvalue of what a run tells of its angles, in terms of what was stated, below which it tells nothing."""
+"""Eigenvalues of a run's information on its angles, relative to the stated one, count as zero below this."""
 
 
 def _beyond_repeats(run: RunFit, gram: Floats, variances: Floats, angles: int) -> tuple[float, float]:
-    """Return the chi-square of what neither coefficients, angles nor the scatter of repeats explain, and its dof.
+    """Return the chi-square of a run beyond the scatter of its repeats, and its degrees of freedom.
 
-    The waves of the head stay in: they are taken off where they are known.
+    Chi-square is that after the fit of the coefficients only; the degrees of freedom also allow for the angles. The
+    test of the run (`bench.history.learning`) subtracts the parts of angles and harmonics from chi-square.
     """
     own = (
         np.diag(variances[:3]) + variances[3] * run.scatter.slope[:, :, None] * run.scatter.slope[:, None, :]
@@ -288,9 +295,9 @@ def _beyond_repeats(run: RunFit, gram: Floats, variances: Floats, angles: int) -
 
 
 def pooled_noise(runs: Sequence[RunFit], floor: float) -> Floats:
-    """Return the variances (4,) of x, y, z and the setting of all runs' repeats together.
+    """Return the variances (4,) of x, y, z and the setting, estimated from the repeats of all runs.
 
-    Raises `CalibrationError` where there are too few.
+    `floor` is the lowest credible noise. Raises `CalibrationError` for too few repeats.
     """
     told = [run.scatter for run in runs if run.scatter.settings]
     if sum(scatter.settings for scatter in told) < LEAST_SETTINGS:
@@ -304,7 +311,7 @@ def pooled_noise(runs: Sequence[RunFit], floor: float) -> Floats:
 
 
 def scatter_of(runs: Sequence[RunFit], variances: Floats) -> tuple[Floats, Floats]:
-    """Return the mean square of each run's repeats in terms of noise (4,), and its degrees of freedom, (runs,)."""
+    """Return each run's mean square of repeats relative to the noise variances (4,), and its dof, (runs,) each."""
     ratio, dof = [], []
     for run in runs:
         slope = run.scatter.slope
@@ -316,9 +323,9 @@ def scatter_of(runs: Sequence[RunFit], variances: Floats) -> tuple[Floats, Float
 
 
 def between_runs(ratio: Floats, dof: Floats) -> tuple[float, float, float]:
-    """Return the mean logarithm of mean squares (n,), the variance between runs, and that of the mean.
+    """Return the mean logarithm of mean squares (n,), its variance between runs, and the variance of the mean.
 
-    The logarithm of a mean square with nu degrees of freedom has the variance psi'(nu/2) of itself.
+    The logarithm of a mean square with nu degrees of freedom has the variance psi'(nu/2) (trigamma function).
     """
     x = np.log(ratio) - special.digamma(dof / 2) + np.log(dof / 2)
     own = special.polygamma(1, dof / 2)
@@ -333,9 +340,9 @@ def between_runs(ratio: Floats, dof: Floats) -> tuple[float, float, float]:
 
 
 def known_noise(runs: Sequence[RunFit], variances: Floats) -> tuple[KnownNoise, Floats]:
-    """Return the noise as what is known of that of a further run, and the degrees of freedom (4,) of the sizes.
+    """Return the noise of a further run as prior knowledge, and the degrees of freedom (4,) of the pooled noise.
 
-    The degrees of freedom of the former hold how far runs differ, and how well that is known.
+    The degrees of freedom of the prior include the variation of the noise between runs, and its uncertainty.
     """
     told = [run for run in runs if run.scatter.settings]
     freedom = np.concatenate([run.scatter.freedom for run in told])
@@ -347,10 +354,10 @@ def known_noise(runs: Sequence[RunFit], variances: Floats) -> tuple[KnownNoise, 
         usable = each[:, 1, j] > 1.0
         if np.sum(usable) > 1:
             ratio, own = np.maximum(each[usable, 0, j], 1e-6), each[usable, 1, j]
-            # what so few runs leave open of the spread comes on top
+            # add the uncertainty of the spread itself, from so few runs
             left = np.sqrt(2.0 / len(ratio)) * float(np.mean(special.polygamma(1, own / 2)))
             spread2[j] = between_runs(ratio, own)[1] + left
-    # a run alone hardly tells of its setting error: it is the head's and the operator's, as constant as the meters
+    # a single run hardly determines its setting error; the error is taken to vary between runs as the channels do
     spread2[3] = np.mean(spread2[:3])
     dof = 2.0 / (2.0 / np.maximum(pooled, 1e-15) + spread2)
     sizes = np.sqrt(variances)
@@ -358,11 +365,11 @@ def known_noise(runs: Sequence[RunFit], variances: Floats) -> tuple[KnownNoise, 
 
 
 LEAST_SHOWN: Final = 0.01
-"""A setting error that shows as less of the noise's variance has the u of one that shows as much."""
+"""A setting error is given the u of one that contributes at least this fraction of the noise variance."""
 
 
 def _pooled_dof(freedom: Floats, slope: Floats, variances: Floats) -> Floats:
-    """Return 2 v^2/u(v)^2 of the variances (4,); of a setting error near nothing u stays what the repeats leave."""
+    """Return 2 v^2/u(v)^2 of the variances (4,); for a setting error near zero, u(v) stays finite."""
     shown = float(np.mean(np.sum(slope**2, axis=1)))
     least = LEAST_SHOWN * float(np.mean(variances[:3])) / shown if shown > 0 else 0.0
     inside = variances.copy()
@@ -374,7 +381,7 @@ def _pooled_dof(freedom: Floats, slope: Floats, variances: Floats) -> Floats:
 
 
 def _own(run: RunFit, variances: Floats) -> tuple[Floats, Floats]:
-    """Return the variances of a run in terms of those of all (4,), and their degrees of freedom (4,)."""
+    """Return a run's variances relative to the pooled ones (4,), and their degrees of freedom (4,)."""
     own = run.noise()
     if own is None:
         return np.ones(4), np.zeros(4)

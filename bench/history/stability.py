@@ -1,4 +1,4 @@
-"""A static record of a block at rest, and how long a reading should average by its Allan deviation."""
+"""Static records of a block at rest, and the averaging time of a reading from their Allan deviation."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from bench.stats.allan import AllanCurve, NoiseTerms, allan_curve, fit_terms
 LEAST_SAMPLES: Final = 32
 EXAMPLE: Final = "time_s,ux_v,uy_v,uz_v"
 STEADY: Final = 0.01
-"""The rate in each tenth of a record may differ by this part: the Allan deviation hardly knows it."""
+"""The largest relative change of the sampling interval along a record; it hardly affects the Allan deviation."""
 
 
 @dataclass(frozen=True)
 class StaticRecord:
-    """Signals (n, 3) in `unit`, one every `interval_s` seconds, as `source` has them."""
+    """Signals (n, 3) in `unit`, sampled every `interval_s` seconds; `source` names their origin."""
 
     source: str
     unit: str
@@ -42,12 +42,12 @@ class StaticRecord:
 
     @property
     def mean(self) -> Floats:
-        """Means of the three signals."""
+        """The means of the three signals, (3,)."""
         return np.asarray(self.signal.mean(axis=0), dtype=np.float64)
 
     @property
     def drift_per_s(self) -> Floats:
-        """Slope of the straight line through each signal, unit/s."""
+        """The slope of the regression line of each signal over time, unit/s, (3,)."""
         time = self.interval_s * (np.arange(len(self.signal)) - (len(self.signal) - 1) / 2)
         return np.asarray(time @ (self.signal - self.mean) / (time @ time), dtype=np.float64)
 
@@ -55,8 +55,8 @@ class StaticRecord:
 def read_static(path: Path) -> StaticRecord:
     """Read a static record: a CSV file with `time_s` and three signal columns of one unit (`ux_v`, …).
 
-    Further columns are left aside. Raises `ReadingsError` for a file that lacks a column or has cells that are
-    no numbers (the first 20 are listed with line and column), `CalibrationError` as `from_columns` does.
+    Further columns are ignored. Raises `ReadingsError` for missing columns and for cells that are not numbers (the
+    first 20 are listed with line and column), and `CalibrationError` as `from_columns` does.
     """
     header, body = split_table(path, EXAMPLE)
     suffixes = [s for s in UNITS if any(f"u{axis}_{s}" in header for axis in "xyz")]
@@ -85,10 +85,11 @@ def read_static(path: Path) -> StaticRecord:
 
 
 def from_columns(source: str, unit: str, time_s: Floats, signal: Floats) -> StaticRecord:
-    """Make a record of times (n,) and signals (n, 3).
+    """Return the record of times (n,) and signals (n, 3).
 
-    Raises `CalibrationError` when there are fewer than 32 samples, a number is missing, or the times do not
-    rise steadily: by one interval within half of it, at the same rate to 1 % throughout.
+    Raises `CalibrationError` if there are fewer than 32 samples, a number is missing, or sampling is not uniform:
+    each interval must be within 50 % of the median, and the mean interval in each tenth of the record within 1 % of
+    the overall mean.
     """
     if len(time_s) < LEAST_SAMPLES:
         raise CalibrationError(
@@ -127,7 +128,7 @@ def from_columns(source: str, unit: str, time_s: Floats, signal: Floats) -> Stat
 def _row(
     path: Path, line: int, cells: list[str], places: list[int], names: list[str], bad: list[str]
 ) -> list[float]:
-    """Return time and signals of a row; its mistakes are added to `bad`."""
+    """Return the time and the signals of a row, NaN for bad cells; messages on these are appended to `bad`."""
     values = [math.nan] * 4
     for k, (place, name) in enumerate(zip(places, names, strict=True)):
         text = cells[place].strip() if place < len(cells) else ""
@@ -141,18 +142,18 @@ def _row(
 
 
 FLAT: Final = -0.25
-"""Slope of the logarithms at which the deviation counts as flat: half of that of white noise."""
+"""The log-log slope from which the Allan deviation counts as flat: half the slope of white noise."""
 LEAST_OF_A_READING: Final = 10
-"""A reading has so many samples at least, so that their scatter tells of the noise."""
+"""The least number of samples in a reading, so that their scatter shows the noise."""
 REJECTS_LINE: Final = 1.0
-"""Integration times of whole power-line cycles reject the line; shorter ones do not."""
+"""Integration over whole power-line cycles rejects line interference; shorter integration does not."""
 
 
 @dataclass(frozen=True)
 class Averaging:
-    """The averaging time to use for a signal, s, the noise that then remains, and the reason.
+    """The averaging time for a signal, s, the Allan deviation at this time, and the reason for the choice.
 
-    `reached` is false where a size was asked for that no averaging time of the record reaches.
+    `reached` is false if a noise level was requested that no averaging time of the record reaches.
     """
 
     tau_s: float
@@ -163,23 +164,23 @@ class Averaging:
 
 @dataclass(frozen=True)
 class ReadingAdvice:
-    """Samples of a reading and power-line cycles of each; `tau_s` is the time that they average over."""
+    """The samples of a reading and the power-line cycles of each; they average over `tau_s` seconds."""
 
     samples: int
     nplc: float
     tau_s: float
 
     def line(self) -> str:
-        """Return the advice as a line of a procedure file."""
+        """Return the advice as a line of a procedure file: "reading: {samples: 10, nplc: 10}"."""
         return f"reading: {{samples: {self.samples}, nplc: {self.nplc:g}}}"
 
 
 def averaging(curve: AllanCurve, terms: NoiseTerms, wanted: float | None = None) -> Averaging:
     """Return the averaging time for a signal.
 
-    With `wanted`, the shortest of the curve's times at which the upper limit (95 %) of the Allan deviation is
-    no more. Else where the noise terms stop falling: the slope there is half of that of white noise, and longer
-    averages gain little; or the longest time that the curve has, where they still fall.
+    With `wanted`, it is the shortest time at which the upper 95 % limit of the Allan deviation does not exceed
+    `wanted`. Otherwise it is the time from which the noise terms fall at less than half the slope of white noise,
+    so that longer averages gain little; or the longest time of the curve if the terms still fall there.
     """
     _, high = curve.limits(terms.freedom)
     if wanted is not None:
@@ -204,10 +205,10 @@ def averaging(curve: AllanCurve, terms: NoiseTerms, wanted: float | None = None)
 def reading_advice(
     tau_s: float, line_frequency_hz: float, nplc: Sequence[float], most_samples: int
 ) -> ReadingAdvice:
-    """Return samples and NPLC whose product averages over `tau_s` at least.
+    """Return samples and NPLC of a reading that averages over at least `tau_s`.
 
-    The longest integration time that leaves ten samples, of the meter's `nplc` (power-line cycles) that
-    reject the line. Raises `CalibrationError` when the meter cannot average so long in one reading.
+    `nplc` are the meter's integration times in power-line cycles. The advice uses the longest that rejects the line
+    and leaves at least ten samples. Raises `CalibrationError` if the meter cannot average that long in one reading.
     """
     cycles = tau_s * line_frequency_hz
     usable = sorted(n for n in nplc if n >= REJECTS_LINE)
@@ -226,9 +227,10 @@ def reading_advice(
 
 @dataclass(frozen=True)
 class Stability:
-    """The analysis of a record: curve, noise terms, averaging time of each channel, and one reading for all.
+    """The analysis of a static record: Allan deviations, noise terms and averaging times by channel, and advice.
 
-    `advice` is None where the meters cannot average so long in one reading: `no_advice` says why.
+    `advice` suits all channels; it is None if the meters cannot average that long in one reading, and `no_advice`
+    gives the reason.
     """
 
     record: StaticRecord
@@ -253,9 +255,10 @@ def stability_of(
     nplc: Sequence[float],
     most_samples: int,
 ) -> Stability:
-    """Return the analysis of a record whose meters integrated each sample for `integration_s`.
+    """Return the analysis of a record whose meters integrated each sample for `integration_s` seconds.
 
-    `size` is the noise that a reading may have, unit of the signals; None: where longer averages gain little.
+    `size` is the permitted noise of a reading, in the unit of the signals. With None, the averaging time is that
+    from which longer averages gain little.
     """
     channels = tracked(range(3), "Allan deviation of the channels")
     curves = tuple(allan_curve(record.signal[:, i], record.interval_s) for i in channels)

@@ -1,4 +1,4 @@
-"""Conditions under which readings were taken: everything on which the forward model may depend."""
+"""The conditions of a run's readings: all that the forward model may depend on."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from bench.base.arrays import Floats, Ints, Mask
 from bench.model.geometry import within_half_turn
 
 REFERENCE_C: Final = 20.0
-"""The temperature from which effects count, unless `Conditions` states another, °C."""
+"""Default reference temperature for the effects of temperature, °C."""
 
 SETTING_S: Final = 120.0
-"""From one setting to the next where no time is given, s."""
+"""Assumed time from one setting to the next in a run without recorded times, s."""
 
 REMOUNT_S: Final = 1200.0
-"""What a remount takes beside that, s."""
+"""Assumed additional time for a remount, s."""
 
 
 class Mounting(NamedTuple):
-    """One mounting of the block: the angles of the stand stay what they are as long as it lasts."""
+    """One mounting of the block, during which the stand angles stay constant. As text: "2", in series 3 "2/3"."""
 
     series: int
     installation: str
@@ -33,9 +33,10 @@ class Mounting(NamedTuple):
 
 
 class HeadTurns:
-    """How far the head was turned up to each reading, rad, by the shortest way from angle to angle.
+    """The rotation of the head accumulated up to each reading, rad, shape (n,).
 
-    A reading without an angle keeps what the one before it had, and is no remount. Every run begins anew.
+    The head is assumed to take the shortest way between consecutive angles. A reading without an angle repeats the
+    values of the reading before it and does not count as a remount. The accumulation restarts with every run.
     """
 
     def __init__(self, conditions: Conditions) -> None:
@@ -49,7 +50,7 @@ class HeadTurns:
         begins[rows[:1]] = True
         begins[rows[1:]] = (mount[1:] != mount[:-1]) | other_run
         self.first: Ints = _last_of(begins)
-        """The first reading of the mounting that each reading is of, as its row."""
+        """The row of the first reading in the same mounting, for each reading."""
         start = _last_of(np.concatenate([np.ones(min(n, 1), dtype=bool), run[1:] != run[:-1]]))
         wound, visit = np.cumsum(steps), np.cumsum(begins)
         self.wound: Floats = wound - wound[start]
@@ -58,17 +59,17 @@ class HeadTurns:
 
     @property
     def turned(self) -> Floats:
-        """Since the block was mounted, with sign."""
+        """The signed rotation since the block was mounted, rad, shape (n,)."""
         return np.asarray(self.wound - self.wound[self.first])
 
     @property
     def travelled(self) -> Floats:
-        """Since the block was mounted, to and fro."""
+        """The total rotation in both directions since the block was mounted, rad, shape (n,)."""
         return np.asarray(self._to_and_fro - self._to_and_fro[self.first])
 
 
 def _last_of(begins: Mask) -> Ints:
-    """Return for each row the last one up to it at which something begins, the first row where nothing has."""
+    """Return for each row the index of the latest row up to it where `begins` is true; 0 if there is none."""
     return (
         np.maximum.accumulate(np.where(begins, np.arange(len(begins)), 0))
         if len(begins)
@@ -78,19 +79,18 @@ def _last_of(begins: Mask) -> Ints:
 
 @dataclass(frozen=True)
 class Conditions:
-    """Arrays over n readings, in the order of measurement: effects look back along the rows.
+    """Columns over n readings in the order of measurement, because an effect may depend on earlier rows.
 
-    `mount` (n,) indexes `mounts`, which stand in order of first appearance; `angle_rad` is the head angle as
-    read from its scale; `direction` is +1, -1 or 0 (not known); `time_s` (since the start of the run) and
-    `temperature_c` are NaN where not known; `scan_order` (n, 3) has the channels 0, 1, 2 in the order in
-    which they were read. Effects count temperature from `reference_c`. `turns` (mounts, 3, 3) are the
-    installations' `block_from_platform`, filled in by the forward model for effects that follow the path of
-    the head, NaN for an installation that it does not know. Where several runs stand in one table, `began_s`
-    (n,) is when each row's run began on the clock of `time_s`: warming up begins anew in each. Of the supply,
-    `on_s` (n,) is for how long the unit has been switched on, NaN where that is not known, and `supply_v`
-    (n, rails) the voltage of each rail less its nominal one, NaN likewise; None where nothing is known of it.
-    `level_rad` (n, 4) is what a level showed in the mounting of the row: alpha1, alpha2 and their standard
-    uncertainties, NaN for nothing.
+    `mount` (n,) indexes `mounts`, which are in order of first appearance. `angle_rad` is the scale reading of the
+    head. `direction` is that of approach: +1, -1, or 0 if unknown. `time_s` (since the start of the run) and
+    `temperature_c` are NaN where unknown. `scan_order` (n, 3) lists the channels 0, 1, 2 in the order in which
+    they were read. Effects use the temperature minus `reference_c`. `turns` (mounts, 3, 3) holds the
+    `block_from_platform` of each mounting, NaN for an unknown installation; the forward model fills it in for
+    effects with `needs_path`. If the rows come from several runs, `began_s` (n,) is the start of each row's run on
+    the clock of `time_s`, and warm-up restarts in each run. `on_s` (n,) is the time since the unit was switched
+    on, `supply_v` (n, rails) the voltage of each supply rail minus its nominal voltage; both are NaN where unknown
+    and None if never recorded. `level_rad` (n, 4) holds the level readings of the row's mounting: alpha1, alpha2
+    and their standard uncertainties, NaN if none were taken.
     """
 
     mounts: tuple[Mounting, ...]
@@ -114,25 +114,25 @@ class Conditions:
 
     @property
     def remounted(self) -> Mask:
-        """Where the block has another mounting than in the row before, shape (n,); true in the first row."""
+        """Mask (n,) of the rows whose mounting differs from that of the row before; true in the first row."""
         return np.concatenate([np.ones(min(len(self), 1), dtype=bool), self.mount[1:] != self.mount[:-1]])
 
     @cached_property
     def memory(self) -> dict[Any, Any]:
-        """What was worked out of these conditions alone, for who needs it again and again."""
+        """A cache for values derived from these conditions."""
         return {}
 
     @cached_property
     def head_turns(self) -> HeadTurns:
-        """How far the head was turned up to each reading."""
+        """The rotation of the head accumulated up to each reading."""
         return HeadTurns(self)
 
     @cached_property
     def elapsed_s(self) -> Floats:
-        """The time since the start of the run, s, shape (n,), also where it is not known.
+        """The time since the start of the run, s, shape (n,), estimated where it was not recorded.
 
-        A run without times is taken to go at `SETTING_S` a setting and `REMOUNT_S` more for a remount; rows
-        without a time between or beside others are placed by the same pace.
+        The estimate assumes `SETTING_S` per setting and `REMOUNT_S` more per remount. Rows without a time in a run
+        with times are interpolated at this pace. With `began_s`, unknown times stay NaN.
         """
         known = np.isfinite(self.time_s)
         if self.began_s is not None:
@@ -154,31 +154,31 @@ class Conditions:
 
     @cached_property
     def switched_on_s(self) -> Floats:
-        """The time since the unit was switched on, where not known since the start of the run, s, shape (n,)."""
+        """The time since the unit was switched on or, if unknown, since the start of the run, s, shape (n,)."""
         if self.on_s is None:
             return self.elapsed_s
         return np.where(np.isfinite(self.on_s), self.on_s, self.elapsed_s)
 
     @cached_property
     def warmth_k(self) -> Floats:
-        """Temperature less `reference_c`, K, shape (n,): zero where none is known.
+        """Temperature minus `reference_c`, K, shape (n,); zero if no row has a temperature.
 
-        Where some rows have a temperature, the others take it from their neighbours in time.
+        Rows without a temperature are interpolated in time.
         """
         return self._between_known(self.temperature_c - self.reference_c)
 
     @cached_property
     def above_nominal_v(self) -> Floats:
-        """The voltage of each rail less its nominal one, V, shape (n, rails): zero where none is known.
+        """The voltage of each rail minus its nominal voltage, V, shape (n, rails); zero if no row has a voltage.
 
-        Where some rows have one, the others take it from their neighbours in time.
+        Rows without a voltage are interpolated in time.
         """
         if self.supply_v is None:
             return np.zeros((len(self), 0))
         return np.stack([self._between_known(rail) for rail in self.supply_v.T], axis=1)
 
     def _between_known(self, values: Floats) -> Floats:
-        """Return a column (n,) with what is NaN in it taken from its neighbours in time; zero if all is."""
+        """Return a column (n,) with its NaN values interpolated in time; all zeros if every value is NaN."""
         known = np.isfinite(values)
         if known.all():
             return values
@@ -190,7 +190,7 @@ class Conditions:
         return np.where(known, values, between)
 
     def levels(self) -> dict[tuple[int, int], tuple[float, float]]:
-        """Return what a level showed: by mounting and column of the stand angles the angle and its u, rad."""
+        """Return the level readings, rad: (mounting index, stand-angle column) -> (angle, standard uncertainty)."""
         if self.level_rad is None:
             return {}
         found: dict[tuple[int, int], tuple[float, float]] = {}
@@ -201,14 +201,14 @@ class Conditions:
         return found
 
     def select(self, rows: Mask) -> Conditions:
-        """Return the rows where the mask (n,) is true, with the mountings that they are of."""
+        """Return the rows where the mask (n,) is true, with only their mountings."""
         used, mount = np.unique(self.mount[rows], return_inverse=True)
         kept: dict[str, Any] = {name: column[rows] for name, column in self._columns().items()}
         mounts = tuple(self.mounts[i] for i in used)
         return replace(self, mounts=mounts, mount=mount.ravel().astype(np.int64), **kept)
 
     def repeated(self, times: int) -> Conditions:
-        """Return the rows so many times over, each time in mountings of their own."""
+        """Return the rows repeated `times` times; each repetition has mountings of its own."""
         mount = (np.arange(times)[:, None] * len(self.mounts) + self.mount).ravel()
         tiled: dict[str, Any] = {
             name: np.concatenate([column] * times) for name, column in self._columns().items()
@@ -216,7 +216,7 @@ class Conditions:
         return replace(self, mounts=self.mounts * times, mount=mount, **tiled)
 
     def _columns(self) -> dict[str, Any]:
-        """The arrays that have a value for each row, but for the mounting."""
+        """The arrays with one entry per row, except `mount`."""
         columns = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in {"mount", "turns"}}
         return {name: column for name, column in columns.items() if isinstance(column, np.ndarray)}
 
@@ -239,9 +239,9 @@ class Conditions:
         level_rad: Floats | None = None,
         supply_v: Floats | None = None,
     ) -> Conditions:
-        """Build from columns of equal length; those left out are series 1, pass 1, point 1…n, not known.
+        """Build from columns of equal length.
 
-        The scan order that is left out is x, y, z.
+        Defaults: series 1, pass 1, points 1…n, scan order x, y, z; everything else unknown.
         """
         n = len(installation)
         keys = [Mounting(s, label) for s, label in zip(series or [1] * n, installation, strict=True)]
@@ -267,17 +267,17 @@ class Conditions:
 
 
 PAST_RAD: Final = np.radians(5.0)
-"""How far the head turns past a setting to come to it from the other side."""
+"""Rotation past a setting to approach it from the other side, and before the first setting of a mounting."""
 
 SAME_RAD: Final = 1e-3
-"""Settings closer than this are the same: the head was not turned."""
+"""Settings that differ by less than this count as the same: the head was not turned."""
 
 
 class HeadPath(NamedTuple):
-    """How the head came to each of m settings, rad, shape (m,): from `start` to `turn` to `end`.
+    """The rotation of the head to each of m settings, rad, shape (m,): from `start` to `turn`, then to `end`.
 
-    `rows` are their places among the conditions, `sits` (m, 3, 3) how the block sits (`block_from_platform`);
-    `direction` is +1 or -1, 0 where not known; `begins` where the block was mounted just before.
+    `rows` are the settings' row indices in the conditions, `sits` (m, 3, 3) their `block_from_platform`.
+    `direction` is that of approach: +1, -1, or 0 if unknown. `begins` marks the first setting after a mounting.
     """
 
     rows: Ints
@@ -290,11 +290,11 @@ class HeadPath(NamedTuple):
 
 
 def head_path(conditions: Conditions) -> HeadPath:
-    """Return the path to the settings among the conditions: rows with an angle, in a known installation.
+    """Return the path of the head to each row that has an angle and a known installation.
 
-    After a mounting the head comes from just before the setting. A direction that is not known is that of
-    the turn; without a turn it is the one before. Raises `ValueError` when the conditions do not say how the
-    block sits: the forward model says it to an effect that `needs_path`.
+    After a mounting the path starts `PAST_RAD` before the setting. An unknown direction of approach is inferred
+    from the rotation since the previous setting; without rotation the previous direction holds. Raises
+    `ValueError` if `conditions.turns` is None; the forward model fills it in for effects with `needs_path`.
     """
     if conditions.turns is None:
         raise ValueError("the path of the head needs conditions with the installations' turns")

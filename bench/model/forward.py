@@ -1,4 +1,4 @@
-"""From the state of the bench to the readings of the voltmeters, effects included, stage by stage."""
+"""The forward model: from the state of the bench to voltmeter readings, stage by stage, with effects."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ _UNKNOWN_TURN = np.full((3, 3), np.nan)
 
 @dataclass(frozen=True)
 class ForwardModel:
-    """Installations by label, and the effects that the model contains beside the paper's own terms.
+    """The installations by label, and the effects that the model contains beyond the paper's own terms.
 
-    `name` is what results call it: "paper" without effects, else the name in the model file. Rows of
-    `conditions` stand in the order of measurement, since effects may look back along them.
+    `name` labels the model in results: "paper" without effects, else the name in the model file. The rows of
+    `conditions` must be in the order of measurement, because an effect may depend on earlier rows.
     """
 
     installations: Mapping[str, Installation]
@@ -29,7 +29,7 @@ class ForwardModel:
 
     @property
     def needs_history(self) -> bool:
-        """Whether a reading depends on those before it."""
+        """Whether a reading depends on earlier readings."""
         return any(applied.effect.needs_history for applied in self.effects)
 
     def specific_force(
@@ -37,7 +37,7 @@ class ForwardModel:
     ) -> Floats:
         """Return the specific force on block axes in g, shape (n, 3).
 
-        `stand_rad` (mounts, 5) has a row for each of `conditions.mounts`, columns as `STAND_ANGLES`;
+        `stand_rad` (mounts, 5) holds the stand angles of each of `conditions.mounts`, columns as `STAND_ANGLES`.
         `setting_error_rad` is alpha4 of each reading. Raises `KeyError` for an unknown installation.
         """
         unknown = {mount.installation for mount in conditions.mounts} - set(self.installations)
@@ -49,7 +49,7 @@ class ForwardModel:
     def readings(
         self, block: Block, conditions: Conditions, stand_rad: Floats, setting_error_rad: Floats | float = 0.0
     ) -> Floats:
-        """Return the readings that the model predicts, in volts, shape (n, 3); arguments as above."""
+        """Return the predicted readings in volts, shape (n, 3); arguments as for `specific_force`."""
         force = self.specific_force(conditions, stand_rad, block, setting_error_rad)
         return self.voltmeter_readings(self.output(force, conditions, block), conditions, block)
 
@@ -63,11 +63,12 @@ class ForwardModel:
         force: Floats | None = None,
         voltage_v: Floats | None = None,
     ) -> Floats:
-        """Return the readings of rows of all kinds, so that effects look back along what was really read.
+        """Return the predicted readings in V, shape (n, 3), for a mixture of signal, shorted and reference rows.
 
-        Where `force` (n, 3) is not NaN it is the specific force, in g, in place of that of the installation;
-        where `voltage_v` (n, 3) is not NaN it is at the inputs, in place of the block's signals. Other
-        arguments as above; a row in an unknown installation for which neither is given reads NaN.
+        All rows are needed in the order of measurement, because an effect may depend on earlier rows. Where
+        `force` (n, 3), in g, is not NaN, it replaces the force of the installation. Where `voltage_v` (n, 3) is
+        not NaN, it replaces the block's signal at the meter inputs. A row in an unknown installation with neither
+        reads NaN. Other arguments are as for `specific_force`.
         """
         acting = self._force_of_stand(conditions, stand_rad, block, setting_error_rad)
         if force is not None:
@@ -79,28 +80,28 @@ class ForwardModel:
         return self.voltmeter_readings(at_inputs, conditions, block)
 
     def readings_at(self, force: Floats, conditions: Conditions, block: Block) -> Floats:
-        """Return the readings for rows whose orientation is not known but whose specific force is given.
+        """Return the predicted readings in volts, shape (n, 3), for given specific forces instead of orientations.
 
-        `force` (n, 3) in g on block axes, as local gravity is believed to be; volts, shape (n, 3).
+        `force` (n, 3) is on block axes, in g of the bench's stated local gravity.
         """
         force = force + self._additions(Stage.SPECIFIC_FORCE, force, conditions, block)
         return self.voltmeter_readings(self.output(force, conditions, block), conditions, block)
 
     def output(self, force: Floats, conditions: Conditions, block: Block) -> Floats:
-        """Return the voltages at the meters' terminals for the force (n, 3) that acts, V, shape (n, 3)."""
+        """Return the voltages at the meters' terminals for the acting force (n, 3) in g, V, shape (n, 3)."""
         return block.output(force) + self._additions(Stage.BLOCK_OUTPUT, force, conditions, block)
 
     def voltmeter_readings(self, voltage_v: Floats, conditions: Conditions, block: Block) -> Floats:
-        """Return what the meters read of voltages (n, 3) at their terminals, from the block or any source.
+        """Return the meter readings for voltages (n, 3) at their terminals, V, shape (n, 3).
 
-        A shorted input has 0 V there, a reference its voltage; rows of both kinds may stand among others.
+        The voltages may come from the block, from a short (0 V) or from a reference, in any mixture of rows.
         """
         return voltage_v + self._additions(Stage.VOLTMETER_READING, voltage_v, conditions, block)
 
     def _force_of_stand(
         self, conditions: Conditions, stand_rad: Floats, block: Block, setting_error_rad: Floats | float
     ) -> Floats:
-        """Return gravity on block axes in g, shape (n, 3), NaN in an unknown installation."""
+        """Return the static specific force on block axes in g, shape (n, 3), NaN in an unknown installation."""
         stand = stand_rad[conditions.mount]
         stand = stand + self._additions(Stage.STAND, stand, conditions, block)
         angle = conditions.angle_rad + setting_error_rad
@@ -119,7 +120,7 @@ class ForwardModel:
         return total
 
     def _with_turns(self, conditions: Conditions) -> Conditions:
-        """Return the conditions with how the block sits in them; the same object as before for the same bench."""
+        """Return the conditions with `turns` filled in; cached, so that equal calls return the same object."""
         kept: tuple[object, Conditions] | None = conditions.memory.get("turned")
         if kept is None or kept[0] is not self.installations:
             kept = self.installations, replace(conditions, turns=self._turns(conditions))
@@ -127,7 +128,7 @@ class ForwardModel:
         return kept[1]
 
     def _turns(self, conditions: Conditions) -> Floats:
-        """Return how the block sits in each mounting, shape (mounts, 3, 3), NaN where it is not known."""
+        """Return `block_from_platform` of each mounting, shape (mounts, 3, 3), NaN for an unknown installation."""
         kept: tuple[object, Floats] | None = conditions.memory.get("turns")
         if kept is None or kept[0] is not self.installations:
             known = [self.installations.get(mount.installation) for mount in conditions.mounts]

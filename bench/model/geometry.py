@@ -1,4 +1,4 @@
-"""Exact geometry of a block on a dividing head, normal gravity; the block; distributions of bench errors."""
+"""Exact geometry of a block on a dividing head, normal gravity, the block, and distributions of bench errors."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from bench.base.arrays import Floats
 # --- geometry ---------------------------------------------------------------------------------------
 
 STAND_ANGLES: Final = ("axis_tilt", "zero_offset", "mounting_error", "mounting_offset", "mounting_roll")
-"""The angles that stay fixed while a block stays mounted, in the order of the columns of `stand_errors`.
+"""The angles that stay constant during one mounting, in the column order of `stand_errors`.
 
-`axis_tilt` is alpha1, `zero_offset` alpha2, `mounting_error` alpha3 (turn about z of the platform),
-`mounting_offset` a turn about the shaft (it adds to alpha2), `mounting_roll` the third mounting angle
-(turn about x of the platform), which the paper leaves out.
+`axis_tilt` is alpha1, `zero_offset` alpha2, `mounting_error` alpha3 (rotation about z of the platform),
+`mounting_offset` a rotation about the shaft (adds to alpha2), `mounting_roll` the third mounting angle (rotation
+about x of the platform), which the paper omits.
 """
 
 
 def stand_errors(**angles_rad: float) -> Floats:
-    """Return the stand angles of one mounting as a vector, rad, shape (5,); those not named are zero.
+    """Return the stand angles of one mounting as a vector, rad, shape (5,); unnamed angles are zero.
 
     Raises `KeyError` for a name that is not in `STAND_ANGLES`.
     """
@@ -34,12 +34,15 @@ def stand_errors(**angles_rad: float) -> Floats:
 
 
 def within_half_turn(angle_rad: Floats) -> Floats:
-    """Return angles less the whole turns in them, from minus to plus half a turn."""
+    """Return angles reduced by whole turns to the range from -pi to pi, rad."""
     return angle_rad - 2 * np.pi * np.round(angle_rad / (2 * np.pi))
 
 
 def frame_rotation(axis: str, angle_rad: float) -> Floats:
-    """Return the 3x3 matrix that gives components in a frame turned by `angle_rad` about x, y or z."""
+    """Return the 3x3 matrix that transforms components to a frame rotated by `angle_rad` about `axis`.
+
+    Raises `ValueError` for an `axis` other than "x", "y" or "z".
+    """
     s, c = np.sin(angle_rad), np.cos(angle_rad)
     match axis:
         case "x":
@@ -55,10 +58,10 @@ def frame_rotation(axis: str, angle_rad: float) -> Floats:
 
 @dataclass(frozen=True)
 class Installation:
-    """How the block sits on the platform.
+    """The orientation of the block on the platform.
 
-    `block_from_platform` (3x3, a proper rotation) turns components on platform axes into components on
-    block axes. Installation 1 of the paper is the identity, installation 2 names (-x, z, y).
+    `block_from_platform` (3x3, a proper rotation) transforms components on platform axes to components on block
+    axes. Installation 1 of the paper is the identity; installation 2 is (-x, z, y).
     """
 
     label: str
@@ -68,10 +71,10 @@ class Installation:
     def from_axes(
         cls, label: str, axes: Sequence[str], turned_rad: float = 0.0, about: str = "z"
     ) -> Installation:
-        """Build from the platform axis that each block axis lies along, such as ("-x", "z", "y").
+        """Build from the platform axis along which each block axis lies, such as ("-x", "z", "y").
 
-        The block is then turned by `turned_rad` about the platform axis `about` (the paper's psi).
-        Raises `ValueError` when the axes are not a right-handed set.
+        The block is then rotated by `turned_rad` about the platform axis `about` (the paper's psi). Raises
+        `ValueError` unless the axes form a right-handed set.
         """
         return cls(label, axes_matrix(axes) @ frame_rotation(about, turned_rad))
 
@@ -79,7 +82,7 @@ class Installation:
 def axes_matrix(axes: Sequence[str]) -> Floats:
     """Return the signed permutation for three axis names such as ("-x", "z", "y"), shape (3, 3).
 
-    Raises `ValueError` when a name is unknown, or the three are not a right-handed set.
+    Raises `ValueError` for an unknown name, or unless the axes form a right-handed set.
     """
     identity = np.eye(3)
     unit = {sign + "xyz"[i]: float(sign + "1") * identity[i] for sign in ("", "+", "-") for i in range(3)}
@@ -100,11 +103,11 @@ INSTALLATION_2: Final = Installation("2", axes_matrix(("-x", "z", "y")))
 
 
 def specific_force_on_platform(angle_rad: Floats, stand_rad: Floats) -> Floats:
-    """Return the specific force on the axes of the mounted, error-turned platform, in g, shape (n, 3).
+    """Return the specific force on the axes of the platform, with all stand angles applied, in g, shape (n, 3).
 
-    `angle_rad` (n,) is the true angle of the head, the setting error alpha4 included; `stand_rad` (n, 5)
-    holds the stand angles of each row in the order of `STAND_ANGLES`.
-    Source: paper (3)-(4), exact; first order in the angles it is theirs.
+    `angle_rad` (n,) is the true angle of the head, including the setting error alpha4; `stand_rad` (n, 5) holds
+    the stand angles of each row in the order of `STAND_ANGLES`.
+    Source: paper (3)-(4) in exact form; the paper's equations are its first order in the angles.
     """
     tilt, offset, yaw, pitch, roll = stand_rad.T
     turned = angle_rad + offset + pitch
@@ -116,6 +119,7 @@ def specific_force_on_platform(angle_rad: Floats, stand_rad: Floats) -> Floats:
     return np.stack([x, y, z], axis=-1)
 
 
+# Constants of WGS 84: gravity at the equator, Somigliana's k, the ellipsoid, and m = omega² a² b / GM.
 _EQUATOR_M_S2: Final = 9.7803253359
 _SOMIGLIANA_K: Final = 0.00193185265241
 _ECCENTRICITY_SQUARED: Final = 0.00669437999014
@@ -127,7 +131,8 @@ _M: Final = 0.00344978650684
 def normal_gravity_m_s2(latitude_rad: float, height_m: float = 0.0) -> float:
     """Return normal gravity in m/s² at a geodetic latitude and a height above the ellipsoid.
 
-    Local anomalies (some 1e-4 to 1e-3 m/s²) are not in it. Raises `ValueError` for a latitude beyond the poles.
+    Local anomalies (about 1e-4 to 1e-3 m/s²) are not included. Raises `ValueError` for a latitude beyond the
+    poles.
     """
     if not abs(latitude_rad) <= math.pi / 2 + 1e-9:
         raise ValueError(f"a latitude lies between -90° and 90°, not at {math.degrees(latitude_rad):g}°")
@@ -142,21 +147,22 @@ def normal_gravity_m_s2(latitude_rad: float, height_m: float = 0.0) -> float:
 COEFFICIENTS: Final = (
     "Kxx", "Kxy", "Kxz", "Kyx", "Kyy", "Kyz", "Kzx", "Kzy", "Kzz", "U0x", "U0y", "U0z",
 )  # fmt: skip
-"""The twelve coefficients in the order of every vector and covariance of this application."""
+"""The twelve coefficients, in the order of every coefficient vector and covariance matrix of this project."""
 
 HIDDEN: Final = 1e-3
-"""A direction is left open whose singular value is no more than this part of the largest."""
+"""A singular value up to this fraction of the largest counts as zero, and so does a null-space component."""
 
 
 def linear_columns(force: Floats) -> Floats:
-    """Return what a channel is linear in, shape (n, 4): the specific force (n, 3), and one for its bias."""
+    """Return the design matrix of one channel, shape (n, 4): the specific force (n, 3) and a column of ones."""
     return np.column_stack([force, np.ones(len(force))])
 
 
 def hidden_axes(force: Floats) -> list[str]:
-    """Return which of x, y, z, and 0 for the biases, take part in what readings at these forces leave open.
+    """Return the axes "x", "y", "z", and "0" for the biases, that readings at these forces do not determine.
 
-    `force` (n, 3) in g; none for readings that determine the twelve coefficients.
+    `force` (n, 3) is in g. An axis counts if the null space of the design matrix has a component along it; the
+    list is empty if the readings determine all twelve coefficients.
     """
     _, size, directions = np.linalg.svd(np.linalg.qr(linear_columns(force), mode="r"))
     size = np.concatenate([size, np.zeros(4 - len(size))])
@@ -167,7 +173,7 @@ def hidden_axes(force: Floats) -> list[str]:
 
 @dataclass(frozen=True)
 class Block:
-    """Scale factors and cross-axis terms `K` (3x3, V/g) and biases `U0` (3, V)."""
+    """A triaxial accelerometer block: scale factors and cross-axis terms `K` (3x3, V/g), biases `U0` (3, V)."""
 
     K: Floats
     U0: Floats
@@ -200,7 +206,7 @@ class Block:
 
 @dataclass(frozen=True)
 class Distribution:
-    """A bench error with zero mean, in SI.
+    """The distribution of a bench error with zero mean, in SI units.
 
     `limit` is the half-width of a rectangular distribution, or `k` standard deviations of a normal one.
     Source: JCGM 100:2008, 4.3.4-4.3.7.
@@ -216,7 +222,7 @@ class Distribution:
         return self.limit / (self.k if self.shape == "normal" else float(np.sqrt(3.0)))
 
     def draw(self, rng: np.random.Generator) -> float:
-        """Draw one value."""
+        """Return one random value, in the unit of `limit`."""
         if self.shape == "normal":
             return float(rng.normal(0.0, self.u))
         return float(rng.uniform(-self.limit, self.limit))

@@ -1,1 +1,1 @@
-"""The operator's panel shows runs in a browser. It reads records and stores answers and requests."""
+"""The operator's panel: a web server that shows runs. It reads records and stores answers and requests."""

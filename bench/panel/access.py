@@ -1,4 +1,4 @@
-"""Access to the panel: its address; persons, roles, tokens, links, sessions; checks of requests."""
+"""Access to the panel: its address; persons and roles; tokens, links and sessions; checks of requests."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ PORT: Final = 8741
 class Settings:
     """The settings of a panel for the runs in a folder.
 
-    `address` is the one that a proxy with TLS before it has, such as https://lab; `laboratory` a laboratory file,
-    whose register holds the certificates of the runs; `catalogue` the one that its pages on units show, empty for
-    none.
+    `address` is the public address of a TLS proxy in front of the panel, such as https://lab. `laboratory` is a
+    laboratory file, whose register holds the certificates of the runs. `catalogue` is the catalogue shown on the
+    pages on units, empty for none.
     """
 
     runs: Path
@@ -55,30 +55,30 @@ class Settings:
 
     @property
     def url(self) -> str:
-        """The address at which a browser finds it."""
+        """The address of the panel for a browser."""
         host = f"[{self.host}]" if ":" in self.host else self.host
         return self.address or f"http://{host}:{self.port}"
 
     @property
     def cookie(self) -> str:
-        """The cookie name, unique for each panel on a computer, because cookies do not depend on ports."""
+        """The cookie name, unique for each panel on a computer, because cookies do not distinguish ports."""
         return (
             f"bench_panel_{sha256(str(self.runs.resolve()).encode(errors='surrogateescape')).hexdigest()[:8]}"
         )
 
     def allows_host(self, host: str) -> bool:
-        """Whether a request may name this host. On loopback, names of foreign servers are refused."""
+        """Return whether a request may have this Host header; on loopback, only the computer's own names may."""
         if self.loopback:
             return host in {f"{name}:{self.port}" for name in ("127.0.0.1", "localhost", "[::1]")}
         return bool(host)
 
     def allows_origin(self, origin: str, host: str) -> bool:
-        """Whether a page of this origin may request changes; only the panel's own pages may."""
+        """Return whether a page of this origin may request changes: only the panel's own pages may."""
         return origin == (self.address or f"http://{host}")
 
 
 def is_loopback(host: str) -> bool:
-    """Whether an address, or `localhost`, is the computer's own."""
+    """Return whether a host is `localhost` or a loopback address."""
     try:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
@@ -93,7 +93,7 @@ class Role(StrEnum):
     SUPERVISOR = "supervisor"
 
     def includes(self, other: Role) -> bool:
-        """Whether this role has all the rights of another role."""
+        """Return whether this role has all the rights of another role."""
         order = list(Role)
         return order.index(self) >= order.index(other)
 
@@ -112,13 +112,13 @@ class Person:
         return hashlib.sha256(f"form:{self.secret}".encode()).hexdigest()[:32]
 
     def require(self, least: Role) -> None:
-        """Raise `Refusal` where the person has a lesser role."""
+        """Raise `Refusal` (403) if the person's role is below `least`."""
         if not self.role.includes(least):
             raise Refusal(403, f"{self.name} is signed in as {self.role}; this takes the role {least}")
 
 
 class Refusal(Exception):
-    """Raised for a refused request, with the HTTP status and one sentence."""
+    """A refused request, with its HTTP status and a sentence for the user."""
 
     def __init__(self, status: int, text: str) -> None:
         super().__init__(text)
@@ -135,7 +135,7 @@ HEADERS: Final = {
     "content-security-policy": POLICY,
     "x-content-type-options": "nosniff",
     "x-frame-options": "DENY",
-    "referrer-policy": "same-origin",  # with none at all a browser tells the origin of a form as "null"
+    "referrer-policy": "same-origin",  # with "no-referrer" a browser sends the origin of a form as "null"
     "cross-origin-opener-policy": "same-origin",
     "cross-origin-resource-policy": "same-origin",
     "cache-control": "no-store",
@@ -143,7 +143,7 @@ HEADERS: Final = {
 
 
 class Gate:
-    """Middleware that refuses requests foreign to this panel and limits the size of bodies."""
+    """Middleware that refuses requests from foreign hosts and origins and limits the size of bodies."""
 
     def __init__(
         self, app: ASGIApp, settings: Settings, refuse: Callable[[Request, Refusal], Response]
@@ -151,7 +151,7 @@ class Gate:
         self._app, self._settings, self._refuse = app, settings, refuse
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass a request on, or answer it with the reason for its refusal."""
+        """Pass a request to the application, or respond with the reason for its refusal."""
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
@@ -170,7 +170,7 @@ class Gate:
         await self._app(scope, taken, with_headers)
 
     def _refused(self, scope: Scope) -> Refusal | None:
-        """Return the refusal of a request on the basis of its head; None if it may pass."""
+        """Return the refusal of a request by its headers; None if it may pass."""
         headers = Headers(scope=scope)
         host = headers.get("host", "")
         if len(headers.getlist("host")) > 1 or not self._settings.allows_host(host):
@@ -188,7 +188,7 @@ class Gate:
 
 
 def counted(receive: Receive) -> Receive:
-    """Return a receiver that raises `Refusal` when a body exceeds the largest size allowed."""
+    """Return an ASGI `receive` that raises `Refusal` (413) for a body over `LARGEST_BODY` bytes."""
     taken = 0
 
     async def bounded() -> Message:
@@ -203,9 +203,9 @@ def counted(receive: Receive) -> Receive:
 
 
 def without_body(receive: Receive) -> Receive:
-    """Return a receiver that drops the body of a request that only reads a page.
+    """Return an ASGI `receive` that drops the body of a GET or HEAD request.
 
-    A stream, which waits for its client to go away, would meet it when its answer has begun: too late to refuse.
+    An event stream calls `receive` only after its response has begun, too late to refuse a large body.
     """
 
     async def dropped() -> Message:
@@ -216,7 +216,7 @@ def without_body(receive: Receive) -> Receive:
 
 
 def private_folder(folder: Path) -> Path:
-    """Return a folder that only its owner can enter (0700); create it if missing. Raises `RecordError`."""
+    """Make a folder private to its owner (0700), create it if missing, and return it. Raises `RecordError`."""
     try:
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
         found = folder.lstat()
@@ -232,7 +232,7 @@ def private_folder(folder: Path) -> Path:
 
 
 class KeptList:
-    """A list of JSON objects in a file, locked so that several programs change it in turn."""
+    """A list of JSON objects in a file with a lock, so that several programs can change it."""
 
     def __init__(self, folder: Path, name: str) -> None:
         self._path = folder / name
@@ -241,7 +241,7 @@ class KeptList:
         self._rows: list[dict[str, Any]] = []
 
     def rows(self) -> list[dict[str, Any]]:
-        """Return the rows, read again if the file has changed. Raises `RecordError` for a damaged file."""
+        """Return the rows, cached until the file changes. Raises `RecordError` for a damaged file."""
         try:
             found = self._path.stat()
             stamp = (found.st_mtime_ns, found.st_size, found.st_ino)
@@ -260,7 +260,7 @@ class KeptList:
 
     @contextmanager
     def changed(self) -> Iterator[list[dict[str, Any]]]:
-        """Yield the rows for change in place; write them when the block ends. Raises `RecordError`."""
+        """Yield the rows for changes in place; write them at the end of the context. Raises `RecordError`."""
         try:
             with self._lock:
                 rows = self.rows()
@@ -309,11 +309,11 @@ class Access:
         return token
 
     def tokens(self) -> list[dict[str, Any]]:
-        """Return name, role and time of making of each token."""
+        """Return `name`, `role` and `made` (time of creation) of each token."""
         return [{key: row[key] for key in ("name", "role", "made")} for row in self._tokens.rows()]
 
     def revoke(self, name: str) -> None:
-        """Delete a person's token and end its sessions. Raises `RecordError` where there is no token."""
+        """Delete a person's token, which ends its sessions. Raises `RecordError` if there is no token."""
         with self._tokens.changed() as rows:
             kept = [row for row in rows if row["name"] != name]
             if len(kept) == len(rows):
@@ -334,7 +334,7 @@ class Access:
     def sign_in_by_link(self, link: str) -> Person | None:
         """Return the person whom a link's secret signs in; None if it is used, expired or unknown."""
         digest = _hash(link)
-        # looked at before the file is locked: what strangers guess must not make anybody wait
+        # checked before the file is locked, so that a stranger's guesses make nobody wait
         if not any(row["sha256"] == digest for row in self._links.rows()):
             return None
         with self._links.changed() as rows:
@@ -372,7 +372,7 @@ class Access:
         return Person(name, role, secret)
 
     def person(self, secret: str) -> Person | None:
-        """Return the person of a cookie's session; None if it is unknown, expired, or its token revoked."""
+        """Return the person of a session by the cookie's secret; None if unknown, expired, or its token revoked."""
         if not secret:
             return None
         digest = _hash(secret)
@@ -400,7 +400,7 @@ class Access:
 
 
 def checked_person(name: str) -> str:
-    """Return a person's name. Raises `RecordError` for one that cannot be shown or is too long."""
+    """Return a person's name, stripped. Raises `RecordError` if it is empty, too long or not printable."""
     name = name.strip()
     if not name or len(name) > LONGEST_NAME or not name.isprintable() or visible(name) != name:
         raise RecordError(
@@ -410,5 +410,5 @@ def checked_person(name: str) -> str:
 
 
 def _hash(secret: str) -> str:
-    """Return the SHA-256 of a secret: 256 random bits, which no slower hash would guard better."""
+    """Return the SHA-256 of a secret; its 256 random bits need no slow password hash."""
     return hashlib.sha256(secret.encode(errors="replace")).hexdigest()

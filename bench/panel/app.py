@@ -1,4 +1,4 @@
-"""The panel's application: the routes to its pages, and the limits on connections."""
+"""The panel's web application: routes, connection limits, starting the server, one-time links to it."""
 
 from __future__ import annotations
 
@@ -77,11 +77,11 @@ ROUTES = [
 ]
 
 KNOWN = (RecordError, FileMistakes, Refused, ReadingsError, BenchError, OSError, ImportError)
-"""Errors with messages for the user; they concern records and files and are no defect of the panel."""
+"""Errors with a message for the user: they concern records and files, not defects of the panel."""
 
 
 def make_app(settings: Settings) -> Starlette:
-    """Return the application of a panel. Raises `RecordError` where its folder cannot be used."""
+    """Return the application of a panel. Raises `RecordError` if its folder cannot be used."""
     panel = Panel(settings)
     app = Starlette(
         routes=ROUTES,
@@ -111,21 +111,21 @@ LATE_OF_CATALOGUE: Final = (
     "bench.catalogue.unit",
     "bench.results.catalogue",
 )
-"""Modules that pages import on first use; programs that only query the panel save this time (1 s)."""
+"""Modules that pages import on first use, so that programs that only query the panel save about 1 s."""
 
 
 def prepare(panel: Panel) -> None:
     """Load modules and templates and read the runs once, so that the first pages are fast."""
     load()
-    load_bench(find_bench("paper-stand"))  # units and devices are loaded by the first file that names some
+    load_bench(find_bench("paper-stand"))  # the first bench file also loads units and device drivers
     for name in LATE + LATE_OF_CATALOGUE * bool(panel.settings.catalogue):
-        with suppress(ImportError):  # an extra that is missing is told by the page that needs it
+        with suppress(ImportError):  # the page that needs a missing extra reports it
             import_module(name)
     panel.table.read_all()
 
 
 def _preparing(panel: Panel) -> Callable[[Starlette], AbstractAsyncContextManager[None]]:
-    """Return the lifespan function that prepares the panel while it begins to serve."""
+    """Return the lifespan function of the application, which prepares the panel in the background."""
 
     @asynccontextmanager
     async def lifespan(_: Starlette) -> AsyncIterator[None]:
@@ -149,7 +149,7 @@ class Connection(H11Protocol):
     _late: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Wait for a request; beyond `MOST_CONNECTIONS` the one that has waited longest is closed, or this one."""
+        """Wait for a request; above `MOST_CONNECTIONS`, abort the connection that has waited longest for one."""
         super().connection_made(transport)
         self._watch()
         living = [
@@ -171,9 +171,9 @@ class Connection(H11Protocol):
         self._watch()
 
     def send_400_response(self, msg: str) -> None:
-        """Answer invalid HTTP, unless it follows a request that was answered before its body arrived."""
+        """Respond to invalid HTTP, unless it follows a request that was answered before its body arrived."""
         if self.cycle is not None:
-            self.cycle.disconnected = True  # what a page still answers has nowhere to go
+            self.cycle.disconnected = True  # discards the rest of a page's response
             self.cycle.message_event.set()
         with suppress(h11.LocalProtocolError):
             super().send_400_response(msg)
@@ -188,14 +188,14 @@ class Connection(H11Protocol):
 
 
 class OncePerMinute(logging.Filter):
-    """A log filter: each warning passes once a minute, so clients cannot fill the disk. Errors pass."""
+    """A log filter that passes each warning once a minute, so that clients cannot fill the disk, and all errors."""
 
     def __init__(self) -> None:
         super().__init__()
         self._last: dict[Any, float] = {}
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """Whether the record is written."""
+        """Return whether to write the record."""
         if record.levelno > logging.WARNING:
             return True
         before = self._last.get(record.msg)
@@ -220,9 +220,9 @@ OPEN_WIRE: Final = (
 
 
 def serve(settings: Settings, tell: Callable[[str], None]) -> None:
-    """Serve a panel until it is ended; `tell` receives the address, the link and notes on the network.
+    """Serve a panel until it is stopped; `tell` is called with its address, its link and notes on the network.
 
-    Raises `RecordError` where another panel serves the folder, nobody could sign in, or it cannot listen there.
+    Raises `RecordError` if another panel serves the folder, if nobody could sign in, or if it cannot listen.
     """
     import uvicorn
 
@@ -230,7 +230,7 @@ def serve(settings: Settings, tell: Callable[[str], None]) -> None:
     state = private_folder(settings.runs / STATE)
     lock = FileLock(state / LOCK, mode=0o600)
     try:
-        lock.acquire(timeout=LOOKS_S)  # who only looks whether a panel serves has it for a moment
+        lock.acquire(timeout=LOOKS_S)  # `is_serving` in another program may hold it for a moment
     except Timeout:
         raise RecordError(
             f"{settings.runs}: a panel serves this folder already at {url_of(settings.runs)}; "
@@ -240,7 +240,7 @@ def serve(settings: Settings, tell: Callable[[str], None]) -> None:
         settings = replace(settings, port=listener.getsockname()[1])
         app = make_app(settings)
         told = {"url": settings.url, "pid": os.getpid(), "loopback": settings.loopback}
-        write_whole(state / SERVER, to_text(told))  # it listens already: who connects now waits a moment
+        write_whole(state / SERVER, to_text(told))  # the socket listens already, so early clients wait
         tell(f"panel of the runs in {settings.runs}: {settings.url}")
         if settings.loopback:
             tell(f"sign in, once, within half an hour: {new_link(settings.runs)}")
@@ -271,7 +271,7 @@ def config_of(app: ASGIApp) -> uvicorn.Config:
 
 
 def check(settings: Settings) -> None:
-    """Raise `RecordError` for an address that is none, and where others reach it and nobody has a token."""
+    """Raise `RecordError` for an invalid address, and for a panel on the network if nobody has a token."""
     address = urlsplit(settings.address)
     if settings.address and (address.scheme not in {"http", "https"} or not address.netloc or address.path):
         raise RecordError(
@@ -285,7 +285,7 @@ def check(settings: Settings) -> None:
 
 
 def _listening(settings: Settings) -> socket.socket:
-    """Return the socket on which it listens. Raises `RecordError`."""
+    """Return a socket that listens at the panel's host and port. Raises `RecordError`."""
     try:
         (family, kind, _, _, address), *_ = socket.getaddrinfo(
             settings.host, settings.port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
@@ -307,7 +307,7 @@ def _listening(settings: Settings) -> socket.socket:
 
 
 def url_of(runs: Path) -> str:
-    """Return the address that the panel of a folder stored when it last began; empty if there is none."""
+    """Return the address stored by the panel that last served a folder, an empty string if there is none."""
     try:
         told = from_text(read_regular(runs / STATE / SERVER))
         return str(told["url"])
@@ -316,7 +316,7 @@ def url_of(runs: Path) -> str:
 
 
 def is_serving(runs: Path) -> bool:
-    """Whether a panel serves this folder now."""
+    """Return whether a panel serves this folder now."""
     if not (runs / STATE / LOCK).exists():
         return False
     lock = FileLock(runs / STATE / LOCK, mode=0o600)
@@ -328,7 +328,7 @@ def is_serving(runs: Path) -> bool:
 
 
 def link_of(runs: Path) -> str:
-    """Return a one-time link to the panel that serves a folder. Raises `Refused` where none does."""
+    """Return a one-time link to the panel that serves a folder. Raises `Refused` if none does."""
     if not is_serving(runs):
         raise Refused(
             f"{runs}: no panel serves this folder now; 'bench panel' begins one, and prints its link"
@@ -337,9 +337,9 @@ def link_of(runs: Path) -> str:
 
 
 def open_panel(runs: Path, after: str = "/") -> str:
-    """Return a link to the panel of a folder, which is begun as a program of its own where none serves it.
+    """Return a one-time link to the page `after` of a folder's panel; start a panel first if none serves it.
 
-    It leads to the page `after`. Raises `RecordError` where no panel begins.
+    Raises `RecordError` if no panel starts.
     """
     if not is_serving(runs):
         begin_panel(runs)
@@ -347,9 +347,9 @@ def open_panel(runs: Path, after: str = "/") -> str:
 
 
 def begin_panel(runs: Path, ports: Sequence[int] = (PORT, 0)) -> Started:
-    """Begin a panel that lives on by itself, at the first of these ports that is free; it serves when this returns.
+    """Start a panel that outlives this program, at the first of `ports` that is free, and wait until it serves.
 
-    Raises `RecordError` where it does not begin.
+    Raises `RecordError` if it does not start.
     """
     state = private_folder(runs / STATE)
     trouble = ""
@@ -365,9 +365,9 @@ def begin_panel(runs: Path, ports: Sequence[int] = (PORT, 0)) -> Started:
 
 
 def new_link(runs: Path, after: str = "/") -> str:
-    """Return a link to the panel of a folder that signs an operator in, once, and then shows the page `after`.
+    """Return a one-time link to a folder's panel, which signs an operator in and shows the page `after`.
 
-    Raises `RecordError` where the panel is to be reached from beyond this computer.
+    Raises `RecordError` if the panel is not on a loopback address.
     """
     url = url_of(runs)
     if not is_loopback((urlsplit(url).hostname or "").strip("[]")):

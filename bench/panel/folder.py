@@ -1,4 +1,4 @@
-"""The folder of runs: what visitors may name in it, the table of its runs, the certificates of each."""
+"""The folder of runs: safe access to its runs and files, the table of runs, the certificates of a run."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class RunsFolder:
         self.path = path
 
     def runs(self) -> list[Run]:
-        """Return the runs, in no order."""
+        """Return the runs, in arbitrary order."""
         try:
             with os.scandir(self.path) as found:
                 names = [one.name for one in found if one.is_dir(follow_symlinks=False)]
@@ -41,7 +41,7 @@ class RunsFolder:
         return [Run(self.path / name) for name in names if self._holds(name)]
 
     def run(self, name: str) -> Run:
-        """Return the run of a name. Raises `Refusal` (404) where there is none."""
+        """Return the run with this name. Raises `Refusal` (404) if there is none."""
         if not self._holds(name):
             raise Refusal(404, "there is no run of that name")
         return Run(self.path / name)
@@ -58,7 +58,7 @@ class RunsFolder:
 
 
 def read_page(run: Run, name: str) -> bytes:
-    """Return a file of a run. Raises `Refusal` (404) where it is none, or a link."""
+    """Return the content of a run's file. Raises `Refusal` (404) if it is missing, a link or not a regular file."""
     try:
         descriptor = os.open(run.folder / name, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | os.O_NONBLOCK)
         with os.fdopen(descriptor, "rb") as file:
@@ -71,7 +71,7 @@ def read_page(run: Run, name: str) -> bytes:
 
 @dataclass(frozen=True)
 class Issued:
-    """A certificate of a run: its number, its status and the cause, whether it is signed, its files."""
+    """A certificate of a run: its number, status (`state`) and cause (`by`), whether it is signed, its files."""
 
     number: str
     state: str
@@ -81,9 +81,9 @@ class Issued:
 
 
 class Certificates:
-    """The certificates that a laboratory's register holds; it is only read. None where no laboratory file is named.
+    """The certificates in a laboratory's register, read-only; without a laboratory file there are none.
 
-    Raises `FileMistakes` for a laboratory file with mistakes.
+    Raises `FileMistakes` for an invalid laboratory file.
     """
 
     def __init__(self, laboratory: Path | None) -> None:
@@ -92,7 +92,7 @@ class Certificates:
         self._register: Register | None = None
 
     def of(self, run: Run) -> tuple[Issued, ...]:
-        """Return the certificates of a run as its record is now. Raises `Refused` for a changed register."""
+        """Return the certificates of a run in its present state. Raises `Refused` for a tampered register."""
         head = _head_of(run) if self._folder is not None else ""
         register = self._read()
         if not head or register is None:
@@ -110,7 +110,7 @@ class Certificates:
         )
 
     def file(self, run: Run, name: str) -> bytes:
-        """Return a file of one of a run's certificates. Raises `Refusal` (404), `Refused` where it was changed."""
+        """Return a file of a run's certificate. Raises `Refusal` (404), `Refused` if it was tampered with."""
         register = self._read()
         if register is None or not any(name in one.files for one in self.of(run)):
             raise Refusal(404, f"{run.name} has no such certificate")
@@ -130,7 +130,7 @@ class Certificates:
 
 
 def _head_of(run: Run) -> str:
-    """Return the head hash of a run's record from its own result; empty if there is none."""
+    """Return the head hash of a run's record from its calibration result, an empty string if there is none."""
     try:
         return str(read_json(read_page(run, "calibrate.json"))["record"]["head"])
     except (Refusal, ValueError, KeyError, TypeError):
@@ -139,7 +139,7 @@ def _head_of(run: Run) -> str:
 
 UNREAD: Final = "not read yet"
 LONGEST_LOOK_S: Final = 0.1
-"""Longest time (s) that a page waits for runs not read yet; the others are read in the background."""
+"""Longest time (s) that a page spends on reading runs; rows of the others show only their manifests."""
 TAIL: Final = 65_536
 _ON: Final = {b'"run_paused"': "paused", b'"run_continued"': "running", b'"run_resumed"': "running"}
 _GOES_ON: Final = frozenset({"running", "paused"})
@@ -149,7 +149,7 @@ Stamp = tuple[tuple[int, int, int] | None, ...]
 
 @dataclass(frozen=True)
 class RunRow:
-    """A run in the table; `state` is a word or two, `detail` what is wrong with a damaged record."""
+    """A row of the table of runs; `state` is a word or two, `detail` describes damage to the record."""
 
     name: str
     created: str = ""
@@ -165,11 +165,11 @@ class RunRow:
 
     @property
     def alive(self) -> bool:
-        """Whether a program carries it out now."""
+        """Whether a program is carrying out the run now."""
         return self.state in _GOES_ON
 
     def fits(self, words: tuple[str, ...], wanted: Mapping[str, str]) -> bool:
-        """Whether the row contains all `words`, and its columns have the values in `wanted`."""
+        """Return whether the row contains all `words` and its columns have the non-empty values in `wanted`."""
         if any(text and getattr(self, column) != text for column, text in wanted.items()):
             return False
         told = " ".join((self.name, self.unit, self.bench, self.operator, self.procedure, self.created))
@@ -215,9 +215,10 @@ class RunsTable:
             self._digests.save()
 
     def _read(self, run: Run, stamp: Stamp, *, wait: bool) -> RunRow:
-        """Read a run, unless others are being read and nobody waits for that.
+        """Return the row of a run, read from its record.
 
-        One that is being carried out is told by the end of its record, which may be a long one.
+        Without `wait`, return a row with only the manifest if another thread is reading. For a run in progress,
+        only the end of its record, which may be long, is read.
         """
         if is_being_written(run.folder):
             return replace(_of_manifest(run), state=state_at_the_end(run.folder))
@@ -273,7 +274,7 @@ def _stamp(folder: Path) -> Stamp:
     stamps: list[tuple[int, int, int] | None] = []
     for name in (MANIFEST, EVENTS, RESULTS, f"{VERIFY}.json", PLAN, PROCEDURE, BENCH):
         try:
-            found = os.stat(f"{place}/{name}")  # noqa: PTH116 - thousands at once: a path costs more than to look
+            found = os.stat(f"{place}/{name}")  # noqa: PTH116 - thousands at once, and Path is slower
             stamps.append((found.st_mtime_ns, found.st_size, found.st_ino))
         except OSError:
             stamps.append(None)
@@ -281,7 +282,7 @@ def _stamp(folder: Path) -> Stamp:
 
 
 def state_at_the_end(folder: Path) -> str:
-    """Return the state of a run that is being carried out, by the last lines of its record."""
+    """Return the state of a run in progress, "running" or "paused", from the last lines of its record."""
     try:
         with open_regular(folder / EVENTS) as file:
             file.seek(max(file.seek(0, 2) - TAIL, 0))

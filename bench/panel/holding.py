@@ -1,7 +1,7 @@
-"""Control of a run, which one person has, or nobody. A journal in the run's folder records its changes.
+"""Control of a run, held by one person or nobody. A journal in the run's folder records its changes.
 
-The state of control is stored only in the journal, so that it survives a kill of the server. Control passes
-only by the action of a person; it never expires.
+The journal is the only store of the state of control, which therefore survives a kill of the server. Control
+changes only by the action of a person; it never expires.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from drivers.clock import utc_now
 JOURNAL: Final = "holding.jsonl"
 MOST_ASKING: Final = 20
 LARGEST: Final = 4 * 2**20
-"""Size (bytes) above which a journal accepts no further asking and denying, which change no holder."""
+"""Size (bytes) above which a journal accepts no more "ask" and "deny", which do not change the holder."""
 
 
 class Deed(StrEnum):
@@ -51,9 +51,9 @@ WORDS: Final = {
 
 @dataclass(frozen=True)
 class Holding:
-    """The state of control: holder (empty for nobody), time and manner, and the persons asking, in order.
+    """The state of control: the holder (empty for nobody), `since` when and by which deed (`how`).
 
-    `denied` are the persons whose last request was denied.
+    `asking` lists the persons who request control, in order; `denied` those whose last request was denied.
     """
 
     holder: str = ""
@@ -63,7 +63,7 @@ class Holding:
     denied: tuple[str, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
-        """Return the state of control in the form for pages and their script."""
+        """Return the state of control as a JSON object for pages and scripts."""
         return {
             "holder": self.holder or None,
             "since": self.since or None,
@@ -73,7 +73,10 @@ class Holding:
         }
 
     def after(self, deed: Deed, who: str, to: str, at: str) -> Holding:
-        """Return the state of control after one more line of the journal."""
+        """Return the state of control after one more line of the journal: `who` did `deed` at time `at`.
+
+        `to` is the other person concerned, of a grant or a denial.
+        """
         match deed:
             case Deed.TAKEN | Deed.FORCED:
                 return self._held_by(who, at, deed)
@@ -98,7 +101,7 @@ def _without(names: tuple[str, ...], name: str) -> tuple[str, ...]:
 
 
 def read_holding(folder: Path) -> Holding:
-    """Return who is in control of the run in a folder, as its journal says; a line that is none tells nothing."""
+    """Return the state of control of the run in a folder, from its journal; invalid lines are skipped."""
     try:
         text = _bytes_of(folder / JOURNAL)
     except OSError:
@@ -129,9 +132,10 @@ def _told(text: bytes) -> Holding:
 def change(
     folder: Path, word: str, person: Person, to: str = "", now: Callable[[], datetime] = utc_now
 ) -> Holding:
-    """Carry out a person's command on the control of a run, if allowed; return the new state.
+    """Carry out a person's command (a key of `WORDS`) on the control of a run; return the new state.
 
-    Raises `Refusal` with the reason if it is not allowed, `OSError` where it cannot be written.
+    `to` is the person to grant or deny, by default the first who asked. Raises `Refusal` if the command is not
+    allowed, `OSError` if the journal cannot be written.
     """
     if word not in WORDS:
         raise Refusal(400, f"ask for one of {', '.join(WORDS)}")
@@ -147,7 +151,7 @@ def change(
             line = {"did": WORDS[word].value, "who": person.name, "role": person.role.value}
             line |= {"to": to} if to else {}
             line["at"] = now().isoformat()
-            # what a program wrote in part when it was killed is no line, and the next one begins anew
+            # cut off an incomplete line, left by a program that was killed
             start = text.rfind(b"\n") + 1
             file.truncate(start)
             file.seek(start)
@@ -157,7 +161,7 @@ def change(
 
 
 def _checked(holding: Holding, word: str, person: Person, to: str) -> str:
-    """Return whom it concerns beside the person. Raises `Refusal` where it may not be, or makes no sense."""
+    """Return the person to grant or deny, "" for other commands. Raises `Refusal` if the command is not allowed."""
     person.require(Role.SUPERVISOR if word == "force" else Role.OPERATOR)
     holds = holding.holder == person.name
     match word:
@@ -186,7 +190,7 @@ def _checked(holding: Holding, word: str, person: Person, to: str) -> str:
 
 
 def require_holder(folder: Path, person: Person) -> None:
-    """Raise `Refusal` unless the person controls the run in a folder and has a role that allows it."""
+    """Raise `Refusal` unless the person controls the run in a folder and is at least an operator."""
     person.require(Role.OPERATOR)
     holder = read_holding(folder).holder
     if holder != person.name:

@@ -1,4 +1,4 @@
-"""Programs that the panel starts: to check, try, run, resume and diagnose; and the choice of files."""
+"""Processes that the panel starts to check, try, run, resume and diagnose; the choice of files for a run."""
 
 from __future__ import annotations
 
@@ -38,14 +38,14 @@ LAST_WORDS: Final = 4000
 
 @dataclass(frozen=True)
 class Started:
-    """A process that was started, and the file that its output goes to."""
+    """A started process and the file with its output."""
 
     process: subprocess.Popen[bytes]
     log: Path
 
     @property
     def status(self) -> int | None:
-        """Exit status, None as long as it lives."""
+        """The exit status, None while the process is alive."""
         return self.process.poll()
 
     def last_words(self) -> str:
@@ -54,9 +54,9 @@ class Started:
 
 
 def start(arguments: Sequence[str], log: Path, *, program: Sequence[str] = BENCH) -> Started:
-    """Start a command that outlives this program. Raises `OSError`.
+    """Start a process that outlives this program, with its output in the file `log`. Raises `OSError`.
 
-    The arguments are given one by one, never to a shell.
+    The arguments are passed as a list, never through a shell.
     """
     with log.open("wb") as out:
         process = subprocess.Popen(  # noqa: S603 - a program of ours, arguments that were checked
@@ -66,13 +66,16 @@ def start(arguments: Sequence[str], log: Path, *, program: Sequence[str] = BENCH
             stderr=subprocess.STDOUT,
             start_new_session=True,
         )
-    # somebody must take note of its end, else it stays as a zombie as long as this program lives
+    # reap the process at its end; otherwise it would stay a zombie
     threading.Thread(target=process.wait, daemon=True).start()
     return Started(process, log)
 
 
 def wait_until(begun: Callable[[], bool], started: Started, clock: Clock | None = None) -> bool:
-    """Wait until a process has begun; false where it takes long. Raises `Refusal` where it ended before."""
+    """Wait until `begun` returns True; return False after 30 s (`LONGEST_START_S`).
+
+    Raises `Refusal` with the end of the output if the process ends before.
+    """
     clock = clock or SystemClock()
     until_s = clock.now_s() + LONGEST_START_S
     while not begun():
@@ -87,7 +90,7 @@ def wait_until(begun: Callable[[], bool], started: Started, clock: Clock | None 
 
 
 def last_words(log: Path) -> str:
-    """Return the end of the output of a process from its file `log`."""
+    """Return the end of a process's output from its file, an empty string if it cannot be read."""
     try:
         with open_regular(log) as file:
             file.seek(max(file.seek(0, 2) - LAST_WORDS, 0))
@@ -106,9 +109,10 @@ MOST_AT_ONCE: Final = 2
 
 @dataclass(frozen=True)
 class WantedRun:
-    """A requested run: the fields of `RunRequest` from the form, and the files with which they were checked.
+    """A requested run: the fields of `RunRequest` from the form, and the hashes of its files when checked.
 
-    Procedure and bench are absolute paths, `sha256` the hash of each. A dry run is practice: a person answers.
+    Procedure and bench are absolute paths; `sha256` has the hash of each. A dry run is for practice: a person
+    answers its prompts.
     """
 
     fields: Mapping[str, str | bool]
@@ -116,7 +120,7 @@ class WantedRun:
 
     @property
     def request(self) -> RunRequest:
-        """The request, as `bench run` has it."""
+        """The request for `bench run`."""
         return RunRequest(**{"procedure": "", **self.fields})  # type: ignore[arg-type]
 
     def hashed(self) -> WantedRun:
@@ -124,7 +128,7 @@ class WantedRun:
         return replace(self, sha256=self._hashes())
 
     def changed(self) -> bool:
-        """Whether the files were changed since they were checked. Raises `Refusal`."""
+        """Return whether the files were changed since the check. Raises `Refusal` if one cannot be read."""
         return dict(self.sha256) != self._hashes()
 
     def _hashes(self) -> dict[str, str]:
@@ -141,9 +145,9 @@ class WantedRun:
 class TrialResult:
     """The findings of check and dry run. `stage` is "checking", "trying" or "done".
 
-    `check` are the findings as `bench check --json` has them, `mistakes` what keeps the files from being read;
-    `tried` the exit status of the dry run, None where there was none, and `said` its last words; `result` what
-    `bench run --json` wrote.
+    `check` is the output of `bench check --json`, `mistakes` the errors if the files cannot be read; `tried` is the
+    exit status of the dry run, None without one, and `said` the end of its output; `result` is the output of
+    `bench run --json`.
     """
 
     stage: str = "checking"
@@ -155,7 +159,7 @@ class TrialResult:
 
     @property
     def startable(self) -> bool:
-        """Whether nothing forbids to start; a dry run refused for want of answers does not."""
+        """Whether the run may be started. A dry run that could not be tried for lack of answers is no obstacle."""
         if self.stage != "done" or self.check is None or self.check["problems"]:
             return False
         return self.tried in {0, 1} or bool(self.check["dry_run_refuses"])
@@ -169,15 +173,15 @@ class WishFolder:
 
     @property
     def id(self) -> str:
-        """Its name, as addresses have it."""
+        """The folder's name, which identifies the wish in addresses."""
         return self.path.name
 
     def wanted(self) -> WantedRun:
-        """Return the requested run. Raises `Refusal`."""
+        """Return the requested run. Raises `Refusal` (404) if it was deleted."""
         return WantedRun(**self._read(WISH))
 
     def found(self) -> TrialResult:
-        """Return the findings so far. Raises `Refusal`."""
+        """Return the findings so far. Raises `Refusal` (404) if they were deleted."""
         return TrialResult(**self._read(FOUND))
 
     def tell(self, found: TrialResult) -> None:
@@ -185,11 +189,11 @@ class WishFolder:
         write_whole(self.path / FOUND, to_text(asdict(found)))
 
     def lock(self) -> FileLock:
-        """Return the lock that the checking process holds as long as it lives."""
+        """Return the lock that the checking process holds while it is alive."""
         return FileLock(self.path / LOCK, mode=0o600)
 
     def at_work(self) -> bool:
-        """Whether a process checks or tries the run now."""
+        """Return whether a process is checking or trying the run now."""
         try:
             with self.lock().acquire(timeout=0):
                 return False
@@ -211,7 +215,7 @@ class WishFolder:
         (self.path / STARTED).unlink(missing_ok=True)
 
     def started(self) -> str:
-        """Return the name of the run started from this wish; empty if none was."""
+        """Return the name of the run started from this wish, an empty string if none was."""
         try:
             return read_regular(self.path / STARTED).decode()
         except OSError:
@@ -228,13 +232,13 @@ class WishFolder:
 
 
 class Wishes:
-    """The wishes of a panel, the latest few."""
+    """The latest requested runs (wishes) of a panel, each in a folder of its own."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
 
     def new(self, wanted: WantedRun) -> WishFolder:
-        """Keep a wish and return its folder. Raises `Refusal` where too many are being tried."""
+        """Store a requested run and return its folder. Raises `Refusal` (429) if too many are being tried."""
         self._folder.mkdir(mode=0o700, exist_ok=True)
         before = [one for one in self._folder.iterdir() if one.is_dir()]
         before.sort(key=lambda one: one.stat().st_mtime)
@@ -250,7 +254,7 @@ class Wishes:
         return wish
 
     def of(self, wish_id: str) -> WishFolder:
-        """Return the folder of a wish. Raises `Refusal` (404)."""
+        """Return the folder of the wish with this id. Raises `Refusal` (404) if there is none."""
         if re.fullmatch(r"[0-9a-f]{12}", wish_id) is None or not (self._folder / wish_id / WISH).is_file():
             raise Refusal(404, "this is not there any more; begin again")
         return WishFolder(self._folder / wish_id)
@@ -258,11 +262,11 @@ class Wishes:
 
 ANSWERS: Final = "folder"
 OUTPUT: Final = "panel.log"
-"""What the program that carries out a run writes for a terminal, in the run's folder."""
+"""The file with the terminal output of the program that carries out a run, in the folder of the wish."""
 
 
 def arguments_of(request: RunRequest) -> Iterator[str]:
-    """Yield the arguments of `bench run` by which it makes the same request."""
+    """Yield the command-line arguments of `bench run` that express a request."""
     for one in fields_of(type(request)):
         value = getattr(request, one.name)
         flag = (one.option.flags or (f"--{one.name.replace('_', '-')}",))[0]
@@ -275,7 +279,7 @@ def arguments_of(request: RunRequest) -> Iterator[str]:
 
 
 def name_of(wanted: WantedRun, runs: RunsFolder) -> str:
-    """Return the name of a run to be started, one that no run has. Raises `Refusal`."""
+    """Return the name of a run to be started. Raises `Refusal` if it is invalid or exists already."""
     stem = re.sub(r"[^\w.+-]", "-", Path(wanted.request.procedure).stem)
     name = wanted.request.name or f"{stem}-{utc_now().astimezone():%Y%m%d-%H%M%S}"
     try:
@@ -288,7 +292,7 @@ def name_of(wanted: WantedRun, runs: RunsFolder) -> str:
 
 
 def start_run(wish: WishFolder, runs: RunsFolder) -> Run:
-    """Start a wished run in a process of its own and return it once its record has begun. Raises `Refusal`."""
+    """Start a requested run in a separate process; return the run once its record exists. Raises `Refusal`."""
     wanted = wish.wanted()
     if wanted.changed():
         raise Refusal(409, "procedure or bench file was changed since they were checked; check them again")
@@ -309,9 +313,9 @@ def start_run(wish: WishFolder, runs: RunsFolder) -> Run:
 
 
 def resume_run(run: Run) -> None:
-    """Go on with a run, or make its results, in a process of its own, which has begun when this returns.
+    """Resume a run, or make its missing results, in a separate process, and wait until it has begun.
 
-    Raises `Refusal`.
+    Raises `Refusal` if a program is carrying out the run, or if the process ends before it has begun.
     """
     if is_being_written(run.folder):
         raise Refusal(409, "a program is carrying out this run now")
@@ -322,7 +326,7 @@ def resume_run(run: Run) -> None:
 
 
 def diagnose(run: Run) -> Started:
-    """Begin to diagnose a run in a process of its own."""
+    """Start the diagnosis of a run in a separate process, and return the process."""
     target = run.folder.absolute()
     return start(
         ["diagnose", str(target), f"--runs={_runs(run)}", f"--json={target / 'diagnose.json'}"], _output(run)
@@ -342,10 +346,10 @@ MARKS: Final = {
     PROCEDURES: re.compile(rb"^procedure\s*:", re.MULTILINE),
     CONFIG: re.compile(rb"^instruments\s*:", re.MULTILINE),
 }
-"""Patterns by which a file of the working folder is recognised as a procedure or a bench file."""
+"""Patterns that identify a file in the working folder as a procedure or a bench file."""
 
 NEXT: Final = "diagnose-next.yaml"
-"""What the diagnosis of a run proposes to measure, in the run's folder."""
+"""The procedure that the diagnosis of a run proposes, in the run's folder."""
 OF_RUN: Final = "next:"
 BEGINNING: Final = 65_536
 
@@ -353,7 +357,7 @@ BEGINNING: Final = 65_536
 def choices(kind: str, working: Path | None = None) -> dict[str, Path]:
     """Return the files of a kind (`PROCEDURES` or `CONFIG`) that may be chosen, by name.
 
-    A copy in the working folder is taken for the shipped file of its name, as commands do.
+    A file in the working folder replaces the shipped file of the same name, as in commands.
     """
     here = working or Path()
     found = {file.stem: file for file in _yaml(shipped_folder(kind))}
@@ -366,7 +370,10 @@ def choices(kind: str, working: Path | None = None) -> dict[str, Path]:
 
 
 def chosen_procedure(name: str, runs: RunsFolder) -> Path:
-    """Return the procedure of a name, or what a run's diagnosis proposes (`next:RUN`). Raises `Refusal`."""
+    """Return the procedure with this name, or the one that a run's diagnosis proposes (`next:RUN`).
+
+    Raises `Refusal` if there is none.
+    """
     if name.startswith(OF_RUN):
         run = runs.run(name.removeprefix(OF_RUN))
         file = run.folder / NEXT
@@ -377,7 +384,7 @@ def chosen_procedure(name: str, runs: RunsFolder) -> Path:
 
 
 def chosen_bench(name: str, runs: RunsFolder) -> Path:
-    """Return the bench file of a name, or that of the run whose diagnosis is followed. Raises `Refusal`."""
+    """Return the bench file with this name, or (`next:RUN`) the bench file of a run. Raises `Refusal`."""
     if name.startswith(OF_RUN):
         run = runs.run(name.removeprefix(OF_RUN))
         original = Path(str(run.manifest.get("bench", "")))
@@ -409,11 +416,11 @@ def _beginning(file: Path) -> bytes:
         return b""
 
 
-# --- what checks and tries a wish, as a process of its own: python -m bench.panel.launching FOLDER -----
+# --- the process that checks and tries a wish: python -m bench.panel.launching FOLDER ------------------
 
 
 def main() -> None:
-    """Check and try the wish in the folder that is named on the command line."""
+    """Check and try the wish in the folder given on the command line."""
     wish = WishFolder(Path(sys.argv[1]))
     with wish.lock():
         found = checked(wish.wanted(), wish.path)
@@ -424,7 +431,7 @@ def main() -> None:
 
 
 def checked(wanted: WantedRun, folder: Path) -> TrialResult:
-    """Return the findings of `bench check`; with what the dry run would refuse, it is not tried."""
+    """Return the findings of `bench check`; their stage is "trying" if a dry run is possible, else "done"."""
     from bench.services.requests.planning import Check
     from bench.services.until import look_ahead
 
@@ -436,7 +443,7 @@ def checked(wanted: WantedRun, folder: Path) -> TrialResult:
 
 
 def tried(wish: WishFolder, found: TrialResult) -> TrialResult:
-    """Return the findings extended by the outcome of a dry run."""
+    """Carry out a dry run of a wish and return the findings with its outcome added."""
     log, result = wish.path / "dry-run.log", wish.path / "dry-run.json"
     trial = replace(wish.wanted().request, dry_run=True, name="trial", runs=wish.path / "runs", operator="")
     arguments = ["run", *arguments_of(trial), f"--json={result}"]

@@ -1,9 +1,9 @@
-"""The platform with the block on it and the turn of the head, drawn from the installation's model as SVG.
+"""SVG drawings of the platform with the block, mounted or being turned, from the installation's model.
 
-Seen from the end of the shaft, a little from above and the right, so that the shaft, which points away from
-whoever looks, is seen too. On the platform x lies level to the right and z up while the head stands at 0°; a
-rising angle turns them against the clock. Colours come from the page by classes; every axis has its letter,
-so that none is told by its colour alone.
+The view is from the end of the shaft, a little from above and the right, so that the shaft, which points away from
+the viewer, is visible, too. With the head at 0°, the platform's x axis points right and its z axis up; a
+rising angle turns them counterclockwise. The page's style sheet sets the colours by classes. Every axis has its
+letter, so that colour alone identifies nothing.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from drivers.angles import format_dms
 RIGHT: Final = np.array([1.0, 0.0])
 UP: Final = np.array([0.0, -1.0])
 AWAY: Final = np.array([0.42, -0.34])
-"""Where a step to the right, up and away from whoever looks leads on the sheet, whose second axis points down."""
+"""Projections of unit steps right, up and away from the viewer onto the sheet, whose second axis points down."""
 
 WIDTH, HEIGHT, CENTRE = 400, 360, np.array([190.0, 195.0])
 SCALE: Final = 100.0
@@ -33,49 +33,49 @@ FOOT: Final = np.array([WIDTH / 2, HEIGHT - 12.0])
 
 
 def on_sheet(point: Floats) -> Floats:
-    """Return the place on the sheet of points given as (right, away, up), shape (..., 3) to (..., 2)."""
+    """Return points (right, away, up), shape (..., 3), projected onto the sheet, shape (..., 2)."""
     place: Floats = CENTRE + SCALE * (point @ np.array([RIGHT, AWAY, UP]))
     return place
 
 
 def turned(angle_rad: float) -> Floats:
-    """Return the platform's axes x, y, z in steps right, away and up at an angle of the head, shape (3, 3)."""
+    """Return the platform's axes x, y, z as rows (right, away, up) at an angle of the head, shape (3, 3)."""
     s, c = math.sin(angle_rad), math.cos(angle_rad)
     return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
 
 
 def block_axes(installation: Installation, angle_rad: float) -> Floats:
-    """Return the block's axes x, y, z in steps right, away and up, shape (3, 3)."""
+    """Return the block's axes x, y, z as rows (right, away, up) at an angle of the head, shape (3, 3)."""
     return installation.block_from_platform @ turned(angle_rad)
 
 
 @dataclass
 class Sheet:
-    """A drawing under construction: its shapes in the order in which they are drawn."""
+    """A drawing under construction: SVG elements in drawing order. `kind` arguments are CSS classes."""
 
     shapes: list[str] = field(default_factory=list)
 
     def line(self, kind: str, start: Floats, end: Floats, more: str = "") -> None:
-        """Draw a line between two places on the sheet."""
+        """Draw a straight line between two points on the sheet."""
         (x1, y1), (x2, y2) = start, end
         self.shapes.append(
             f'<line class="{kind}" x1="{x1:.1f}" y1="{y1:.1f}" x2="{x2:.1f}" y2="{y2:.1f}"{more}/>'
         )
 
     def path(self, kind: str, points: Floats, *, closed: bool = False, more: str = "") -> None:
-        """Draw a line through places on the sheet, shape (n, 2)."""
+        """Draw a polyline through points on the sheet, shape (n, 2)."""
         d = "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in points) + ("Z" if closed else "")
         self.shapes.append(f'<path class="{kind}" d="{d}"{more}/>')
 
     def words(self, kind: str, at: Floats, text: str, anchor: str = "middle") -> None:
-        """Write words about a place on the sheet."""
+        """Write a text at a point on the sheet."""
         self.shapes.append(
             f'<text class="{kind}" x="{at[0]:.1f}" y="{at[1]:.1f}" text-anchor="{anchor}" '
             f'dominant-baseline="central">{escape(text)}</text>'
         )
 
     def arrow(self, kind: str, points: Floats, size: float = 11.0, more: str = "") -> None:
-        """Draw a line with a head at its end."""
+        """Draw a polyline with an arrowhead at its end."""
         self.path(kind, points, more=more)
         end, before = points[-1], points[-2]
         along = (end - before) / max(float(np.hypot(*(end - before))), 1e-9)
@@ -95,7 +95,7 @@ class Sheet:
 
 
 def mounting(installation: Installation, angle_rad: float = 0.0) -> str:
-    """Return the block as it is to be mounted, with the head at an angle."""
+    """Return the SVG drawing of the block mounted in an installation, with the head at an angle."""
     sheet = Sheet()
     _bench(sheet, angle_rad)
     _block(sheet, installation, angle_rad)
@@ -104,10 +104,10 @@ def mounting(installation: Installation, angle_rad: float = 0.0) -> str:
 
 
 def turn(installation: Installation | None, from_rad: float | None, to_rad: float, direction: int) -> str:
-    """Return the block where the head is to be turned to, and by an arrow from where and from which side.
+    """Return the SVG drawing of the block at the target angle, with an arrow for the turn of the head.
 
-    `direction` is +1 for an approach with rising angle (against the clock), -1 with falling; `from_rad` is
-    where the head stands, None where that is not known.
+    `direction` is +1 for an approach with rising angle (counterclockwise), -1 with falling; `from_rad` is the
+    head's present angle, None if unknown.
     """
     sheet = Sheet()
     _bench(sheet, to_rad)
@@ -122,7 +122,7 @@ def turn(installation: Installation | None, from_rad: float | None, to_rad: floa
 
 
 def in_words(installation: Installation, angle_rad: float) -> str:
-    """Say where each axis of the block points: "x points right, y away from you along the shaft, z up"."""
+    """Return where each axis of the block points: "x points right, y points away from you along the shaft, …"."""
     said = [
         f"{channel} points {_where(axis)}"
         for channel, axis in zip(CHANNELS, block_axes(installation, angle_rad), strict=True)
@@ -138,7 +138,7 @@ _WAYS: Final = (
 
 
 def _where(axis: Floats) -> str:
-    """Say where an axis points, the larger part first; parts below 1° are left out."""
+    """Return in words where an axis points, the largest component first; components below sin 1° are left out."""
     order = np.argsort(-np.abs(axis), kind="stable")
     return " and ".join(
         _WAYS[i][int(axis[i] < 0)] for i in order if abs(axis[i]) > math.sin(math.radians(1.0))
@@ -148,15 +148,17 @@ def _where(axis: Floats) -> str:
 def _circle(
     radius: float, away: float, start_rad: float = 0.0, end_rad: float = math.tau, steps: int = 72
 ) -> Floats:
-    """Return an arc about the shaft on the sheet; 0 is up, and angles rise as those of the head, against the
-    clock."""
+    """Return an arc about the shaft on the sheet, shape (steps, 2).
+
+    Angle 0 is up; angles rise counterclockwise, like those of the head. `away` is the arc's place along the shaft.
+    """
     angle = np.linspace(start_rad, end_rad, steps)
     points = np.stack([-radius * np.sin(angle), np.full(steps, away), radius * np.cos(angle)], axis=-1)
     return on_sheet(points)
 
 
 def _bench(sheet: Sheet, angle_rad: float) -> None:
-    """Draw the shaft, the platform as a disc across it with its scale, and the level."""
+    """Draw the shaft, the platform as a graduated disc across it, and a line for the horizontal ("level")."""
     sheet.line("shaft", on_sheet(np.array([0.0, 0.3, 0.0])), on_sheet(np.array([0.0, SHAFT, 0.0])))
     sheet.words("quiet", on_sheet(np.array([0.0, SHAFT, 0.0])) + np.array([6.0, -18.0]), "shaft")
     sheet.path("disc back", _circle(DISC, CUBE + DEPTH), closed=True)
@@ -172,7 +174,7 @@ def _bench(sheet: Sheet, angle_rad: float) -> None:
 
 
 def _block(sheet: Sheet, installation: Installation, angle_rad: float) -> None:
-    """Draw the cube with the block's axes, those that point away first."""
+    """Draw the cube and the block's axes, starting with the axes that point away from the viewer."""
     frame = turned(angle_rad)
     for normal, corners in _faces(frame):
         sheet.path("face front" if normal[1] < -0.5 else "face", on_sheet(corners), closed=True)
@@ -185,18 +187,20 @@ def _block(sheet: Sheet, installation: Installation, angle_rad: float) -> None:
 
 
 def _aside(axis: Floats) -> Floats:
-    """Return the sideways offset of an axis's letter; an axis along the shaft is short on the sheet."""
+    """Return the offset of an axis's letter on the sheet; an axis along the shaft is short and needs one."""
     return np.array([10.0, 0.0]) if abs(axis[1]) > 0.9 else np.zeros(2)
 
 
 def _seen(normal: Floats) -> bool:
-    """Whether a face is turned towards whoever looks: the line of sight is the step that leaves a point
-    where it is."""
+    """Return whether a face of the cube is visible, from its normal.
+
+    The line of sight is the direction in which a point does not move on the sheet.
+    """
     return float(normal @ np.array([-AWAY[0], 1.0, AWAY[1]])) < -1e-9
 
 
 def _faces(frame: Floats) -> list[tuple[Floats, Floats]]:
-    """Return normal and corners of those faces of the cube that are seen."""
+    """Return the normal (3,) and the corners (4, 3) of each visible face of the cube; `frame` rows are its axes."""
     faces = []
     for i in range(3):
         one, two = frame[(i + 1) % 3], frame[(i + 2) % 3]
@@ -209,9 +213,9 @@ def _faces(frame: Floats) -> list[tuple[Floats, Floats]]:
 
 
 def _way(sheet: Sheet, from_rad: float | None, to_rad: float, direction: int) -> None:
-    """Draw the way to an angle: an arrow about the shaft that arrives from the side that is asked for.
+    """Draw the turn to an angle: an arrow about the shaft that arrives in the requested direction.
 
-    It shows the last 50° at most. A head that stands beyond the target goes past it first and comes back.
+    It covers at most the last 50°; 24° if the head is beyond the target or close to it, and so must back off first.
     """
     span = math.radians(50.0)
     if from_rad is not None:

@@ -27,7 +27,7 @@ FIGURES: Final = {
     "residuals-in-time": b"Residuals of channels x, y, z against ",
     "verification": b"\xce\x94g at ",
 }
-"""The figures of the report, with the beginning of the description by which each is found."""
+"""The figures of the report, each with the beginning of the `aria-label` by which it is found."""
 
 _STATES: Final = {
     "pass": "passed",
@@ -65,9 +65,9 @@ class PointRow:
 
 @dataclass(frozen=True)
 class VerdictTold:
-    """The verdict as the panel shows it.
+    """The verdict of the verification as shown on a page.
 
-    `state` styles the box and `words` say the outcome; then worst |Δg| ± U, the limit and the risk.
+    `state` styles the box and `words` state the outcome; then follow the worst |Δg| ± U, the limit and the risk.
     """
 
     state: str
@@ -96,7 +96,7 @@ class CoefficientRow:
 
 @dataclass(frozen=True)
 class CalibrationTold:
-    """The coefficients, what no reading shows, and how well the model fits."""
+    """The calibration as shown on a page: the coefficients, the unobservable quantities (`hidden`), the fit."""
 
     rows: tuple[CoefficientRow, ...]
     hidden: tuple[str, ...]
@@ -107,7 +107,7 @@ class CalibrationTold:
 
 @dataclass(frozen=True)
 class DiagnosisTold:
-    """What the diagnosis says: verdict in words, the effects named, and what would tell more."""
+    """The diagnosis as shown on a page: the verdict, the named effects, and the reason for the next measurement."""
 
     verdict: str
     words: str
@@ -127,7 +127,7 @@ class Results:
 
 
 def results_of(run: Run) -> Results:
-    """Return the results of a run."""
+    """Return the results of a run, read from the files in its folder."""
     trouble: list[str] = []
 
     def told(name: str, words: Callable[[Mapping[str, Any]], Told]) -> Told | None:
@@ -146,7 +146,7 @@ def results_of(run: Run) -> Results:
 
 
 def is_plain(path: Path) -> bool:
-    """Whether a path is a regular file and no link."""
+    """Return whether a path is a regular file and not a link."""
     return path.is_file() and not path.is_symlink()
 
 
@@ -197,7 +197,7 @@ def _point(one: Mapping[str, Any], size: float, limit: float, rule: str) -> Poin
 
 
 def _statement(told: Mapping[str, Any], rule: str) -> str:
-    """Return a statement as its rule makes it; an old result has none."""
+    """Return the statement of conformity under a decision rule; for an old result without one, "pass" or "fail"."""
     from bench.calibration.conformity import Statement  # takes long to import
     from bench.calibration.verification import by_rule
 
@@ -271,7 +271,7 @@ def _diagnosis(told: Mapping[str, Any]) -> DiagnosisTold:
 
 
 def figure_of(run: Run, name: str) -> bytes:
-    """Return a figure of a run's report as an SVG file. Raises `Refusal` (404) where there is none."""
+    """Return a figure of a run's report as an SVG file. Raises `Refusal` (404) if there is none."""
     page = read_page(run, REPORT)
     if name in FIGURES:
         for found in re.finditer(rb'<svg (?=[^>]*aria-label="([^"]*)")', page):

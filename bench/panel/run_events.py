@@ -1,4 +1,4 @@
-"""Events of a run, read as they are written, and the state of the run that follows from them."""
+"""Events of a run, read as they are written, and the state of the run derived from them."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from bench.run.record import parse_line
 from bench.run.resume import PlanProgress
 
 MOST_LAST: Final = 40
-"""Number of recent events that are shown."""
+"""Number of recent events kept for display."""
 
 MOST_WARNINGS: Final = 20
 
@@ -39,11 +39,11 @@ _STOPPED: Final = frozenset(
 
 @dataclass
 class RunView:
-    """A run as its events tell it.
+    """The state of a run, derived from its events.
 
-    `step` is the one begun and not done yet, with the event of its beginning, `turn` the turn begun last
-    since the block was mounted; `set_c` what the chamber was sent to, °C. What steps brought is made of
-    their events when it is asked for: of a long run that is little of it.
+    `step` is the event at which the current step began, `begun` that of the first step since the run was begun or
+    resumed, `turn` that of the last turn since the block was mounted; `set_c` is the set point of the chamber, °C.
+    Results of steps are computed from their events only on demand, as few are needed.
     """
 
     plan: Plan
@@ -70,7 +70,7 @@ class RunView:
         self.readings_planned = self._kinds.count(Read)
 
     def take(self, event: Event) -> None:
-        """Take in the next event. Raises `RecordError` for one that cannot be."""
+        """Process the next event. Raises `RecordError` for an event that cannot follow here."""
         try:
             self._take(event)
         except (ValueError, KeyError, TypeError, IndexError, AttributeError) as error:
@@ -151,7 +151,7 @@ class RunView:
 
     @property
     def turned(self) -> tuple[Event, Turned] | None:
-        """Where the head was turned last, as read back, since the block was mounted."""
+        """The last turn since the block was mounted, with its event; the angle is as read back."""
         event, mounted = self._brought.get(Turn), self._brought.get(Mount)
         if event is None or (mounted is not None and mounted.number > event.number):
             return None
@@ -159,7 +159,7 @@ class RunView:
 
     @property
     def rest(self) -> tuple[Settle, CameToRest] | None:
-        """What was waited for last, and how it came to rest."""
+        """The last settling step and its result."""
         event = self._brought.get(Settle)
         if event is None or not isinstance(event.result, CameToRest):
             return None
@@ -168,14 +168,14 @@ class RunView:
 
     @property
     def mounted(self) -> Mount | None:
-        """How the block is mounted."""
+        """The step that mounted the block last, None if it was not mounted."""
         event = self._brought.get(Mount)
         step = None if event is None else self.plan.steps[event.step]
         return step if isinstance(step, Mount) else None
 
     @property
     def chamber(self) -> tuple[Event, float] | None:
-        """The temperature in the chamber as it was known last, °C, and by which event."""
+        """The latest known air temperature of the chamber, °C, after the event that reported it."""
         known: list[tuple[Event, float]] = []
         if self.slow is not None:
             known.append((self.slow, float(self.slow.data["air_c"])))
@@ -190,15 +190,15 @@ class RunView:
 
 
 KEPT_LINES, KEPT_BYTES = 100, 1 << 20
-"""The first lines and last bytes of a record that are read in full; in between, step starts are skipped."""
+"""The first lines and the last bytes of a record are read in full; in between, starts of steps are skipped."""
 
 HEAD: Final = 160
 _BEGUN: Final = f'"type": "{EventType.STEP_STARTED}"'.encode()
-"""Bytes in an event's line that precede all texts of persons and instruments."""
+"""The mark of a step's start within the first `HEAD` bytes of a line, which hold no text of persons."""
 
 
 class Tail:
-    """A reader of the events of a growing record, from the first. An incomplete line is read later."""
+    """A reader of the events of a growing record, from the first; an incomplete last line is read later."""
 
     def __init__(self, folder: Path) -> None:
         self._path = folder / EVENTS
@@ -206,16 +206,16 @@ class Tail:
         self._count = 0
 
     def grown(self) -> bool:
-        """Return whether the record has unread content, or was cut back."""
+        """Return whether the record has unread content or was shortened."""
         try:
             return self._path.stat().st_size != self._read
         except OSError:
             return False
 
     def new(self) -> Iterator[Event]:
-        """Yield the events written since the last call; for a long record, without the starts of old steps.
+        """Yield the events written since the last call; in a long record, starts of old steps are skipped.
 
-        Raises `RecordError` if the record has changed other than by growth.
+        Raises `RecordError` if the record was changed other than by appending.
         """
         try:
             with open_regular(self._path) as file, uncollected():

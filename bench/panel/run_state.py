@@ -1,4 +1,4 @@
-"""The snapshot of a run for pages and scripts: its state, and the open question."""
+"""The snapshot of a run for pages and scripts: its state and the open question, as JSON objects."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ from drivers.person import PromptKind
 
 
 def prompt_of(asked: AskedPrompt, seen: RunView, installations: Mapping[str, Installation]) -> dict[str, Any]:
-    """Return a question in the form for pages and scripts, with these keys.
+    """Return a question as a JSON object for pages and scripts.
 
-    `id`, `kind`, `text`, `default`, `unit`, `choices`, `minimum`, `maximum`, `picture` as it was put; `do`,
-    what is to be done; `target`, the angle in ° ′ ″ of a turn, `direction` +1 or -1; `drawing`, an SVG,
-    empty where there is none; `buttons`: what can be answered by pressing one (`text` is the answer, `label`
-    what stands on it), the first is what Enter does where `enter` says so.
+    `id`, `kind`, `text`, `default`, `unit`, `choices`, `minimum`, `maximum` and `picture` are those of the
+    `Prompt`; `time` is that of the question; `do` is the task. For a turn, `target` is the angle in ° ′ ″ and
+    `direction` +1 or -1. `drawing` is an SVG or empty. `buttons` are the possible answers, each with its `text` and
+    its `label`; if `enter` is true, the Enter key presses the first.
     """
     prompt = asked.prompt
-    action: Mapping[str, Any] = prompt.action  # of a record, which may say anything
+    action: Mapping[str, Any] = prompt.action  # from a record, so not validated
     told: dict[str, Any] = {
         "id": prompt.id,
         "kind": prompt.kind.value,
@@ -70,7 +70,7 @@ def prompt_of(asked: AskedPrompt, seen: RunView, installations: Mapping[str, Ins
 
 
 def _buttons(told: Mapping[str, Any]) -> list[dict[str, str]]:
-    """Return the buttons of a question; an empty answer selects the default, as Enter does."""
+    """Return the buttons of a question; the first has an empty answer if there is a default, as Enter does."""
     default = told["default"]
     buttons = [] if default is None else [{"text": "", "label": _label(told, str(default))}]
     match told["kind"]:
@@ -85,7 +85,7 @@ def _buttons(told: Mapping[str, Any]) -> list[dict[str, str]]:
 
 
 def _choice(choice: str) -> dict[str, str]:
-    """Return the button of a choice; of one that wants words of one's own the beginning of the answer, `begin`."""
+    """Return the button of a choice; for a choice with a free reason, `begin` is the beginning of the answer."""
     if choice.endswith(f" {REASON}"):
         beginning = choice.removesuffix(REASON)
         return {"begin": beginning, "label": f"{beginning.strip()} because …"}
@@ -94,7 +94,7 @@ def _choice(choice: str) -> dict[str, str]:
 
 def _label(told: Mapping[str, Any], default: str) -> str:
     match told["do"]:
-        case "turn":
+        case "turn" if told["kind"] != PromptKind.CONFIRM:
             return f"It stands at {default}"
         case "wait":
             return "Continue"
@@ -111,8 +111,10 @@ DRIFTS: Final = 0.01
 
 @dataclass(frozen=True)
 class About:
-    """What a run was begun with, as far as it is told: the texts of its manifest, and the installations of
-    its bench."""
+    """The constant part of a run's snapshot: texts of its manifest, and the installations of its bench.
+
+    `chamber` says whether the bench has a thermal chamber.
+    """
 
     run: str
     title: str
@@ -128,7 +130,10 @@ class About:
 def snapshot(
     seen: RunView, about: About, time_left: TimeLeft, asked: AskedPrompt | None, *, alive: bool, now: datetime
 ) -> dict[str, Any]:
-    """Return what is told of a run, of which the question `asked` waits; the keys are said above."""
+    """Return the snapshot of a run as a JSON object: its state, place in the plan, last reading, warnings and log.
+
+    `asked` is the open question; `alive` says whether a program is carrying out the run.
+    """
     latest = seen.latest
     return {
         "run": about.run,
@@ -273,7 +278,7 @@ def _next_step(seen: RunView) -> int:
 
 
 def _step_at(seen: RunView) -> Step | None:
-    """Return the step by which the place is told: a wait is between its turn and its reading."""
+    """Return the step that gives the place in the plan: for a wait, the next mount, turn or reading."""
     if seen.step is None:
         return None
     for step in seen.plan.steps[seen.step.step :]:
@@ -326,7 +331,7 @@ def _reading(seen: RunView) -> dict[str, Any] | None:
 def _channel(reading: Reading, i: int) -> dict[str, Any]:
     sd, unit = reading.sd[i], reading.unit
     drift, p, outlier = reading.drift[i], reading.drift_p[i], reading.outlier[i]
-    if reading.samples_taken < OUTLIER_LEAST:  # an earlier version recorded one of three
+    if reading.samples_taken < OUTLIER_LEAST:  # earlier versions recorded outliers among only three samples
         outlier = None
     steady = None if p is None else p >= DRIFTS
     drifted = ""
@@ -344,7 +349,7 @@ def _channel(reading: Reading, i: int) -> dict[str, Any]:
 
 
 def _rest(seen: RunView) -> str:
-    """Say how long what was waited for last took to come to rest."""
+    """Return a sentence on how long the last settling took, an empty string if there was none."""
     if seen.rest is None:
         return ""
     step, rest = seen.rest
@@ -370,7 +375,7 @@ def _chamber(seen: RunView) -> dict[str, Any]:
 
 
 def _soak(seen: RunView, about: About) -> dict[str, Any] | None:
-    """Return the clock of what is being waited for; of a settling the longest that it may take."""
+    """Return the countdown of the current wait, or of the timeout of the current settling; None if neither."""
     if (waiting := seen.waiting) is None or seen.latest is None:
         return None
     event, step = waiting

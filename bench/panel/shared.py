@@ -1,4 +1,4 @@
-"""Functions shared by all pages: the panel, the person and form of a request, templates, refusals."""
+"""Functions shared by all pages: the panel, a request's person and form, templates, assets, refusals."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from bench.run.events import sha256
 
 
 class Panel:
-    """One panel over one folder of runs."""
+    """The state of a panel that serves one folder of runs."""
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
@@ -51,7 +51,7 @@ CSRF_HEADER: Final = "x-csrf"
 
 
 def panel_of(request: Request) -> Panel:
-    """Return the panel that a request is made to."""
+    """Return the panel that received a request."""
     panel: Panel = request.app.state.panel
     return panel
 
@@ -106,7 +106,7 @@ async def fields(request: Request) -> dict[str, str]:
 
 
 REPORT_STYLE: Final = "report.css"
-"""The style of the reports, which the panel's own stands on."""
+"""The style sheet of the reports, which the panel's own extends."""
 
 ASSETS: Final = {
     REPORT_STYLE: "text/css; charset=utf-8",
@@ -121,7 +121,7 @@ ASSETS: Final = {
 
 @cache
 def read_asset(name: str) -> bytes:
-    """Return what is loaded by that name. Raises `KeyError` for any but the `ASSETS`."""
+    """Return the content of an asset. Raises `KeyError` for a name not in `ASSETS`."""
     if name not in ASSETS:
         raise KeyError(name)
     if name == REPORT_STYLE:
@@ -131,7 +131,7 @@ def read_asset(name: str) -> bytes:
 
 @cache
 def asset(name: str) -> str:
-    """Return the address of an asset, which changes with what is in it."""
+    """Return the address of an asset, which changes with its content."""
     return f"/static/{sha256(read_asset(name))[:12]}/{name}"
 
 
@@ -150,7 +150,7 @@ def _environment() -> Environment:
 
 
 def load() -> None:
-    """Read and compile all templates and assets, so that no first page has to."""
+    """Read all assets and compile all templates, so that the first pages are fast."""
     for name in ASSETS:
         asset(name)
     for name in _environment().list_templates():
@@ -158,9 +158,9 @@ def load() -> None:
 
 
 def rendered(name: str, **content: Any) -> str:
-    """Return the page that a template makes of its content: all escaped, no character in it acts unseen.
+    """Return a template rendered with `content`: HTML-escaped, control and invisible characters as escapes.
 
-    What a page does not give to its template is an error.
+    A variable missing from `content` is an error.
     """
     return visible(_environment().get_template(name).render(**content))
 
@@ -181,13 +181,13 @@ APART: Final = {
     "frame-ancestors 'self'; base-uri 'none'; form-action 'none'",
     "x-frame-options": "SAMEORIGIN",
 }
-"""Of a page that stands by itself, as a file: its own style, and nothing of it acts."""
+"""Headers of a standalone page, such as a report: it may have its own style, but no scripts or forms."""
 
 
 def page(request: Request, name: str, *, status: int = 200, **content: Any) -> HTMLResponse:
-    """Return the page that a template makes of its content, with `person` and `csrf` of who is signed in.
+    """Return the response with a template rendered with `content`.
 
-    `catalogue` says whether there are pages on units.
+    If a person is signed in, the template also gets `person`, `csrf`, and `catalogue`: whether the panel has one.
     """
     if (person := person_of(request)) is not None:
         shown = bool(panel_of(request).settings.catalogue)
@@ -196,13 +196,13 @@ def page(request: Request, name: str, *, status: int = 200, **content: Any) -> H
 
 
 def wants_json(request: Request) -> bool:
-    """Whether a script made the request: it accepts or sends JSON."""
+    """Return whether a script made the request: it accepts or sends JSON."""
     asked = request.headers.get("accept", "") + request.headers.get("content-type", "")
     return "application/json" in asked or "text/event-stream" in asked
 
 
 def refused(request: Request, refusal: Refusal) -> Response:
-    """Answer with the reason for a refusal; lead persons who must sign in to that page."""
+    """Return the response with the reason for a refusal; redirect a stranger to the sign-in page."""
     if wants_json(request):
         return JSONResponse({"problem": visible(bounded(refusal.text))}, status_code=refusal.status)
     if refusal.status == HTTPStatus.UNAUTHORIZED and request.method == "GET":
@@ -214,19 +214,19 @@ def refused(request: Request, refusal: Refusal) -> Response:
 
 
 def by_framework(request: Request, error: Exception) -> Response:
-    """Answer for a refusal by the framework: an unknown address or method."""
+    """Return the response to an error of the framework: an unknown address or method."""
     status = error.status_code if isinstance(error, HTTPException) else 500
     texts = {404: "there is no such page", 405: "this cannot be asked of this page"}
     return refused(request, Refusal(status, texts.get(status, HTTPStatus(status).phrase)))
 
 
 def by_refusal(request: Request, error: Exception) -> Response:
-    """Answer for a `Refusal`."""
+    """Return the response to a `Refusal`."""
     return refused(request, error if isinstance(error, Refusal) else Refusal(400, str(error)))
 
 
 def by_record(request: Request, error: Exception) -> Response:
-    """Answer for a record or a file that cannot be read or written, or a package that is not installed."""
+    """Return the response to an unusable record or file, or to a missing optional package."""
     if isinstance(error, OSError):
         return refused(request, Refusal(409, f"{error.filename or 'a file'}: {error.strerror or error}"))
     if isinstance(error, ImportError):

@@ -1,4 +1,4 @@
-"""Followers of runs, shared by all viewers, sent as server-sent events with residuals."""
+"""Followers of runs, shared by all viewers; they send snapshots and residuals as server-sent events."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from bench.base.files import from_text, open_regular
 from bench.base.numbers import without_infinity
 from bench.base.yaml_files import FileMistakes
 from bench.config.bench_file.file import BenchFile, load_bench
@@ -23,6 +24,7 @@ from bench.readings.reading import Reading
 from bench.run.early_warning import watcher_of
 from bench.run.events import Event, EventType, RecordError
 from bench.run.folder import BENCH, Run
+from bench.run.live import LIVE
 from bench.run.person import AskedPrompt
 from bench.run.record import is_being_written
 from bench.run.terminal import TimeLeft
@@ -31,28 +33,28 @@ from drivers.clock import Clock, SystemClock, utc_now
 
 MOST_POINTS: Final = 200
 COVERAGE: Final = 2.0
-"""Half-width of the bands in standard uncertainties."""
+"""Coverage factor: half-width of the plotted bands in standard uncertainties."""
 
 
 @dataclass(frozen=True)
 class PlottedPoints:
-    """The points of a `ResidualPlot` at one time; `version` increases when earlier points change."""
+    """The points of a `ResidualPlot` at some moment; `version` increases when earlier points change."""
 
     version: int = 0
     points: tuple[dict[str, Any], ...] = ()
 
     def since(self, told: PlottedPoints) -> dict[str, Any]:
-        """Return the update for a viewer with the points `told`: first changed index, new points, and k."""
+        """Return the update for a viewer who has the points `told`: first changed index, new points, and k."""
         begin = len(told.points) if told.version == self.version else 0
         return {"from": begin, "k": COVERAGE, "points": self.points[begin:]}
 
 
 class ResidualPlot:
-    """Judges the readings of a run; `points` are told to those who look.
+    """The residuals of a run's readings from their predictions, as `points` for viewers.
 
-    A point: `n` of its event, `step`, `installation`, `series`, `pass`, `point`, `angle_deg`, `time_s`, per
-    channel `residual` from the prediction and its standard uncertainty `u` (`unit`), `sigma`; `struck`,
-    where it was taken again. `version` counts the changes of points that stood already.
+    A point has the keys `n` (event number), `step`, `installation`, `series`, `pass`, `point`, `angle_deg`,
+    `time_s`; per channel the `residual`, its standard uncertainty `u` (both in `unit`) and `sigma`; and `struck` if
+    the reading was repeated. `version` counts changes to earlier points.
     """
 
     def __init__(self, plan: Plan, bench: BenchFile) -> None:
@@ -64,7 +66,7 @@ class ResidualPlot:
         self.version = 0
 
     def note(self, event: Event) -> None:
-        """Queue an event, which `judge_next` processes later."""
+        """Queue an event for `judge_next`."""
         if event.type not in _TOLD:
             return
         if event.type == EventType.STEP_DONE and not isinstance(self._steps[event.step], Read | Mount):
@@ -76,11 +78,11 @@ class ResidualPlot:
 
     @property
     def waiting(self) -> bool:
-        """Whether readings wait to be judged."""
+        """Whether queued readings are still to be compared with their predictions."""
         return self._readings > 0
 
     def judge_next(self) -> bool:
-        """Judge the next queued reading; return whether there was one."""
+        """Compare the next queued reading with its prediction; return whether there was one."""
         while self._waiting:
             event = self._waiting.popleft()
             self._watcher.observe(event)
@@ -140,9 +142,9 @@ ALIVE_LOOK_S: Final = 1.0
 
 
 class Follower:
-    """A follower of one run: it reads new events and judges readings.
+    """A follower of one run: it reads new events and compares readings with their predictions.
 
-    Raises `RecordError`, `FileMistakes` where its inputs or its record cannot be read.
+    Raises `RecordError`, `FileMistakes` if the run's files or its record cannot be read.
     """
 
     def __init__(self, folder: Path, clock: Clock | None = None) -> None:
@@ -172,12 +174,12 @@ class Follower:
         )
         self._alive, self._looked_s = False, -ALIVE_LOOK_S
         self._unheard = 0
-        """Up to this event number, questions cannot be answered: the program that asked is gone."""
+        """Questions up to this event number cannot be answered: the program that asked them has ended."""
 
     def look(self) -> bool:
         """Read new events; return whether the snapshot of the run has changed. Raises `RecordError`."""
         grown = self._tail.grown()
-        # what comes where nobody was thought to write is another program's: its question is to be heard
+        # growth without a known writer comes from a new program, whose question can be answered
         changed = self._look_for_writer(at_once=grown and not self._alive)
         if grown:
             for event in self._tail.new():
@@ -191,22 +193,32 @@ class Follower:
         return changed
 
     def judge(self) -> bool:
-        """Judge the next reading against its prediction; return whether there was one."""
+        """Compare the next reading with its prediction; return whether there was one."""
         return self._residuals.judge_next()
 
     @property
     def prompt(self) -> AskedPrompt | None:
-        """The question that stands, None where none does or nobody would hear an answer."""
+        """The open question, None if there is none or no program waits for the answer."""
         asked = self._seen.prompt
         return asked if self._alive and asked is not None and asked.event.number > self._unheard else None
 
+    def live(self) -> bytes:
+        """Return the latest live value of an open question as JSON; empty where there is none."""
+        if self.prompt is None:
+            return b""
+        try:
+            with open_regular(self._folder / LIVE) as file:
+                return file.read(MOST_LIVE)
+        except OSError:
+            return b""
+
     @property
     def waiting(self) -> bool:
-        """Whether readings wait to be judged."""
+        """Whether queued readings are still to be compared with their predictions."""
         return self._residuals.waiting
 
     def state(self) -> dict[str, Any]:
-        """Return the current snapshot of the run, see `bench.panel.run_state`."""
+        """Return the current snapshot of the run, see `bench.panel.run_state.snapshot`."""
         if (begun := self._seen.begun) is not None:
             self._time_left.begin(begun.step, begun.bench_s)
         return snapshot(
@@ -223,7 +235,7 @@ class Follower:
         return PlottedPoints(self._residuals.version, tuple(self._residuals.points))
 
     def _look_for_writer(self, *, at_once: bool) -> bool:
-        """Check, at intervals or at once, if a program carries out the run; return whether that changed."""
+        """Check, at intervals or `at_once`, if a program carries out the run; return whether this has changed."""
         now_s = self._clock.now_s()
         if not at_once and now_s - self._looked_s < ALIVE_LOOK_S:
             return False
@@ -237,23 +249,35 @@ BEAT_S: Final = 2.0
 LINGER_S: Final = 30.0
 """Time (s) for which a follower without viewers is kept, so that a reloaded page finds it again."""
 
+MOST_LIVE: Final = 4096
+"""Largest file of a live value, bytes."""
+
 JUDGED_AT_ONCE: Final = 20
 """Number of readings judged between updates, so that a long run can be viewed while it is judged."""
 
 Add = Callable[[Path], dict[str, Any]]
-"""A function that returns further data on the run in a folder: who is in control."""
+"""A function that returns additional data for the snapshot of the run in a folder: who is in control."""
 
 
 def as_event(name: str, data: Any) -> bytes:
-    """Return a server-sent event; JSON holds no end of line."""
+    """Return a server-sent event with JSON data, which never contains a line end."""
     text = json.dumps(without_infinity(data), ensure_ascii=True, separators=(",", ":"))
     return f"event: {name}\ndata: {text}\n\n".encode()
 
 
-class SharedFollower:
-    """A follower in the background of an event loop: it reads in a thread, and wakes those who look.
+def as_live(value: bytes) -> bytes:
+    """Return a server-sent event with a live value that the run's program wrote, {} for none or a broken one."""
+    try:
+        told = from_text(value) if value else {}
+    except ValueError:
+        told = {}
+    return as_event("live", told if isinstance(told, dict) else {})
 
-    `state` is the snapshot as it was last, `trouble` why there is none.
+
+class SharedFollower:
+    """A `Follower` shared by viewers on an event loop: it reads in a thread and wakes the waiting viewers.
+
+    `state` is the latest snapshot, `trouble` the error that ended the following, or an empty string.
     """
 
     def __init__(self, folder: Path, add: Add) -> None:
@@ -265,6 +289,7 @@ class SharedFollower:
         self.points = PlottedPoints()
         self.state: dict[str, Any] = {}
         self.sent_state = b""
+        self.live = b""
         self.trouble = ""
         self.watchers = 0
         self._ready = asyncio.Event()
@@ -272,11 +297,11 @@ class SharedFollower:
 
     @property
     def prompt(self) -> AskedPrompt | None:
-        """The question that stands, None where none does or nobody would hear an answer."""
+        """The open question, None if there is none or no program waits for the answer."""
         return None if self._follower is None else self._follower.prompt
 
     async def ready(self) -> None:
-        """Wait until there is a first snapshot, or trouble."""
+        """Wait until there is a first snapshot or an error."""
         await self._ready.wait()
 
     def stop(self) -> None:
@@ -284,7 +309,7 @@ class SharedFollower:
         self._task.cancel()
 
     async def wait(self, version: int) -> bool:
-        """Wait, at most a heartbeat, for a version newer than `version`; return whether there is one."""
+        """Wait, at most 2 s (`BEAT_S`), for a version other than `version`; return whether there is one."""
         if self.version == version:
             with suppress(TimeoutError):
                 await asyncio.wait_for(self._news.wait(), BEAT_S)
@@ -296,7 +321,7 @@ class SharedFollower:
                 news = await asyncio.to_thread(self._look)
             except (RecordError, FileMistakes, OSError) as error:
                 news, self.trouble = str(error) != self.trouble, str(error)
-            except Exception as error:  # a defect of ours must not leave a page that looks alive
+            except Exception as error:  # a defect must not leave a page that looks alive
                 news, self.trouble = not self.trouble, f"the panel cannot follow this run any more: {error!r}"
             if news:
                 self.version += 1
@@ -321,13 +346,14 @@ class SharedFollower:
                     break
         if follower.points_version != before:
             self.points = follower.points()
+        before_live, self.live = self.live, follower.live()
         added = self._add(self._folder)
         if read or added != self._added or not self.state:
             self._added = added
             self.state = {**follower.state(), **added}
             self.sent_state = as_event("state", self.state)
             return True
-        return follower.points_version != before
+        return follower.points_version != before or self.live != before_live
 
 
 class Followers:
@@ -338,7 +364,7 @@ class Followers:
         self._shared: dict[Path, SharedFollower] = {}
 
     async def state(self, folder: Path) -> dict[str, Any]:
-        """Return the snapshot of a run. Raises `RecordError` where it cannot be read."""
+        """Return the snapshot of a run. Raises `RecordError` if it cannot be read."""
         shared = await self._of(folder)
         try:
             return shared.state
@@ -346,7 +372,7 @@ class Followers:
             self._leave(folder, shared)
 
     async def prompt(self, folder: Path) -> AskedPrompt | None:
-        """Return the open question of a run. Raises `RecordError` where its record cannot be read."""
+        """Return the open question of a run. Raises `RecordError` if its record cannot be read."""
         shared = await self._of(folder)
         try:
             return shared.prompt
@@ -354,10 +380,13 @@ class Followers:
             self._leave(folder, shared)
 
     async def stream(self, folder: Path) -> AsyncIterator[bytes]:
-        """Yield server-sent events of a run to one viewer. Raises `RecordError` before the first."""
+        """Yield server-sent events of a run for one viewer: "state", "points", "live", "beat" and "trouble".
+
+        Raises `RecordError` before the first event if the record cannot be read.
+        """
         shared = await self._of(folder)
         try:
-            told, sent = PlottedPoints(), b""
+            told, sent, live = PlottedPoints(), b"", b""
             while True:
                 if shared.trouble:
                     yield as_event("trouble", {"words": shared.trouble})
@@ -366,6 +395,9 @@ class Followers:
                 if shared.sent_state is not sent:
                     sent = shared.sent_state
                     yield sent
+                if shared.live != live:
+                    live = shared.live
+                    yield as_live(live)
                 if (points := shared.points) is not told:
                     yield as_event("points", points.since(told))
                     told = points

@@ -1,1 +1,1 @@
-"""Test points before they are measured: what they determine, how well, and the fewest that are enough."""
+"""Planning of test points: what readings at them will determine, how well, and the fewest that suffice."""

@@ -1,7 +1,8 @@
-"""How long a run until it is good enough will take: its distribution over the noise, before the run.
+"""Choice of the next points in an adaptive run, and the expected duration of such a run.
 
-The choices of a run depend on its readings only through the estimated noise, which has a chi-square
-distribution. So a few random numbers simulate a run, and `Chooser` itself makes the choices."""
+The choices depend on the readings only through the estimated noise, which has a chi-square distribution. A run
+is therefore simulated with a few random numbers, and `Chooser` itself makes the simulated choices.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +39,7 @@ from bench.readings.table import Readings
 
 DRAWS: Final = 100
 GRAIN: Final = 0.1
-"""Relative step to which noise is rounded: choices are computed once for all draws with the same step."""
+"""Logarithmic step to which noise is rounded, so that draws with similar noise share one computation."""
 QUANTILES: Final = (0.05, 0.5, 0.95)
 _OF_ONE_MOUNTING: Final = 9
 """Number of coefficients that readings in one mounting determine; two mountings determine all."""
@@ -46,11 +47,11 @@ _OF_ONE_MOUNTING: Final = 9
 
 @dataclass(frozen=True)
 class TimeOutlook:
-    """Bench time, s, and readings of the pool in each draw, (draws,); whether the goals were reached in it.
+    """The outcome of simulated runs: bench time, s, readings, and whether the goals were reached, each (draws,).
 
-    `whole_s` is what the plan would take as it stands, `whole` its points to choose from, `scale` the noise
-    in units of what the bench file states; `has_goal` is whether more than a time was asked for, `learned` whether
-    that noise was learned of the bench.
+    `whole_s` is the duration of the whole plan, `whole` its number of points. `scale` is the ratio of the noise
+    to the noise stated in the bench file; `learned` says whether it was learned from the bench. `has_goal` is
+    False if only a time limit was given.
     """
 
     time_s: Floats
@@ -63,12 +64,12 @@ class TimeOutlook:
     learned: bool = False
 
     def quantiles(self, values: Floats) -> list[float]:
-        """Return the quantiles `QUANTILES` of values (draws,)."""
+        """Return the quantiles `QUANTILES` of `values` (draws,)."""
         return [float(q) for q in np.quantile(values, QUANTILES, method="inverted_cdf")]
 
 
 def time_outlook(chooser: Chooser, scale: float = 1.0, draws: int = DRAWS, seed: int = 1) -> TimeOutlook:
-    """Draw runs at a noise of `scale` times what the bench file states."""
+    """Simulate runs whose noise is `scale` times the noise stated in the bench file."""
     rng = np.random.default_rng(seed)
     known: dict[Any, NextPoints] = {}
     drawn = [_run(chooser, scale, rng, known) for _ in range(draws)]
@@ -81,9 +82,9 @@ def time_outlook(chooser: Chooser, scale: float = 1.0, draws: int = DRAWS, seed:
 def _run(
     chooser: Chooser, scale: float, rng: np.random.Generator, known: dict[Any, NextPoints]
 ) -> tuple[float, float, bool]:
-    """Draw a run; return its time, its settings, and whether it reached the goals."""
+    """Simulate one run; return its time, s, its number of settings, and whether it reached the goals."""
     standing = Standing()
-    repeated, other = np.zeros(2), np.zeros(2)  # chi-square and degrees of freedom
+    repeated, other = np.zeros(2), np.zeros(2)  # each holds chi-square and degrees of freedom
     spent_s = chooser.pool.always_s - chooser.pool.after_s
     while True:
         key = (
@@ -111,7 +112,7 @@ def _run(
 def _after(
     chooser: Chooser, before: Standing, choice: NextPoints, done: Counter[Site], sums: Any, spent_s: float
 ) -> Standing:
-    """Return the state of the run after a pass, with the noise rounded to its grain."""
+    """Return the state of the simulated run after the chosen points, with the noise rounded by `_grained`."""
     chi2, dof = sums[0] + sums[1]
     size = _grained(NoiseScale(float(chi2), int(dof)).size)
     taken = before.taken | {point.steps[0] for point in choice.points}
@@ -122,7 +123,7 @@ def _after(
 
 
 def _reached(chooser: Chooser, standing: Standing, stated: float) -> tuple[Reached, ...]:
-    """Return the progress of the goals at noise `stated`; empty for undetermined coefficients."""
+    """Return the progress of the goals at noise scale `stated`; empty if the coefficients are undetermined."""
     task = chooser.task(standing)
     goals = tuple(wanted.ahead for wanted in chooser.aim.wanted)
     rows = type(task.candidates)(task.grid.rows / stated)
@@ -148,44 +149,44 @@ def _grained(size: float) -> float:
 
 
 def _scale_of(size: float, dof: int) -> NoiseScale:
-    """Return the noise scale whose estimate is `size`."""
+    """Return the noise scale with `dof` degrees of freedom whose estimate is `size`."""
     return NoiseScale(size**2 * (BELIEVED + dof) - BELIEVED, dof)
 
 
 BELIEVED: Final = 6.0
-"""Weight of the stated noise, in signals: little, but enough before there are readings."""
+"""Prior weight of the stated noise, in degrees of freedom: small, but sufficient before the first readings."""
 
 SURE: Final = 0.8
-"""Before a mounting is left for good, its visits must be enough for the noise at this upper confidence level."""
+"""Confidence level of the noise bound at which a mounting must have enough visits before it is left for good."""
 
 
 @dataclass(frozen=True)
 class NoiseScale:
-    """Ratio of the noise to that stated in the bench file, from `chi2` with `dof` degrees of freedom."""
+    """The ratio of the noise to the stated noise, estimated from `chi2` with `dof` degrees of freedom."""
 
     chi2: float = 0.0
     dof: int = 0
 
     @property
     def size(self) -> float:
-        """The estimate, which weighs the bench file by `BELIEVED`."""
+        """The estimated ratio, in which the stated noise counts as `BELIEVED` degrees of freedom."""
         return float(np.sqrt((BELIEVED + self.chi2) / (BELIEVED + self.dof)))
 
     @property
     def bound(self) -> float:
-        """Upper limit of the noise with the probability `SURE`."""
+        """The upper confidence limit of the ratio at the level `SURE`."""
         freedom = BELIEVED + self.dof
         return float(self.size * np.sqrt(freedom / (2.0 * gammaincinv(0.5 * freedom, 1.0 - SURE))))
 
 
 NOTHING_KNOWN: Final = NoiseScale()
-"""The scale of the noise before the first reading: the noise stated in the bench file."""
+"""The noise scale before the first reading, which is the noise stated in the bench file."""
 
 
 def scale_of(stand: Stand, readings: Readings) -> NoiseScale:
-    """Return the noise in readings, from the residuals of a fit of block and stand.
+    """Return the noise scale of readings, from the residuals of a linear fit of block and stand.
 
-    The readings need not determine the coefficients: those of one mounting have residuals, too.
+    The readings need not determine all coefficients; even those of a single mounting leave residuals.
     """
     own = readings.oriented()
     if not len(own):
@@ -204,7 +205,7 @@ def scale_of(stand: Stand, readings: Readings) -> NoiseScale:
 
 
 def whitened_response(stand: Stand, left: Floats, slope: Floats) -> Floats:
-    """Return residuals (n, 3) in units of the noise, as the derivatives are."""
+    """Return residuals (n, 3), V, whitened by the stand's noise like the derivatives `slope`."""
     return np.asarray(whiten(left[:, :, None], slope, stand.noise)[:, :, 0])
 
 
@@ -215,14 +216,13 @@ TIME: Final = "time"
 
 @dataclass(frozen=True)
 class Standing:
-    """The state of a run by its record.
+    """The state of an adaptive run, as its record shows it.
 
-    `visit` is the number of the mounting that the block is in, of those of the pool; `taken` are the first
-    steps of the points that were measured, `done` counts the visits to each site, `elapsed_s` is the bench
-    time. `refused` are sites that somebody skipped, `refused_mounts` mountings likewise, `now` how
-    mountings are called since the block was taken off and mounted again. `reached` is empty as long as the
-    readings do not determine the coefficients; `apart` are sites that would tell apart what may explain a
-    misfit, where there is one.
+    `visit` is the index of the present mounting among the pool's visits, -1 before the first. `taken` holds the
+    first steps of the measured points, `done` the number of visits to each site; `elapsed_s` is the bench time.
+    `refused` and `refused_mounts` are sites and mountings that a person skipped. `now` maps planned mountings to
+    those in use since the block was remounted. `reached` is the progress of the goals, empty until the readings
+    determine the coefficients. `apart` are sites that would distinguish the possible causes of a misfit.
     """
 
     visit: int = -1
@@ -237,26 +237,27 @@ class Standing:
     apart: frozenset[Site] = frozenset()
 
     def site_of(self, point: PlannedPoint) -> Site:
-        """Return the site of a point as the block is mounted now."""
+        """Return the site of a planned point in the mounting now in use."""
         mount = (self.now or {}).get(point.site.mount, point.site.mount)
         return point.site._replace(mount=mount)
 
     @property
     def worst(self) -> Reached | None:
-        """The goal that is furthest from reached, by now."""
+        """The goal that is furthest from being reached, or None."""
         return max(self.reached, key=lambda one: one.ratio, default=None)
 
 
 @dataclass(frozen=True)
 class NextPoints:
-    """The next points to measure: `points` of the mounting number `visit`; none where `stop` says why.
+    """The next points to measure, in the visit with index `visit`; none if `stop` gives a reason to stop.
 
-    `left_out` are steps that are passed over and not needed, as it stands; a later choice may take some of
-    them up, as long as the block stays on, which are then `taken_up`. `now` is the goal that is furthest
-    from reached, `after` what it is expected to be at after these points, `end` at the end; `more` and
-    `more_s` are the readings and the time that are expected until then, these points among them, `settings`
-    and `repeats` what was done. `rest_s` is the time of what is done whatever is chosen, `not_needed` how
-    many points of the pool are not taken in all.
+    `left_out` are steps passed over as unnecessary; `taken_up` are such steps of the present mounting that are
+    needed after all. `now` is the goal furthest from being reached; `after` and `end` are its expected states
+    after these points and at the end of the run. `settings` and `repeats` count the visits made so far. `next_s`
+    is the time of these points; `more` and `more_s` are the expected visits and time until the end, including
+    these points. `rest_s` is the remaining time of the steps that no choice affects. `pool_end` is the step
+    after the last point. `not_needed` counts the points that a stopped run has not measured. `telling_apart`
+    says that points were chosen to distinguish the possible causes of a misfit.
     """
 
     visit: int
@@ -278,7 +279,7 @@ class NextPoints:
     telling_apart: bool = False
 
     def to_json(self) -> dict[str, Any]:
-        """Return the choice as JSON for an event of the record."""
+        """Return the choice as the data of a `chosen` event."""
         told: dict[str, Any] = {
             "visit": self.visit,
             "settings": self.settings,
@@ -315,7 +316,7 @@ def _told(reached: Reached | None) -> dict[str, Any] | None:
 
 
 def _ranges(steps: frozenset[int]) -> list[list[int]]:
-    """Return ranges [first, last] of steps in rising order."""
+    """Return the inclusive ranges of steps in rising order: {1, 2, 3, 7} -> [[1, 3], [7, 7]]."""
     ranges: list[list[int]] = []
     for step in sorted(steps):
         if ranges and ranges[-1][1] == step - 1:
@@ -326,7 +327,7 @@ def _ranges(steps: frozenset[int]) -> list[list[int]]:
 
 
 class Chooser:
-    """Chooses from a pool on a stand, for an aim."""
+    """The chooser of points from `pool` that reach `aim` on the bench `stand`, with at least `repeats` repeats."""
 
     def __init__(self, pool: Pool, aim: Aim, stand: Stand, repeats: int = LEAST_REPEATS) -> None:
         self.pool = pool
@@ -357,7 +358,7 @@ class Chooser:
     def _batch(
         self, standing: Standing, task: DesignTask, design: VisitDesign, number: int
     ) -> tuple[PlannedPoint, ...]:
-        """Return the points of a visit to measure next: one for each site of the design."""
+        """Return the open points of visit `number` that the design still needs, one for each site."""
         planned = zip(task.grid.sites, (design.counts - task.done).tolist(), strict=True)
         sites = {site for site, count in planned if count > 0}
         points = []
@@ -367,10 +368,10 @@ class Chooser:
                 points.append(point)
         return tuple(points)
 
-    # --- what there is ------------------------------------------------------------------------------
+    # --- available points ---------------------------------------------------------------------------
 
     def open_points(self, number: int, standing: Standing) -> list[PlannedPoint]:
-        """Return the points of a visit that can still be measured."""
+        """Return the points of visit `number` that can still be measured."""
         visit = self.pool.visits[number]
         if number < standing.visit or visit.mount in standing.refused_mounts:
             return []
@@ -381,7 +382,7 @@ class Chooser:
         ]
 
     def task(self, standing: Standing) -> DesignTask:
-        """Return the task of a design for the present state of the run."""
+        """Return the design task for the remainder of the run."""
         reads: dict[Site, int] = dict.fromkeys(standing.done, 1)
         seconds: dict[Site, float] = {}
         for point in self.pool.points:
@@ -409,11 +410,11 @@ class Chooser:
         )
 
     def _rest_s(self, standing: Standing) -> float:
-        """Return the remaining time of the steps that are done whatever is chosen, s."""
+        """Return the remaining time of the steps that no choice affects, s."""
         return self.pool.always_s if standing.visit < 0 else self.pool.after_s
 
     def _is_left_for_good(self, standing: Standing) -> bool:
-        """Return whether further mountings follow, so that the present one is not returned to."""
+        """Return whether later mountings have open points, so that the present mounting will not return."""
         ahead = range(max(standing.visit, 0) + 1, len(self.pool.visits))
         return any(self.open_points(number, standing) for number in ahead)
 
@@ -424,7 +425,7 @@ class Chooser:
         return self._grids[key]
 
     def _goals(self, standing: Standing, grid: Grid, done: Ints) -> tuple[Any, ...]:
-        """Return the goals, each scaled to the u that a calibration of the readings so far states."""
+        """Return the goals, scaled so that the design model agrees with the progress `standing.reached`."""
         ahead = tuple(wanted.ahead for wanted in self.aim.wanted)
         if not standing.reached:
             return ahead
@@ -437,10 +438,10 @@ class Chooser:
             found.append(replace(goal, functionals=goal.functionals * np.sqrt(part)))
         return tuple(found)
 
-    # --- what is chosen -----------------------------------------------------------------------------
+    # --- the choice ---------------------------------------------------------------------------------
 
     def _stop(self, standing: Standing, task: DesignTask) -> str:
-        """Return the reason to stop; empty where the run goes on."""
+        """Return the reason to stop, or an empty string."""
         if not np.any(task.left):
             return REACHED if self._is_reached(standing) else USED_UP
         repeats = int(np.sum(np.maximum(task.done - 1, 0)))
@@ -452,7 +453,7 @@ class Chooser:
         return bool(standing.reached) and all(one.ratio <= 1.0 for one in standing.reached)
 
     def _design(self, standing: Standing, task: DesignTask) -> VisitDesign:
-        """The visits until the end; first those that distinguish possible explanations of a misfit."""
+        """Return the visits until the end, including those that distinguish possible causes of a misfit."""
         if not standing.apart:
             return enough(task)
         first = task.grid.counts(Counter(standing.apart))
@@ -494,7 +495,7 @@ class Chooser:
         )
 
     def _passed_over(self, standing: Standing, number: int, last: int) -> frozenset[int]:
-        """Return the steps before the last chosen one that are not measured."""
+        """Return the unmeasured steps before step `last` in the visits up to `number`."""
         steps: set[int] = set()
         for other, visit in enumerate(self.pool.visits[: number + 1]):
             steps.update(
@@ -508,7 +509,7 @@ class Chooser:
         return frozenset(steps)
 
     def _foreseen(self, task: DesignTask, counts: Ints) -> Reached | None:
-        """Return the worst goal after visits to the sites; None where the coefficients are not determined."""
+        """Return the worst goal after visits `counts` (c,) to the sites; None for undetermined coefficients."""
         visits = Visits(task.candidates, task.goals, counts, counts, counts)
         if not visits.determined:
             return None
@@ -539,15 +540,18 @@ class Chooser:
 
 
 MOST: Final = 4
-"""Settings that are chosen at once to distinguish effects."""
+"""Greatest number of settings chosen at once to distinguish effects."""
 WORTH: Final = 0.5
-"""A setting with less than this fraction of the first one's information is not chosen."""
+"""A further setting is chosen only if its information exceeds this fraction of the first one's."""
 
 
 def telling_apart(
     stand: Stand, done: Sequence[Setting], candidates: Sequence[Setting], effects: Sequence[Effect]
 ) -> list[int]:
-    """Return the candidates (by number, best first) that show most of the effects after readings at `done`."""
+    """Return the indices of at most `MOST` candidates, best first, whose readings would best distinguish effects.
+
+    The candidates are compared by the information that they add to readings at the settings `done`.
+    """
     model = replace(stand.model, effects=tuple(AppliedEffect(effect, {}) for effect in effects))
     problem = problem_of(model, conditions_of([*done, *candidates]), stand.sizes)
     linear = problem.linear(stand.block, problem.prior_mean)
@@ -557,7 +561,7 @@ def telling_apart(
         [*[1.0] * FIXED, *stated, *plausible]
     )
     known = FIXED + len(stated)
-    shown = np.isfinite(rows).all(axis=(0, 1))  # what hangs on a temperature that nobody knows is not
+    shown = np.isfinite(rows).all(axis=(0, 1))  # effects that depend on an unknown temperature are left out
     rows = rows[:, :, shown | (np.arange(rows.shape[2]) < known)]
     every = np.eye(rows.shape[2]) + np.einsum("nip,niq->pq", rows[: len(done)], rows[: len(done)])
     chosen: list[int] = []
@@ -575,7 +579,10 @@ def telling_apart(
 
 
 def _told_apart(information: Floats, rows: Floats, known: int) -> Floats:
-    """Information (c,) that each of rows (c, 3, p) adds on the unknowns from `known` on, the others being free."""
+    """Return the information (c,) that each of rows (c, 3, p) adds on the unknowns from index `known` on.
+
+    The measure is the gain in the log determinant of the information matrix; the other unknowns are free.
+    """
     of_all = rows @ np.linalg.solve(information, np.swapaxes(rows, 1, 2))
     own = rows[:, :, :known]
     of_known = own @ np.linalg.solve(information[:known, :known], np.swapaxes(own, 1, 2))

@@ -1,4 +1,4 @@
-"""Optimal designs by greedy addition and exchange, the goals that they serve, the bench that they are for."""
+"""Optimal designs by greedy addition and exchange, their goals, and the bench for which they are made."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ DIRECTIONS: Final = 128
 """Number of directions over which the goals of a measured acceleration are evaluated."""
 WHOLE: Final = 10.0
 LEAST_WHOLE_G: Final = 1e-3
-"""Limits of the loose goal on the whole block: so many times what the goals ask, at least 1 mg."""
+"""Size of the loose goal on the whole block: a multiple of the other goals, at least 1 mg."""
 
 
 @dataclass(frozen=True)
 class Goal:
-    """A goal: linear functionals (k, 12) of the coefficients, whose variances add up, and the u asked for.
+    """A goal: the standard uncertainty `asked` for linear functionals (k, 12) of the coefficients.
 
-    `floor` is the variance that no calibration lowers: the noise of the reading that is judged, at the
-    verification point `judged`, and in a plan what no reading shows. A `loose` goal only keeps a plan a
-    calibration of the whole block.
+    The variances of the k functionals are summed. `floor` is the variance that no calibration lowers: the noise
+    of the reading at the verification point `judged`, and in a plan the errors that no reading reveals. A
+    `loose` goal only ensures that a plan calibrates the whole block.
     """
 
     name: str
@@ -48,30 +48,31 @@ class Goal:
     loose: bool = False
 
     def variance(self, covariance: Floats) -> float:
-        """Return the variance that a covariance (12, 12) of the coefficients gives, without the floor."""
+        """Return the variance of the goal for a covariance (12, 12) of the coefficients, without the floor."""
         return float(np.einsum("ki,ij,kj->", self.functionals, covariance, self.functionals))
 
     def u(self, covariance: Floats) -> float:
-        """Return the standard uncertainty that a covariance (12, 12) of the coefficients gives."""
+        """Return the standard uncertainty of the goal for a covariance (12, 12) of the coefficients."""
         return float(np.sqrt(self.variance(covariance) + self.floor))
 
     def ratio(self, covariance: Floats) -> float:
-        """Return the uncertainty in units of what is asked: at most 1 where the goal is reached."""
+        """Return the uncertainty divided by the uncertainty asked for; at most 1 if the goal is reached."""
         return self.u(covariance) / self.asked
 
     def relaxed(self, endless: float) -> Goal:
-        """Return a loose goal no tighter than twice what endlessly many readings leave, a variance `endless`."""
+        """Return a loose goal relaxed to at least twice the u of infinitely many readings (variance `endless`)."""
         return replace(self, asked=max(self.asked, 2.0 * float(np.sqrt(endless)))) if self.loose else self
 
     def tightened(self, wider2: float) -> Goal:
-        """Return the goal with the variance allowed above the floor divided by a factor."""
+        """Return the goal with the permitted variance above the floor divided by `wider2`."""
         return replace(self, asked=float(np.sqrt(self.floor + (self.asked**2 - self.floor) / wider2)))
 
 
 def coefficient_goals(asked: Mapping[str, float]) -> list[Goal]:
-    """Return a goal for each coefficient by name, V/g and V; "all" stands for those not named, "K", "U0" likewise.
+    """Return a goal for each coefficient with an uncertainty in `asked`, V/g and V.
 
-    Raises `CalibrationError` for another name or a size that is not positive.
+    Besides coefficient names, "K", "U0" and "all" stand for the coefficients not named otherwise. Raises
+    `CalibrationError` for an unknown name or a size that is not positive.
     """
     sizes: dict[str, float] = {}
     for wanted in ("all", "K", "U0"):
@@ -95,10 +96,10 @@ def coefficient_goals(asked: Mapping[str, float]) -> list[Goal]:
 def delta_g_goals(
     block: Block, force: Floats, reading_v: float, asked_g: float, at: Sequence[Setting]
 ) -> list[Goal]:
-    """Return a goal for Delta g `at` each verification point, specific forces (n, 3) in g of modulus 1.
+    """Return a goal for Δg at each verification point `at`; `force` (n, 3) is the specific force there, of 1 g.
 
-    The noise `reading_v` of the reading at the point counts. Raises `CalibrationError` where it alone is more
-    than what is asked.
+    The noise `reading_v` of the reading at the point is included. Raises `CalibrationError` if this noise alone
+    exceeds the uncertainty asked for.
     """
     _require_positive("Δg", asked_g)
     functionals, by_signal = modulus_slopes(force, block)
@@ -116,13 +117,13 @@ def delta_g_goals(
 
 
 def modulus_goals(block: Block, magnitude_g: float, asked_g: float) -> list[Goal]:
-    """Return goals for the modulus of any specific force up to a magnitude: over directions, and at zero.
+    """Return goals for the modulus of specific forces up to `magnitude_g` in many directions.
 
-    The variance is convex in the magnitude, so that it is largest at an end.
+    The variance is convex in the magnitude, so goals at zero and at `magnitude_g` cover all between.
     """
     _require_positive("the modulus", asked_g)
     _require_positive("the magnitude", magnitude_g)
-    # d|a| = -(a/|a|)^T N (dK a + dU0): its part by K grows with the magnitude, that by U0 does not
+    # d|a| = -(a/|a|)^T N (dK a + dU0): the part from dK grows with the magnitude, the part from dU0 is constant
     slopes, _ = modulus_slopes(directions(DIRECTIONS), block)
     size = np.ones(len(COEFFICIENTS))
     goals = []
@@ -133,9 +134,9 @@ def modulus_goals(block: Block, magnitude_g: float, asked_g: float) -> list[Goal
 
 
 def vector_goal(block: Block, magnitude_g: float = 1.0, asked_g: float = 1.0) -> Goal:
-    """Return the goal of the error vector of a measured specific force: root mean square over directions."""
+    """Return the goal for the error vector of a measured specific force: its root mean square over directions."""
     inverse = np.linalg.inv(block.K)
-    force = magnitude_g * directions(DIRECTIONS)[:DIRECTIONS]  # the even ones
+    force = magnitude_g * directions(DIRECTIONS)[:DIRECTIONS]  # only the evenly spread directions
     weight = np.zeros((12, 12))
     for a in force:
         rows = np.concatenate([np.einsum("ki,j->kij", inverse, a).reshape(3, 9), inverse], axis=1)
@@ -146,9 +147,9 @@ def vector_goal(block: Block, magnitude_g: float = 1.0, asked_g: float = 1.0) ->
 
 
 def whole_goal(block: Block, goals: Sequence[Goal]) -> Goal:
-    """Return the goal that keeps a plan a calibration of the whole block, loose beside what is asked.
+    """Return a goal, loose compared with `goals`, that ensures a calibration of the whole block.
 
-    Readings that tell one coefficient alone would leave the others unknown.
+    Without it, readings that determine only one coefficient would leave the others unknown.
     """
     typical = float(np.max(np.abs(block.K)))
     asked = max(goal.asked / (typical if goal.unit.startswith("V") else 1.0) for goal in goals)
@@ -157,7 +158,7 @@ def whole_goal(block: Block, goals: Sequence[Goal]) -> Goal:
 
 
 def worst(goals: Sequence[Goal], covariance: Floats) -> Goal:
-    """Return the goal that is furthest from reached."""
+    """Return the goal that is furthest from being reached."""
     return max(goals, key=lambda goal: goal.ratio(covariance))
 
 
@@ -167,16 +168,16 @@ def _require_positive(name: str, size: float) -> None:
 
 
 _POWERS: Final = (8.0, 40.0)
-"""Orders of the power mean that stands for the largest ratio: smooth first, then nearly the maximum."""
+"""Exponents of the power mean that approximates the largest ratio: first smooth, then nearly the maximum."""
 _WITHIN_REACH: Final = 1.05
-"""Exchanges lower the largest ratio by a few percent; they are tried only within this ratio."""
+"""Greatest ratio at which exchanges are tried, since they lower the largest ratio by only a few percent."""
 _GAIN: Final = 1e-6
 _WEAKLY_KNOWN: Final = 1.0
-"""Prior of the coefficients, V/g and V: far wider than any calibration, it makes the first steps possible."""
+"""Prior standard uncertainty of the coefficients, V/g and V: too large to matter, it keeps matrices invertible."""
 _DETERMINED: Final = 1e-2
 _MANY: Final = 1e5
 LEAST_FREEDOM: Final = 6
-"""Signals beyond the unknowns that a plan must have, to estimate the noise."""
+"""Number of signals beyond the unknowns that a plan must have, for an estimate of the noise."""
 
 
 @dataclass(frozen=True)
@@ -190,19 +191,19 @@ class SettingPool:
 
     @property
     def unknowns(self) -> int:
-        """Number of unknowns p."""
+        """The number of unknowns p."""
         return int(self.rows.shape[2])
 
     @cached_property
     def information(self) -> Floats:
-        """Information that one visit to each candidate adds, shape (c, p, p)."""
+        """The information matrix of one visit to each candidate, shape (c, p, p)."""
         return np.asarray(np.einsum("cip,ciq->cpq", self.rows, self.rows))
 
 
 class ExchangeDesign:
-    """Visits `counts` (c,) to the candidates, for goals; moves change them one visit at a time.
+    """A design: the numbers of visits `counts` (c,) to the candidates, changed one visit at a time.
 
-    They stay between `least` and `most` (c,), where these are given.
+    The counts stay between `least` and `most` (c,), if given. The design is judged by `goals`.
     """
 
     def __init__(
@@ -228,11 +229,11 @@ class ExchangeDesign:
 
     @property
     def settings(self) -> int:
-        """How many visits there are."""
+        """The total number of visits."""
         return int(self.counts.sum())
 
     def covariance(self, counts: Floats | Ints | None = None) -> Floats:
-        """Return the joint covariance (p, p) of coefficients and angles."""
+        """Return the joint covariance (p, p) of coefficients and angles, for `counts` or the present visits."""
         weight = self.counts if counts is None else counts
         information = self._prior + np.tensordot(weight.astype(np.float64), self._information_of, axes=1)
         scale = 1 / np.sqrt(np.diag(information))
@@ -245,7 +246,7 @@ class ExchangeDesign:
 
     @property
     def largest(self) -> float:
-        """The largest ratio of an uncertainty to what is asked, the noise being estimated from the readings."""
+        """The largest ratio of an uncertainty to that asked for, with the noise estimated from the readings."""
         wider2 = widening(3 * self.settings - len(self._prior)) ** 2
         variances = wider2 * (self._variances(self.covariance()) - self._floor) + self._floor
         return self._largest(variances)
@@ -256,7 +257,7 @@ class ExchangeDesign:
 
     @property
     def determines(self) -> bool:
-        """Whether all candidates together determine the coefficients, and not their weak prior alone."""
+        """Whether all candidates together determine the coefficients, rather than their weak prior alone."""
         covariance = self.covariance(np.full(len(self._rows), _MANY))
         return bool(np.max(np.diag(covariance)[:FIXED]) < _DETERMINED)
 
@@ -274,14 +275,14 @@ class ExchangeDesign:
         self.counts[int(np.argmin(loss))] -= 1
 
     def exchange(self) -> None:
-        """Exchange visits for others as long as that brings the goals nearer."""
+        """Exchange visits for others as long as an exchange improves the score."""
         for power in _POWERS if len(self._asked2) > 1 else _POWERS[:1]:
             score = float(self._score(self._variances(self.covariance()), power))
             while (better := self._exchanged(score, power)) < score:
                 score = better
 
     def _exchanged(self, score: float, power: float) -> float:
-        """Make the first exchange that helps, visits that matter least first; return the score after it."""
+        """Make the first exchange that improves the score, least important visits first; return the new score."""
         loss = self._after(self.covariance(), -1.0, power)
         for leave in sorted(np.flatnonzero(self.counts > self._least), key=loss.__getitem__):
             self.counts[leave] -= 1
@@ -294,7 +295,7 @@ class ExchangeDesign:
             self.counts[leave] += 1
         return score
 
-    # --- what a design is worth ---------------------------------------------------------------------
+    # --- the value of a design ----------------------------------------------------------------------
 
     def _variances(self, covariance: Floats) -> Floats:
         each = np.einsum(
@@ -303,7 +304,7 @@ class ExchangeDesign:
         return np.asarray(np.bincount(self._goal, each) + self._floor)
 
     def _after(self, covariance: Floats, sign: float, power: float) -> Floats:
-        """Return the score after one visit more (+1) or less (-1) of each candidate, by Woodbury's identity."""
+        """Return the score (c,) after one visit more (+1) or less (-1) to each candidate (Woodbury identity)."""
         through = self._rows @ covariance
         core = np.eye(3) + sign * through @ np.swapaxes(self._rows, 1, 2)
         seen = through[:, :, :FIXED] @ self._functionals.T
@@ -313,7 +314,7 @@ class ExchangeDesign:
         goals = np.zeros((len(change), len(self._floor)))
         np.add.at(goals.T, self._goal, change.T)
         after = variances - sign * goals
-        if sign < 0:  # what is left may no longer determine everything
+        if sign < 0:  # the remaining visits may no longer determine all unknowns
             after = np.where(np.linalg.det(core)[:, None] > 1e-9, after, np.inf)
         return self._score(after, power)
 
@@ -321,7 +322,7 @@ class ExchangeDesign:
         return float(np.sqrt(np.max(variances / self._asked2)))
 
     def _score(self, variances: Floats, power: float) -> Floats:
-        """Power mean of the ratios squared, over the last axis; infinite where one of them is."""
+        """Return the power mean of the squared ratios over the last axis; infinite if a ratio is infinite."""
         ratio = np.maximum(variances, 0.0) / self._asked2
         top = np.max(ratio, axis=-1)
         size = np.where(np.isfinite(top) & (top > 0), top, 1.0)
@@ -331,17 +332,17 @@ class ExchangeDesign:
 
 
 def widening(freedom: float) -> float:
-    """Return the factor by which noise estimated with so many degrees of freedom widens an uncertainty."""
+    """Return the factor by which noise estimated with `freedom` degrees of freedom widens an uncertainty."""
     return Noise(1.0, 1.0, max(float(freedom), 1.0), "residuals").widened().reading
 
 
 def least_settings(candidates: SettingPool) -> int:
-    """Return the fewest settings that determine coefficients, angles of the mountings and the noise."""
+    """Return the fewest settings that determine coefficients, angles of the mountings, and the noise."""
     return -(-(candidates.unknowns + LEAST_FREEDOM) // 3)
 
 
 def even(candidates: SettingPool, mounts: int, settings: int) -> Ints:
-    """Return counts (c,) of settings spread evenly over the mountings and over the angles of each."""
+    """Return counts (c,) of settings spread evenly over the mountings and over the angles of each mounting."""
     angles = len(candidates.rows) // mounts
     counts = np.zeros((mounts, angles), dtype=np.int64)
     for mount in range(mounts):
@@ -351,7 +352,7 @@ def even(candidates: SettingPool, mounts: int, settings: int) -> Ints:
 
 
 def best_of(candidates: SettingPool, goals: Sequence[Goal], mounts: int, settings: int) -> ExchangeDesign:
-    """Return the best design of so many settings that exchanges find, from a greedy and from an even start."""
+    """Return the best design of `settings` visits found by exchanges, from a greedy and from an even start."""
     greedy = ExchangeDesign(candidates, goals)
     for _ in range(settings):
         greedy.add_best()
@@ -362,7 +363,7 @@ def best_of(candidates: SettingPool, goals: Sequence[Goal], mounts: int, setting
 
 
 def fewest(candidates: SettingPool, goals: Sequence[Goal], mounts: int, most: int) -> ExchangeDesign | None:
-    """Return the design with the fewest settings found that reaches all goals, None with more than `most`."""
+    """Return the design with the fewest settings found that reaches all goals; None if that exceeds `most`."""
     design = ExchangeDesign(candidates, goals)
     if design.limit() > 1:
         return None
@@ -390,15 +391,15 @@ def fewest(candidates: SettingPool, goals: Sequence[Goal], mounts: int, most: in
 
 
 WITHOUT_NOISE: Final = 1e-4
-"""Noise of the limit of infinitely many readings, as a fraction of the noise of one."""
+"""Noise that approximates infinitely many readings, as a fraction of the noise of one reading."""
 
 
 @dataclass(frozen=True)
 class Stand:
-    """The bench for planning: model, block, standard uncertainties of the stand errors (rad, V).
+    """The bench for planning: model, block, and standard uncertainties `sizes` of the stand's errors (rad, V).
 
-    `known` is what was learned of stand and noise in their place; `hidden` are the errors in a calibration's
-    combined u that no reading shows; `meters` numbers the voltmeter of each channel.
+    `known` is the learned stand and noise, used instead of `sizes`. `hidden` are error sources in the combined u
+    of a calibration that no reading reveals. `meters` is the index of the voltmeter of each channel.
     """
 
     model: ForwardModel
@@ -425,21 +426,21 @@ class Stand:
         return Noise(self.sizes["voltmeter_error"], self.sizes.get("setting_error", 0.0), np.inf, "given")
 
     def unknowns(self, mounts: int) -> int:
-        """Number of unknowns of a fit to readings in so many mountings."""
+        """Return the number of unknowns of a fit to readings in `mounts` mountings."""
         return FIXED + mounts * sum(name in STAND_ANGLES and u > 0 for name, u in self.sizes.items())
 
     def covariance(self, settings: Sequence[Setting]) -> Floats:
-        """Return the covariance (12, 12) that `bench calibrate` will state from readings at these settings.
+        """Return the covariance (12, 12) that `bench calibrate` will state for readings at these settings.
 
-        Raises `CalibrationError` where they do not determine the coefficients.
+        Raises `CalibrationError` if the settings do not determine the coefficients.
         """
         return self.promise(settings, ()).combined
 
     def promise(self, settings: Sequence[Setting], goals: Sequence[Goal]) -> Promise:
-        """Return the uncertainty that `bench calibrate` will state for readings at these settings, and for goals.
+        """Return the uncertainties of coefficients and goals that `bench calibrate` will state for these settings.
 
-        By generalised least squares; the noise is widened, since it is estimated from the readings. Raises
-        `CalibrationError` where they do not determine the coefficients.
+        The estimator is generalised least squares, with noise widened because it is estimated from the readings.
+        Raises `CalibrationError` if the settings do not determine the coefficients.
         """
         wider = widening(self._freedom(conditions_of(settings)))
         budget = self.budget([*settings, *checks_of(goals)], wider)
@@ -454,7 +455,7 @@ class Stand:
         return Promise(tuple(floored), of_readings, combined)
 
     def budget(self, settings: Sequence[Setting], noise: float = 1.0) -> Budget:
-        """Return the budget of readings at these settings whose noise is `noise` times the stand's."""
+        """Return the budget of readings at these settings, with noise scaled by the factor `noise`."""
         setup = Setup(self.model, conditions_of(settings), self.block, self.meters)
         sizes = {n: u * (1.0 if n in STAND_ANGLES else noise) for n, u in self.sizes.items() if u > 0}
         sources = [stand_source(name, Distribution(u)) for name, u in sizes.items()]
@@ -468,7 +469,7 @@ class Stand:
         return make_budget(setup, [*learned, *beside], GLS, stated=sizes, known=known)
 
     def _freedom(self, conditions: Conditions) -> int:
-        """Degrees of freedom of the noise estimate: by repeats where there are enough of them."""
+        """Return the degrees of freedom of the noise estimate, which uses repeats if there are enough."""
         again = repeats(conditions)
         if again >= LEAST_REPEATS:
             return 3 * again
@@ -476,12 +477,12 @@ class Stand:
 
 
 def checks_of(goals: Sequence[Goal]) -> list[Setting]:
-    """Return the verification points whose readings goals judge."""
+    """Return the verification points whose readings are judged by goals."""
     return [goal.judged for goal in goals if goal.judged is not None]
 
 
 def parts_of_goals(goals: Sequence[Goal], budget: Budget) -> list[dict[str, float]]:
-    """Return the variance of each goal by source; the budget has the verification points of `checks_of`."""
+    """Return the variance of each goal by source; the budget must include the points `checks_of(goals)`."""
     names = [c.source.name for c in budget.contributions]
     points = iter(delta_g_variances(budget).tolist() if checks_of(goals) else ())
     return [
@@ -494,10 +495,10 @@ def parts_of_goals(goals: Sequence[Goal], budget: Budget) -> list[dict[str, floa
 
 @dataclass(frozen=True)
 class Promise:
-    """Promised covariances (12, 12) of the coefficients: of the readings alone, and combined.
+    """Promised covariances (12, 12) of the coefficients: from the readings alone, and combined.
 
-    The floors of `goals` hold the errors that no reading shows: with the former covariance their u is the
-    combined one.
+    The floors of `goals` include the errors that no reading reveals, so that with the covariance `readings`
+    their u is the combined standard uncertainty.
     """
 
     goals: tuple[Goal, ...]
@@ -506,15 +507,15 @@ class Promise:
 
 
 def repeats(conditions: Conditions) -> int:
-    """Return how many readings repeat an earlier one: same mounting, point and direction of approach."""
+    """Return the number of readings that repeat an earlier one at the same mounting, point and approach."""
     return len(conditions) - (int(repeat_groups(conditions).max()) + 1)
 
 
 def whitened(stand: Stand, conditions: Conditions) -> tuple[Floats, Problem]:
-    """Return derivatives (n, 3, 12 + q) of readings in units of the stand's noise, and their problem.
+    """Return derivatives (n, 3, 12 + q) of readings in units of the stand's noise, and the problem of their fit.
 
-    The q stand angles, or their independent combinations where they are correlated, are in units of their prior
-    standard uncertainty.
+    The q stand angles, or independent combinations of correlated angles, are in units of their prior standard
+    uncertainty.
     """
     problem = make_problem(stand.model, conditions, stand.sizes, known=stand.known)
     linear = problem.linear(stand.block, problem.prior_mean)

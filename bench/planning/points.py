@@ -1,4 +1,4 @@
-"""Test points for a bench: installations, angles, repeats; the procedure file made of them."""
+"""Choice of test points for a bench (installations, angles, repeats), and the procedure file made from them."""
 
 from __future__ import annotations
 
@@ -40,16 +40,16 @@ from bench.planning.requirements import Cost, Setting, conditions_of
 from bench.readings.table import VERIFICATION
 
 _EVENLY_MOST: Final = 4
-"""Settings are spread evenly over so many times those that a search found."""
+"""Greatest number of evenly spread settings that is tried, as a multiple of the number found by a search."""
 _PARTS_TOLD: Final = 3
 _PART_NAMED: Final = 0.01
-"""So many sources that no reading lowers are named, if above this fraction of the largest variance."""
+"""Greatest number of irreducible sources named in an error message, and the least fraction of the largest one."""
 _ROUNDS: Final = 4
-"""The most searches until the goals are reached with the noise that repeats and residuals will estimate."""
+"""Greatest number of searches, each with tighter goals, to allow for noise estimated from the readings."""
 
 
 class Sites:
-    """All settings that may be chosen: each of `mounts` at each of the angles `angle_rad` (a,)."""
+    """All settings that may be chosen: each mounting of `mounts` at each head angle `angle_rad` (a,)."""
 
     def __init__(self, stand: Stand, mounts: Sequence[Mounting], angle_rad: Floats) -> None:
         self.mounts = tuple(mounts)
@@ -59,7 +59,7 @@ class Sites:
         self._mount_of_column = np.array([s.mount for s in problem.stand], dtype=np.int64)
 
     def settings(self, chosen: Iterable[int]) -> list[Setting]:
-        """Return one setting at each angle in some of the mountings, by their numbers."""
+        """Return one setting at each angle in each chosen mounting; `chosen` are indices of `mounts`."""
         return [
             Setting(self.mounts[m], 1, point, angle, 1)
             for m in chosen
@@ -67,7 +67,7 @@ class Sites:
         ]
 
     def candidates(self, chosen: Sequence[int]) -> SettingPool:
-        """Return the candidates in some of the mountings, by their numbers, angle by angle."""
+        """Return the candidate settings in the chosen mountings (indices of `mounts`), angle by angle."""
         rows = np.concatenate([np.arange(len(self.angle_rad)) + m * len(self.angle_rad) for m in chosen])
         columns = np.concatenate(
             [np.arange(FIXED), FIXED + np.flatnonzero(np.isin(self._mount_of_column, chosen))]
@@ -75,10 +75,10 @@ class Sites:
         return SettingPool(self._rows[np.ix_(rows, np.arange(3), columns)])
 
     def choices(self, most: int) -> Iterator[tuple[int, ...]]:
-        """Yield the numbers of mountings to combine, few first, without those that come to the same.
+        """Yield index tuples of mountings to combine, small sets first, without equivalent ones.
 
-        Mountings come to the same where the same axes of the block lie along the shaft and across it, however
-        they point: the angles that one needs, the other has elsewhere in the turn.
+        Two mountings are equivalent if the same block axes lie along the shaft and across it, with whatever
+        sign: the orientations that occur in one occur in the other at another head angle.
         """
         for size in range(1, min(most, len(self.mounts)) + 1):
             for chosen in combinations(range(len(self.mounts)), size):
@@ -88,12 +88,12 @@ class Sites:
                     yield chosen
 
     def _before(self, mount: int) -> int:
-        """The mounting of the same kind before one."""
+        """Return the index of the last earlier mounting of the same kind."""
         return max(m for m in range(mount) if self._kind[m] == self._kind[mount])
 
 
 def _kinds(model: ForwardModel, mounts: Sequence[Mounting], angle_rad: Floats) -> list[tuple[float, ...]]:
-    """Return a key for each mounting, equal for equivalent ones; all differ at unsymmetric angles."""
+    """Return a key for each mounting, equal for equivalent ones; all keys differ if the angles are asymmetric."""
     turned = np.exp(1j * np.concatenate([angle_rad, -angle_rad, np.pi - angle_rad]))
     if len(np.unique(np.round(turned, 6))) > len(angle_rad):
         return [(float(i),) for i in range(len(mounts))]
@@ -103,7 +103,7 @@ def _kinds(model: ForwardModel, mounts: Sequence[Mounting], angle_rad: Floats) -
 
 @dataclass(frozen=True)
 class ChosenPoints:
-    """Chosen test points: how often each angle is visited in each mounting, and what a calibration will sign."""
+    """Chosen test points: visits per mounting and angle (rad), and the uncertainty that a calibration will have."""
 
     visits: Mapping[Mounting, Mapping[float, int]]
     promise: Promise
@@ -111,12 +111,12 @@ class ChosenPoints:
 
     @property
     def covariance(self) -> Floats:
-        """Covariance (12, 12) of the coefficients, as a calibration will sign it."""
+        """Covariance (12, 12) of the coefficients that a calibration will state."""
         return self.promise.combined
 
     @property
     def count(self) -> int:
-        """How many settings there are."""
+        """The number of settings."""
         return sum(sum(angles.values()) for angles in self.visits.values())
 
     @property
@@ -126,15 +126,15 @@ class ChosenPoints:
 
     @property
     def worst(self) -> Goal:
-        """The goal that is furthest from reached."""
+        """The goal that is furthest from being reached."""
         return worst(self.promise.goals, self.promise.readings)
 
     def u(self, goal: Goal) -> float:
-        """Return the standard uncertainty of one of the promise's goals, as a calibration will sign it."""
+        """Return the standard uncertainty of a goal of the promise, as a calibration will state it."""
         return goal.u(self.promise.readings)
 
     def worst_by_name(self) -> list[Goal]:
-        """Return for each name of goals (directions of an acceleration) the goal furthest from reached."""
+        """Return, for each goal name (shared by all directions), the goal furthest from being reached."""
         found: dict[str, Goal] = {}
         for goal in self.promise.goals:
             known = found.setdefault(goal.name, goal)
@@ -149,7 +149,7 @@ class ChosenPoints:
 
     @property
     def fit_is_tested(self) -> bool:
-        """Whether there are repeats enough for the lack-of-fit test of a calibration."""
+        """Whether there are enough repeats for the lack-of-fit test of a calibration."""
         return repeats(conditions_of(self.settings())) >= LEAST_REPEATS
 
     def settings(self) -> list[Setting]:
@@ -159,7 +159,7 @@ class ChosenPoints:
 
 @dataclass(frozen=True)
 class Passes:
-    """Points of one mounting that are visited equally often, numbered on from `first_point`."""
+    """Points of one mounting that are visited equally often; their numbers start at `first_point`."""
 
     first_point: int
     angle_rad: tuple[float, ...]
@@ -167,7 +167,7 @@ class Passes:
 
 
 def passes(angles: Mapping[float, int]) -> list[Passes]:
-    """Group angles by how often they are visited; each pass starts where the one before it ended."""
+    """Group angles by their number of visits; each group starts in the direction opposite to the last pass."""
     found, first, direction = [], 1, 1
     for times in sorted(set(angles.values()), reverse=True):
         own = tuple(sorted(angle for angle, visits in angles.items() if visits == times))
@@ -196,7 +196,7 @@ def cheapest(
 ) -> ChosenPoints:
     """Return the points that reach all goals in the least expected time found.
 
-    Raises `CalibrationError` where no choice of mountings reaches them, with the reason.
+    Raises `CalibrationError`, with the reason, if no choice of mountings reaches the goals.
     """
     goals, floored = _floored(stand, sites, goals)
     tightened, wider2 = floored, 1.0
@@ -220,7 +220,7 @@ def cheapest(
 
 
 def _floored(stand: Stand, sites: Sites, goals: Sequence[Goal]) -> tuple[list[Goal], list[Goal]]:
-    """Return the goals, also with the floors of readings at all angles; few points have larger ones."""
+    """Return the goals twice: loose ones relaxed, and also with the floors of readings at all angles."""
     everywhere = sites.settings(range(len(sites.mounts)))
     try:
         endless = stand.budget([*everywhere, *checks_of(goals)], WITHOUT_NOISE)
@@ -228,7 +228,7 @@ def _floored(stand: Stand, sites: Sites, goals: Sequence[Goal]) -> tuple[list[Go
         asked = [g.relaxed(sum(own.values())) for g, own in zip(goals, parts, strict=True)]
         return asked, list(stand.promise(everywhere, asked).goals)
     except CalibrationError:
-        return list(goals), list(goals)  # all of them together determine no block: no choice of them will
+        return list(goals), list(goals)  # all settings together do not determine the block, so no choice can
 
 
 def _evenly(
@@ -239,10 +239,10 @@ def _evenly(
     goals: Sequence[Goal],
     cost: Cost,
 ) -> ChosenPoints | None:
-    """Return the fewest evenly spread settings that reach all goals.
+    """Return the smallest even spread of settings that reaches all goals; None if none does.
 
-    The search accounts for errors that readings lower. Evenly spread points reduce the effect of others, as
-    K2, K3.
+    The search considers only errors that more readings lower. An even spread also reduces others, such as the
+    effects K2 and K3.
     """
     candidates = sites.candidates(chosen)
     made = (_points(stand, sites, chosen, even(candidates, len(chosen), n), goals, cost) for n in settings)
@@ -268,9 +268,9 @@ def _cheapest(
 def best_within(
     stand: Stand, sites: Sites, goals: Sequence[Goal], cost: Cost, time_s: float, most_mounts: int
 ) -> ChosenPoints:
-    """Return the points that come nearest to the goals within a time.
+    """Return the points that come closest to the goals within `time_s`.
 
-    Raises `CalibrationError` where it is too short for a calibration.
+    Raises `CalibrationError` if the time is too short for a calibration.
     """
     best: tuple[float, _Found] | None = None
     least_s = math.inf
@@ -339,7 +339,7 @@ def _unreachable(
 def _points(
     stand: Stand, sites: Sites, chosen: Sequence[int], visited: Ints, goals: Sequence[Goal], cost: Cost
 ) -> ChosenPoints:
-    """The chosen points in order, with their covariance as the estimator itself has it."""
+    """Return the chosen points in order, with the covariance that the estimator itself yields."""
     counts = visited.reshape(len(chosen), len(sites.angle_rad))
     visits = {
         sites.mounts[m]: {float(sites.angle_rad[i]): int(row[i]) for i in np.flatnonzero(row)}
@@ -359,7 +359,7 @@ SETTLE_S: Final = 10.0
 
 @dataclass(frozen=True)
 class Times:
-    """Times of operator and bench, s: a turn of the head, a mounting, settling after it, warm-up."""
+    """Times of operator and bench, s: a turn of the head, a mounting, the soak after it, and the warm-up."""
 
     turn_s: float = 120.0
     mount_s: float = 1200.0
@@ -378,9 +378,9 @@ class Times:
 def procedure_text(
     name: str, remarks: str, visits: Mapping[Mounting, Mapping[float, int]], times: Times, *, verified: bool
 ) -> str:
-    """Return the text of a procedure file: `remarks` as comments, warm-up, each mounting, verification points.
+    """Return a procedure file: `remarks` as comments, warm-up, each mounting, and verification points.
 
-    `visits` says for each mounting how often each angle (rad) is visited.
+    `visits` maps each mounting to the number of visits to each angle (rad).
     """
     lines = [f"# {line}".rstrip() for line in remarks.splitlines()]
     lines += [

@@ -1,4 +1,4 @@
-"""Points that an adaptive run may choose from, and the selection that reaches the goals in the least time."""
+"""Points from which an adaptive run chooses, and the selection that reaches the goals in the least time."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ from bench.planning.requirements import Setting, conditions_of
 from bench.readings.table import UNORIENTED, VERIFICATION
 
 _LEFT_OUT_WITH_IT: Final = (Level, Mount, Wait, Settle)
-"""Steps that are left out together with a mounting."""
+"""Steps that belong to a mounting and are left out together with it."""
 
 
 class Site(NamedTuple):
-    """A site: mounting, angle of the head and side of approach. Readings at one site are repeats."""
+    """A site: mounting, head angle and direction of approach. Readings at the same site are repeats."""
 
     mount: Mounting
     point: int
@@ -46,9 +46,10 @@ class Site(NamedTuple):
 
 @dataclass(frozen=True)
 class PlannedPoint:
-    """A turn with its readings: the steps of the plan, the site, the pass, the expected time.
+    """A turn of the head with its readings.
 
-    Where it is read several times the site is that of the first reading, and stands for all.
+    `steps` and `reads` are the indices of all its steps and of its readings. If there are several readings,
+    `site` is that of the first one. `time_s` is the expected time, s.
     """
 
     steps: tuple[int, ...]
@@ -59,7 +60,7 @@ class PlannedPoint:
 
     @property
     def last(self) -> int:
-        """The last step of the point."""
+        """The index of the last step of the point."""
         return self.steps[-1]
 
 
@@ -67,8 +68,8 @@ class PlannedPoint:
 class PlannedMounting:
     """A mounting of the block with its points in the order of the plan.
 
-    `mount_step` mounts it (None where it stays on), `steps` are the visit's own beside the points, which take
-    `time_s`.
+    `mount_step` is the index of the mounting step, None if the block stays mounted. `steps` are the further
+    steps that belong to the mounting, such as levelling and soaking, and take `time_s` seconds in all.
     """
 
     mount: Mounting
@@ -79,15 +80,15 @@ class PlannedMounting:
 
     @property
     def first(self) -> int:
-        """The step at which the points of the mounting are chosen."""
+        """The index of the step at which the points of the mounting are chosen."""
         return min(self.steps[:1] + self.points[0].steps[:1])
 
 
 @dataclass(frozen=True)
 class Pool:
-    """The visits of a plan in order, with their points to choose from.
+    """The mountings of a plan in order, with the points to choose from.
 
-    `always_s` is the time of all other steps, which are always done, `after_s` the time after the last point.
+    `always_s` is the time of the steps that no choice affects; `after_s` is its part after the last point, s.
     """
 
     visits: tuple[PlannedMounting, ...]
@@ -101,21 +102,21 @@ class Pool:
 
     @property
     def end(self) -> int:
-        """The step after the last point."""
+        """The index of the step after the last point."""
         return self.visits[-1].points[-1].last + 1
 
     @property
     def count(self) -> int:
-        """How many points there are to choose from."""
+        """The number of points to choose from."""
         return len(self.points)
 
     @property
     def time_s(self) -> float:
-        """Expected time of the whole plan."""
+        """Expected time of the whole plan, s."""
         return self.always_s + sum(p.time_s for p in self.points) + sum(visit.time_s for visit in self.visits)
 
     def settings(self) -> list[Setting]:
-        """Return all settings in order."""
+        """Return the settings of all points in the order of the plan."""
         return [
             Setting(p.site.mount, p.pass_number, p.site.point, p.site.angle_rad, p.site.direction)
             for p in self.points
@@ -123,9 +124,9 @@ class Pool:
 
 
 def pool_of(plan: Plan, line_hz: float = 50.0) -> Pool:
-    """Return the pool of a plan: the points that may be left out.
+    """Return the pool of a plan, that is, the points that a run may leave out; `line_hz` is the line frequency.
 
-    Raises `CalibrationError` for a plan that is no calibration at one temperature.
+    Raises `CalibrationError` for a plan that sets temperatures or has no reading of known orientation.
     """
     if any(isinstance(step, SetTemperature) for step in plan.steps):
         raise CalibrationError(
@@ -145,7 +146,7 @@ def pool_of(plan: Plan, line_hz: float = 50.0) -> Pool:
 
 
 def _points(plan: Plan, line_hz: float) -> list[PlannedPoint]:
-    """Return the points; each ends with its last reading before the next turn."""
+    """Return the points of a plan; each ends with the last reading before the next turn."""
     turns = [i for i, step in enumerate(plan.steps) if isinstance(step, Turn)]
     found = []
     for turn, following in zip(turns, [*turns[1:], len(plan.steps)], strict=True):
@@ -202,13 +203,15 @@ def _visits(plan: Plan, found: Sequence[PlannedPoint], line_hz: float) -> tuple[
 
 _NO_PART: Final = 1e-6
 NO_GOAL: Final = 1e-12
-"""The u asked for where only a time limit is given: it is never reached."""
+"""The uncertainty asked for if only a time limit is given; it can never be reached."""
 
 
 @dataclass(frozen=True)
 class UntilGoal:
-    """A goal, of the readings' own uncertainty or of the `combined` one; `hidden` is the variance of the latter's
-    rest, which no reading lowers."""
+    """A goal for the uncertainty from the readings alone, or for the `combined` standard uncertainty.
+
+    `hidden` is the variance in the combined uncertainty that no reading lowers.
+    """
 
     goal: Goal
     combined: bool = False
@@ -216,18 +219,18 @@ class UntilGoal:
 
     @property
     def ahead(self) -> Goal:
-        """The goal as a design is judged by it, from the covariance of the readings alone."""
+        """The goal for judging a design by the covariance of the readings alone, with `hidden` in its floor."""
         return replace(self.goal, floor=self.goal.floor + self.hidden)
 
     @property
     def name(self) -> str:
-        """Name of the goal, with the kind of its uncertainty."""
+        """Name of the goal with the kind of its uncertainty, such as "combined u of Kxy"."""
         return f"combined u of {self.goal.name}" if self.combined else f"u of {self.goal.name}"
 
 
 @dataclass(frozen=True)
 class Aim:
-    """All goals of a run, and the longest bench time, s."""
+    """The goals of a run, and the limit of its bench time, s."""
 
     wanted: tuple[UntilGoal, ...]
     limit_s: float | None = None
@@ -235,7 +238,7 @@ class Aim:
 
 @dataclass(frozen=True)
 class Reached:
-    """The progress towards a goal: present (or expected) u and the u asked for, in `unit`."""
+    """The progress towards a goal: present or expected uncertainty `u` and the uncertainty asked for, in `unit`."""
 
     name: str
     u: float
@@ -244,12 +247,12 @@ class Reached:
 
     @property
     def ratio(self) -> float:
-        """The uncertainty divided by the one asked for."""
+        """The uncertainty divided by the uncertainty asked for."""
         return self.u / self.asked
 
 
 def reached_by(aim: Aim, readings: Floats, combined: Floats) -> tuple[Reached, ...]:
-    """Return the progress of all goals from covariances (12, 12): of the readings alone, and combined."""
+    """Return the progress of all goals from two covariances (12, 12): of the readings alone, and combined."""
     return tuple(
         Reached(w.name, w.goal.u(combined if w.combined else readings), w.goal.asked, w.goal.unit)
         for w in aim.wanted
@@ -258,7 +261,7 @@ def reached_by(aim: Aim, readings: Floats, combined: Floats) -> tuple[Reached, .
 
 @dataclass(frozen=True)
 class Floor:
-    """What no reading lowers: u of a goal that is asked for below it, and the largest parts by name."""
+    """The uncertainty `u` of a goal in the limit of infinitely many readings, with its largest parts by source."""
 
     wanted: UntilGoal
     u: float
@@ -266,10 +269,10 @@ class Floor:
 
 
 def floors(aim: Aim, stand: Stand, whole: Stand, pool: Pool) -> list[Floor]:
-    """Return the goals below what endlessly many readings at the points of the pool would leave.
+    """Return the goals that even infinitely many readings at the points of the pool would not reach.
 
-    `stand` has what the readings' own uncertainty holds, `whole` what the combined one does. Raises
-    `CalibrationError` where the pool does not determine the coefficients.
+    `stand` contains the error sources of the readings' own uncertainty, `whole` those of the combined one.
+    Raises `CalibrationError` if the pool does not determine the coefficients.
     """
     readings, combined = (one.budget(pool.settings(), WITHOUT_NOISE) for one in (stand, whole))
     found = []
@@ -286,7 +289,7 @@ def floors(aim: Aim, stand: Stand, whole: Stand, pool: Pool) -> list[Floor]:
 
 
 def with_hidden(aim: Aim, stand: Stand, whole: Stand, pool: Pool) -> Aim:
-    """Return the aim with the part of each combined goal that no reading lowers."""
+    """Return the aim with `hidden` set for combined goals, and loose goals relaxed to what is attainable."""
     if not any(wanted.combined for wanted in aim.wanted):
         return aim
     readings, combined = (
@@ -299,39 +302,38 @@ def with_hidden(aim: Aim, stand: Stand, whole: Stand, pool: Pool) -> Aim:
 
 _DETERMINED: Final = 1e-2
 MOST_SUBSETS: Final = 5
-"""With more mountings ahead than this, all are visited, since their subsets are too many to compare."""
+"""Greatest number of mountings ahead whose subsets are compared; with more, all mountings are visited."""
 
 
 @dataclass(frozen=True)
 class Grid:
-    """The sites that were read or may be: whitened derivatives for the stand's noise as the bench file
-    states it."""
+    """Sites that were or may be visited, and their derivatives `rows` (c, 3, p), whitened by the stated noise."""
 
     sites: tuple[Site, ...]
     rows: Floats
 
     @classmethod
     def of(cls, stand: Stand, reads: Mapping[Site, int]) -> Grid:
-        """Make it of sites in their order, with how often each is read at a visit."""
+        """Return the grid of sites in their order; `reads` states the readings per visit to each site."""
         rows, _ = whitened(stand, conditions_of([site.setting() for site in reads]))
         often = np.sqrt(np.array(list(reads.values()), dtype=np.float64))
         return cls(tuple(reads), rows * often[:, None, None])
 
     def counts(self, of: Mapping[Site, int]) -> Ints:
-        """Return the number of visits to each site, (c,)."""
+        """Return the number of visits to each site, (c,), from a mapping by site."""
         return np.array([of.get(site, 0) for site in self.sites], dtype=np.int64)
 
 
 class Visits(ExchangeDesign):
-    """Visits to the sites, at least those that were made, at most those that the plan has.
+    """Numbers of visits to sites, between those already made and those that the plan allows.
 
-    The noise is told by repeats as soon as there are enough of them, as a calibration has it.
+    The noise is estimated from repeats once there are `LEAST_REPEATS` of them, as in a calibration.
     """
 
     _known: tuple[bytes, Floats] | None = None
 
     def covariance(self, counts: Floats | Ints | None = None) -> Floats:
-        """As its base has it; that of the visits as they stand is kept until one changes."""
+        """Return the covariance as the base class does; that of the present counts is cached."""
         if counts is not None:
             return super().covariance(counts)
         key = self.counts.tobytes()
@@ -340,55 +342,55 @@ class Visits(ExchangeDesign):
         return self._known[1]
 
     def _variances(self, covariance: Floats) -> Floats:
-        """As its base has it, without looking for an order of the products each time."""
+        """Return the variances as the base class does, but without optimizing the order of products each time."""
         own = covariance[:FIXED, :FIXED]
         each = np.sum((self._functionals @ own) * self._functionals, axis=1)
         return np.asarray(np.bincount(self._goal, each) + self._floor)
 
     @property
     def repeats(self) -> int:
-        """How many visits repeat an earlier one."""
+        """The number of visits that repeat an earlier one."""
         return int(np.sum(np.maximum(self.counts - 1, 0)))
 
     @property
     def determined(self) -> bool:
-        """Whether these visits determine the coefficients, and not their weak prior alone."""
+        """Whether the visits determine the coefficients, rather than their weak prior alone."""
         return bool(np.max(np.diag(self.coefficient_covariance)) < _DETERMINED)
 
     @property
     def wider(self) -> float:
-        """The factor by which u is larger because the noise is estimated."""
+        """The factor by which u grows because the noise is estimated."""
         return widening(self._freedom)
 
     @property
     def _freedom(self) -> float:
-        """Degrees of freedom of the reading noise: two of three signals tell of it, the third of the setting."""
+        """Degrees of freedom of the reading noise; of three signals, one is counted for the setting error."""
         if self.repeats >= LEAST_REPEATS:
             return 2.0 * self.repeats
         return 2.0 * (3 * self.settings - len(self._prior)) / 3.0
 
     @property
     def largest(self) -> float:
-        """The largest ratio of an uncertainty to the one asked for."""
+        """The largest ratio of an uncertainty to the uncertainty asked for."""
         return self._largest(self.variances)
 
     @property
     def variances(self) -> Floats:
-        """The variance of each goal, (goals,), the noise widened."""
+        """The variance of each goal, (goals,), with widened noise."""
         own = self._variances(self.covariance()) - self._floor
         return np.asarray(self.wider**2 * own + self._floor)
 
     def is_enough(self, repeats: int) -> bool:
-        """Whether all goals are reached with at least so many repeats."""
+        """Return whether all goals are reached, with at least `repeats` repeats."""
         return self.repeats >= repeats and self.largest <= 1.0
 
     @property
     def is_full(self) -> bool:
-        """Whether nothing is left to visit."""
+        """Whether every site has been given its greatest number of visits."""
         return bool(np.all(self.counts >= self._most))
 
     def add_repeat(self) -> bool:
-        """Repeat the visited site that helps most; false where none can be."""
+        """Add the repeat of a visited site that helps most; return False if no repeat is possible."""
         gain = self._after(self.covariance(), 1.0, 8.0)
         able = (self.counts > 0) & (self.counts < self._most)
         if able.any():
@@ -396,13 +398,13 @@ class Visits(ExchangeDesign):
         return bool(able.any())
 
     def drop_needless(self, repeats: int) -> None:
-        """Leave out visits, those that matter least first, as long as all is reached without them."""
+        """Remove unnecessary visits, least important first, while the goals stay reached with `repeats` repeats."""
         dropped = True
         while dropped:
             dropped = False
             loss = self._after(self.covariance(), -1.0, 40.0)
             able = self.counts > self._least
-            if self.repeats == repeats:  # a repeat cannot be spared
+            if self.repeats == repeats:  # only sites visited once can lose a visit without losing a repeat
                 able &= self.counts == 1
             for leave in sorted(np.flatnonzero(able & np.isfinite(loss)), key=loss.__getitem__):
                 if loss[leave] > 1.0:
@@ -416,11 +418,10 @@ class Visits(ExchangeDesign):
 
 @dataclass(frozen=True)
 class DesignTask:
-    """The input of a design: the grid, what was done and how often each site can still be visited.
+    """The input of a design: the grid, and the numbers of visits done and still possible, (c,).
 
-    `scale` is the noise in units of what the bench file states, `site_s` (c,) the time of a visit to each site,
-    `mount_s` what mounting takes where the block is not on yet, `repeats` the least number of repeats,
-    `limit_s` the time that is left at most.
+    `scale` is the ratio of the noise to the stated noise. `site_s` (c,) is the time of a visit to each site,
+    `mount_s` that of each mounting ahead, s. `repeats` is the least number of repeats, `limit_s` the time left.
     """
 
     grid: Grid
@@ -435,23 +436,23 @@ class DesignTask:
 
     @property
     def candidates(self) -> SettingPool:
-        """The grid in units of the noise; the angles of the stand keep those of their priors."""
+        """The sites as candidates, with derivatives in units of the noise; the stand's angles keep their priors."""
         return SettingPool(self.grid.rows / self.scale)
 
     def time_s(self, counts: Ints) -> float:
-        """Return the time of the visits in `counts` (c,) that were not made yet, s."""
+        """Return the time of the visits in `counts` (c,) that are not done yet, including mountings, s."""
         more = counts - self.done
         mounts = {self.grid.sites[i].mount for i in np.flatnonzero(more)}
         return float(more @ self.site_s) + sum(self.mount_s.get(mount, 0.0) for mount in mounts)
 
     def least_repeats(self) -> int:
-        """The least number of repeats, or all that there can be."""
+        """Return the least number of repeats, limited to the greatest possible number."""
         return min(self.repeats, int(np.sum(np.maximum(self.done + self.left - 1, 0))))
 
 
 @dataclass(frozen=True)
 class VisitDesign:
-    """Visits (c,) to each site in the end, those done among them; whether the goals are reached then."""
+    """A design: total visits (c,) to each site, including those done, and whether they reach the goals."""
 
     counts: Ints
     reached: bool
@@ -460,9 +461,9 @@ class VisitDesign:
 
 
 def enough(task: DesignTask) -> VisitDesign:
-    """Return the visits that reach the goals in the least time found; all that there is where nothing does.
+    """Return the visits that reach the goals in the least time found.
 
-    What time allows is the most that is taken.
+    If the goals cannot be reached, return all visits that the time allows.
     """
     ahead = [mount for mount in task.mount_s if np.any(task.left[_of(task.grid, mount)])]
     subsets = [tuple(ahead)]
@@ -480,7 +481,7 @@ def _of(grid: Grid, mount: Mounting) -> Ints:
 
 
 def _within(task: DesignTask, ahead: Sequence[Mounting], chosen: Sequence[Mounting]) -> VisitDesign | None:
-    """Return the design for some of the mountings ahead; None where they can never be enough."""
+    """Return the design restricted to the mountings `chosen` among those `ahead`; None if it cannot suffice."""
     left = task.left.copy()
     for mount in ahead:
         if mount not in chosen:
@@ -489,7 +490,7 @@ def _within(task: DesignTask, ahead: Sequence[Mounting], chosen: Sequence[Mounti
     if not Visits(task.candidates, task.goals, most, task.done, most).is_enough(repeats):
         return None
     design = _greedy(task, most, repeats, wide=True)
-    if design.repeats == repeats:  # these decide, and fewer sites have more of them
+    if design.repeats == repeats:  # the repeats set the number of visits; fewer sites may do
         design = min(
             design, _greedy(task, most, repeats, wide=False), key=lambda one: task.time_s(one.counts)
         )
@@ -498,10 +499,10 @@ def _within(task: DesignTask, ahead: Sequence[Mounting], chosen: Sequence[Mounti
 
 
 def _greedy(task: DesignTask, most: Ints, repeats: int, *, wide: bool) -> Visits:
-    """Add what helps most until it is enough, then leave out what is not needed.
+    """Add the most useful visits until the goals are reached, then remove unnecessary ones.
 
-    Repeats are added last where the sites are to be as many as help (`wide`), else as soon as the coefficients are
-    determined at all.
+    With `wide`, repeats are added only after the goals are reached with as many sites as help; otherwise as
+    soon as the coefficients are determined.
     """
     design = Visits(task.candidates, task.goals, task.done, task.done, most)
     while not design.is_enough(repeats):
@@ -513,7 +514,7 @@ def _greedy(task: DesignTask, most: Ints, repeats: int, *, wide: bool) -> Visits
 
 
 def _all_of(task: DesignTask) -> VisitDesign:
-    """Return all remaining visits, or the best that the time allows, with as many repeats as it allows."""
+    """Return all remaining visits, or the best visits and repeats that the time allows."""
     most = task.done + task.left
     if task.time_s(most) <= task.limit_s:
         whole = Visits(task.candidates, task.goals, most, task.done, most)

@@ -1,4 +1,4 @@
-"""Settings of the head in a plan, the unknowns that they do not determine, and further points that would."""
+"""Settings of the head in a plan, the unknowns that they leave undetermined, and points that would help."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from bench.readings.table import UNORIENTED, VERIFICATION
 
 
 class Setting(NamedTuple):
-    """One reading of a mounted block: which mounting, pass and point, the head's angle, from which side."""
+    """One reading of a mounted block: mounting, pass and point, head angle, and direction of approach."""
 
     mount: Mounting
     pass_number: int
@@ -42,7 +42,7 @@ class Setting(NamedTuple):
 
 
 def conditions_of(settings: Sequence[Setting]) -> Conditions:
-    """Return the conditions of readings at these settings; time and temperature are not known beforehand."""
+    """Return the conditions of readings at these settings, without times and temperatures."""
     return Conditions.of(
         [s.mount.installation for s in settings],
         [s.angle_rad for s in settings],
@@ -54,7 +54,7 @@ def conditions_of(settings: Sequence[Setting]) -> Conditions:
 
 
 def settings_of(plan: Plan) -> list[Setting]:
-    """Return the settings at which a plan reads the mounted block, verification points among them."""
+    """Return the settings at which a plan reads the mounted block, including verification points."""
     return [
         Setting(
             Mounting(step.series, step.installation),
@@ -69,7 +69,7 @@ def settings_of(plan: Plan) -> list[Setting]:
 
 
 def fitted(settings: Iterable[Setting]) -> list[Setting]:
-    """Return the settings whose readings a calibration fits."""
+    """Return the settings whose readings take part in the fit of a calibration."""
     return [s for s in settings if s.mount.installation != VERIFICATION]
 
 
@@ -80,7 +80,7 @@ def verifying(settings: Iterable[Setting]) -> list[Setting]:
 
 @dataclass(frozen=True)
 class Cost:
-    """Expected bench time, s: of a setting with its reading, of mounting the block, and once in all."""
+    """Expected bench time, s: of a setting with its reading, of a mounting, and of tasks done once."""
 
     setting_s: float
     mount_s: float
@@ -88,22 +88,22 @@ class Cost:
 
     @classmethod
     def of_plan(cls, plan: Plan, line_hz: float = 50.0) -> Cost:
-        """Return the time of one more setting and one more mounting in a plan."""
+        """Return the time of an additional setting and of an additional mounting in a plan."""
         reading_s = next((plan.step_duration_s(s, line_hz) for s in plan.steps if isinstance(s, Read)), 0.0)
         setting_s = plan.operator_time.turn_s + _settling_s(plan) + reading_s
         return cls(setting_s, plan.operator_time.mount_s)
 
     def total_s(self, settings: int, mounts: int) -> float:
-        """Return the expected time of so many settings in so many mountings, s."""
+        """Return the expected time of a number of settings in a number of mountings, s."""
         return self.once_s + settings * self.setting_s + mounts * self.mount_s
 
     def settings_within(self, time_s: float, mounts: int) -> int:
-        """Return how many settings in so many mountings a time allows; none below zero."""
+        """Return how many settings in `mounts` mountings fit into `time_s`, at least 0."""
         return max(int((time_s - self.total_s(0, mounts)) / self.setting_s + 1e-9), 0)
 
 
 def _settling_s(plan: Plan) -> float:
-    """Return the settling time between a turn and its reading, from the first turn of the plan, s."""
+    """Return the settling time between the first turn of the plan and its reading, s."""
     seconds = 0.0
     turned = False
     for step in plan.steps:
@@ -116,10 +116,10 @@ def _settling_s(plan: Plan) -> float:
 
 
 ANGLES: Final = ("axis_tilt", "zero_offset", "mounting_error", "mounting_roll")
-"""The stand angles that every mounting has, whatever their size."""
+"""The stand angles that exist in every mounting, whatever their size."""
 
 THIRD: Final = Installation.from_axes("3", ("y", "z", "x"))
-"""The installation with the block's x along the shaft, which is none of the paper's two."""
+"""The installation with the block's x along the shaft, which the paper does not use."""
 
 MOST_MOUNTINGS: Final = 24
 
@@ -132,7 +132,7 @@ _SHIPPED: Final[Mapping[str, str]] = {
 
 @dataclass(frozen=True)
 class Remedy:
-    """A further measurement: `determines` of the open directions it closes, in `cost_s` of bench time."""
+    """A further measurement that `determines` a number of open directions and takes `cost_s` of bench time."""
 
     text: str
     determines: int
@@ -143,7 +143,7 @@ class Remedy:
 class Outlook:
     """The coefficients and stand angles that planned readings determine, and remedies for the others.
 
-    `remedies` are those that close a direction, the cheapest first.
+    `remedies` are the measurements that close an open direction, cheapest first.
     """
 
     found: Observability
@@ -151,12 +151,12 @@ class Outlook:
 
     @property
     def turns(self) -> list[str]:
-        """Axes about which the block's axes may turn together: a convention, which no mounting shows."""
+        """Axes about which all block axes may rotate together: a convention that no mounting can determine."""
         return [axis_in_words(d.axis) for d in self.found.directions if d.kind is DirectionKind.TURN]
 
     @property
     def open(self) -> list[str]:
-        """The other directions that leave no trace."""
+        """The other directions in the null space, as text."""
         return [d.text() for d in self.found.directions if d.kind is not DirectionKind.TURN]
 
 
@@ -169,10 +169,10 @@ class _Candidate:
 
 
 def outlook(settings: Sequence[Setting], model: ForwardModel, block: Block, cost: Cost) -> Outlook:
-    """Return what readings at these settings determine of the coefficients and of `ANGLES` in every mounting.
+    """Return what readings at these settings determine of the coefficients and of `ANGLES` in each mounting.
 
-    Effects of the model are unknowns, too. Of more than `MOST_MOUNTINGS` only the first in each installation are
-    looked at. Raises `KeyError` for an installation that the model lacks.
+    Effects of the model are unknowns, too. If there are more than `MOST_MOUNTINGS` mountings, only the first in
+    each installation is analysed. Raises `KeyError` for an installation that the model lacks.
     """
     settings = _distinct(settings)
     own = fitted(settings)
@@ -189,7 +189,7 @@ def outlook(settings: Sequence[Setting], model: ForwardModel, block: Block, cost
 
 
 def _distinct(settings: Sequence[Setting]) -> list[Setting]:
-    """Return the settings without repeats, which add nothing to the rank."""
+    """Return the settings without repeats, which do not increase the rank."""
     distinct = list({(s.mount, s.angle_rad): s for s in reversed(settings)}.values())[::-1]
     if len({s.mount for s in distinct}) <= MOST_MOUNTINGS:
         return distinct
@@ -205,13 +205,13 @@ def _observability(
 
 
 def _open_of(found: Observability, names: Sequence[str]) -> int:
-    """How many directions among the unknowns of these names are open; those of added mountings do not count."""
+    """Return the number of open directions among the unknowns `names`; those of added mountings do not count."""
     rows = [found.names.index(name) for name in names]
     return int(np.sum(np.linalg.svd(found.null[rows], compute_uv=False) > 1e-3))
 
 
 def _menu(settings: Sequence[Setting], model: ForwardModel, cost: Cost) -> list[_Candidate]:
-    """What could be added: verification points in the fit, one pass in another installation or a return."""
+    """Return the possible additions: verification points in the fit, a pass in another installation, a return."""
     menu = []
     there = verifying(settings)
     if there:
@@ -249,9 +249,10 @@ def _one_pass(mount: Mounting, angles_rad: Sequence[float]) -> tuple[Setting, ..
 
 
 Target = Callable[[Budget], Floats]
-"""Variances (points, sources) of what is required, in the order of the budget's contributions.
+"""A function from an error budget to the variances (points, sources) of the required quantity.
 
-Each point (a verification point, a direction) has to keep to the accuracy.
+The sources are in the order of the budget's contributions. Each point (a verification point, a direction) has to
+meet the accuracy.
 """
 
 BEYOND: Final[Mapping[str, float]] = {"rad": math.radians(5.0), "V": 10.0, "K": 100.0, "1": 1.0}
@@ -267,7 +268,7 @@ _NO_BALANCE: Final = "no balanced set of sizes was found; take the limits of eac
 
 
 def of_delta_g(*, reading: bool) -> Target:
-    """Return delta g at the verification points, from the coefficients' errors, or with those of its `reading`."""
+    """Return the target Δg at the verification points; with `reading`, errors of the reading there count, too."""
 
     def variances(budget: Budget) -> Floats:
         found = delta_g_variances(budget, reading=reading)
@@ -281,7 +282,7 @@ def of_delta_g(*, reading: bool) -> Target:
 
 
 def of_coefficient(name: str) -> Target:
-    """Return a coefficient by its name. Raises `CalibrationError` for another."""
+    """Return the target for the coefficient `name`. Raises `CalibrationError` for an unknown name."""
     if name not in COEFFICIENTS:
         raise CalibrationError(f"no coefficient {name!r}; there are {', '.join(COEFFICIENTS)}")
     index = COEFFICIENTS.index(name)
@@ -289,9 +290,10 @@ def of_coefficient(name: str) -> Target:
 
 
 def of_acceleration(magnitude_g: float, *, reading: bool, modulus: bool) -> Target:
-    """Return a measured acceleration in any direction: the root of the sum of three variances, or its modulus.
+    """Return the target for an acceleration of `magnitude_g` measured in any direction.
 
-    The variance is convex in the magnitude, so that the largest one is the worst of all up to it.
+    The target is the root sum of squares of the three components' uncertainties, or with `modulus` the
+    uncertainty of the modulus. The variance is convex in the magnitude, so smaller magnitudes are covered.
     """
     force = magnitude_g * directions(_DIRECTIONS)
 
@@ -309,7 +311,7 @@ def of_acceleration(magnitude_g: float, *, reading: bool, modulus: bool) -> Targ
 class Limit:
     """The limit of the standard uncertainty `u` of a source.
 
-    Infinite where any size will do, None where the accuracy cannot be reached with a size of zero.
+    `u` is infinite if any size is acceptable, None if even a size of zero does not meet the accuracy.
     """
 
     source: ErrorSource
@@ -317,14 +319,14 @@ class Limit:
 
     @property
     def verdict(self) -> Literal["limit", "no limit", "cannot be reached"]:
-        """What kind of answer it is."""
+        """The kind of limit."""
         if self.u is None:
             return "cannot be reached"
         return "no limit" if math.isinf(self.u) else "limit"
 
     @property
     def stated(self) -> float | None:
-        """The limit as the bench file states the error: for a rectangular distribution, or so many sigma."""
+        """The limit as stated in a bench file: half-width of a rectangular distribution, or a number of sigma."""
         if self.u is None or math.isinf(self.u):
             return None
         return self.u / replace(self.source.distribution, limit=1.0).u
@@ -332,9 +334,9 @@ class Limit:
 
 @dataclass(frozen=True)
 class Requirement:
-    """A requirement: `k` standard uncertainties of a target do not exceed `accuracy`.
+    """A requirement: `k` standard uncertainties of the target must not exceed `accuracy`.
 
-    The coefficients come from the readings of `setup` by `estimator`.
+    The coefficients are estimated from the readings of `setup` by `estimator`.
     """
 
     setup: Setup
@@ -351,24 +353,24 @@ class Requirement:
 
     @property
     def allowed2(self) -> float:
-        """The variance that is allowed."""
+        """The permitted variance of the target."""
         return (self.accuracy / self.k) ** 2
 
     def by_point(self, sizes: Mapping[str, float]) -> Floats:
-        """Return the variances (points, sources), with standard uncertainties by name.
+        """Return the variances (points, sources), with the standard uncertainties `sizes` by source name.
 
-        Sources that are not named have their own. The estimator knows these sizes.
+        Sources without an entry keep the bench's own size. The estimator weights the readings by these sizes.
         """
         sized = [s.sized(sizes[s.name]) if s.name in sizes else s for s in self.sources]
         return self.target(make_budget(self.setup, sized, self.estimator))
 
     def variances(self, sizes: Mapping[str, float]) -> Floats:
-        """Return the variances by source (s,) at the worst point, for sizes as above."""
+        """Return the variances by source (s,) at the worst point; `sizes` is explained at `by_point`."""
         found = self.by_point(sizes)
         return np.asarray(found[int(np.argmax(found.sum(axis=1)))])
 
     def reached(self, sizes: Mapping[str, float] | None = None) -> float:
-        """Return k u of the target at the worst point: at the bench's own sizes, but for those given."""
+        """Return k u of the target at the worst point; `sizes` replace the bench's own, as in `by_point`."""
         if not sizes:
             return self.k * math.sqrt(float(self._own.sum()))
         return self.k * math.sqrt(float(self.variances(sizes).sum()))
@@ -378,11 +380,11 @@ class Requirement:
         return self.variances({})
 
     def keeps(self, reached: float) -> bool:
-        """Whether k u keeps to the accuracy, but for the rounding of sizes that were written to a file."""
+        """Return whether k u meets the accuracy, within the rounding of sizes written to a file."""
         return reached <= self.accuracy * (1.0 + _ROUNDING)
 
     def shares(self) -> dict[str, float]:
-        """Return each source's part of the variance at the worst point, at the bench's own sizes."""
+        """Return each source's fraction of the variance at the worst point, at the bench's own sizes."""
         total = float(self._own.sum())
         return {s.name: float(v) / total for s, v in zip(self.sources, self._own, strict=True)}
 
@@ -398,7 +400,7 @@ class Requirement:
         if excess(beyond) <= 0.0:
             return Limit(source, math.inf)
         start = min(source.u or 1e-6 * beyond, beyond / 2)
-        # a larger error may do less harm: the estimator that believes a reading perfect trusts it too much
+        # a larger error may be less harmful, because an estimator that assumes perfect readings overweights them
         sizes = [start, *(start / 10**i for i in range(1, _DECADES)), 0.0]
         kept = next((size for size in sizes if excess(size) <= 0.0), None)
         if kept is None:
@@ -411,9 +413,9 @@ class Requirement:
     def _bracket(
         excess: Callable[[float], float], kept: float, size: float, beyond: float
     ) -> tuple[float, float]:
-        """Two sizes between which the excess changes its sign, a factor of ten apart.
+        """Return two sizes, a factor of ten apart, between which the excess changes its sign.
 
-        `kept` is a size without excess; where it is zero, `size` is one with it.
+        `kept` is a size without excess; if it is zero, `size` is a size with excess.
         """
         if kept == 0.0:
             while excess(size / 10) > 0.0:
@@ -426,13 +428,13 @@ class Requirement:
     # --- all together -------------------------------------------------------------------------------
 
     def balanced(self, names: Sequence[str], weights: Mapping[str, float] | None = None) -> list[Limit]:
-        """Return sizes of the named sources that together just keep to the accuracy.
+        """Return sizes of the named sources that together just meet the accuracy.
 
-        Without weights each takes an equal part of the variance that the other sources leave, each at the point
-        where it counts most. With weights, what a source costs is taken as its weight over its size in units of
-        the bench's own: the sum is least where the parts are as (weight times present contribution)^(2/3). A
-        source that cannot use up its part has no limit, and its part goes to the others. Raises
-        `CalibrationError` where nothing is left to share.
+        Without weights, each source receives an equal part of the variance that the other sources leave, judged
+        at its worst point. With weights, the cost of a source is its weight divided by its size in units of the
+        bench's own size; the total cost is least if the parts are proportional to
+        (weight × present contribution)^(2/3). A source that cannot use up its part has no limit, and its part goes
+        to the others. Raises `CalibrationError` if nothing is left to share.
         """
         own = {s.name: s for s in self.sources}
         parts = self._parts(names, weights)
@@ -474,7 +476,7 @@ class Requirement:
     def _settled(
         self, own: Mapping[str, ErrorSource], sizes: dict[str, float], free: set[str]
     ) -> list[Limit]:
-        """Scale the sizes that have a limit together until the accuracy is just kept to."""
+        """Scale the sizes that have a limit by a common factor until the accuracy is just met."""
 
         def excess(log_factor: float) -> float:
             scaled = {n: u if n in free else u * math.exp(log_factor) for n, u in sizes.items()}
@@ -492,5 +494,5 @@ class Requirement:
 
 
 def _factor(variance: float, allowed: float) -> float:
-    """Return the factor on a size that brings its variance to the allowed one."""
+    """Return the factor on a size that changes its variance to the allowed variance."""
     return math.sqrt(allowed / variance) if variance > 0.0 else math.inf

@@ -1,1 +1,1 @@
-"""Tables of readings: in memory, as a readings file, several joined."""
+"""Tables of readings: in memory, in a readings file, several tables joined, corrections."""

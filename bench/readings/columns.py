@@ -1,4 +1,4 @@
-"""Cells of a readings file, read strictly and written as text; its optional columns."""
+"""Cells of a readings file, strictly parsed and safely written; the optional columns of level and supply."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ _OF_ESCAPES: Final = re.compile(r"\\(?:\\|x[0-9a-f]{2}|u[0-9a-f]{4}|U[0-9a-f]{8}
 
 
 def as_cell(text: str) -> str:
-    r"""Return a text as a cell that any spreadsheet and terminal keeps as text; a number stays as it is.
+    r"""Return a text as a cell that no spreadsheet or terminal interprets; a number stays unchanged.
 
-    One that begins like a formula (`=`, `+`, `-`, `@`, tab, line end) gets an apostrophe in front. Control
-    characters become escapes (`\x1b`), backslashes beside them two.
+    Text that begins like a formula (`=`, `+`, `-`, `@`, tab, line end) is prefixed with an apostrophe. Control
+    characters become escapes (`\x1b`); the text's own backslashes are then doubled.
     """
     safe = visible(text)
     if safe != text or _shows_escape(text):
@@ -36,7 +36,7 @@ def as_cell(text: str) -> str:
 
 
 def of_cell(cell: str) -> str:
-    """Return the text of which `as_cell` makes the cell; a cell that it never makes comes back as it is."""
+    """Return the text of a cell, the inverse of `as_cell`; a cell that `as_cell` cannot return stays unchanged."""
     safe = cell[1:] if cell.startswith("'") and _FORMULA.match(cell) else cell
     if not _shows_escape(safe) or "\\" in _OF_ESCAPES.sub("", safe):
         return safe
@@ -44,7 +44,7 @@ def of_cell(cell: str) -> str:
 
 
 def _shows_escape(text: str) -> bool:
-    """Whether something in the text reads like an escape of a character that is not visible."""
+    """Return whether the text contains an escape, such as `\\x1b`, of an invisible character."""
     return any(visible(character := _character(found[0])) != character for found in _ESCAPE.finditer(text))
 
 
@@ -54,18 +54,18 @@ def _character(escape: str) -> str:
 
 
 OVERLOAD: Final = 9.0e37
-"""The largest voltage of a reading, V: an overloaded meter shows more (34401A User's Guide, chapter 3)."""
+"""Values from here on mean an overloaded meter, V (34401A User's Guide, chapter 3)."""
 
 ABSOLUTE_ZERO_C: Final = -273.15
 HOTTEST_C: Final = 200.0
-"""The highest temperature, °C: above that of any chamber, below room temperature in kelvin."""
+"""The highest valid temperature, °C: above that of any chamber, below room temperature in kelvin."""
 
 MOST: Final = 1_000_000
-"""The largest count of passes, points, series or samples; a larger number belongs to another column."""
+"""The largest valid pass, point, series or number of samples; a larger number is in the wrong column."""
 
 
 class BadCell(ValueError):
-    """A cell that cannot be read, with its column and the expected content."""
+    """An invalid cell; `column` is its column, the message states the expected content."""
 
     def __init__(self, column: str, problem: str) -> None:
         super().__init__(problem)
@@ -82,9 +82,9 @@ def number(
     most: float = math.inf,
     hint: str = "",
 ) -> float:
-    """Return the number in a column, from `least` to `most`; an empty cell is NaN where it is `optional`.
+    """Return the number in a column of a row `text`, from `least` to `most`; NaN for an empty `optional` cell.
 
-    Raises `BadCell`, with a `hint` where the number lies beyond.
+    Raises `BadCell`, which says what was `expected`, with `hint` added if the number is out of range.
     """
     cell = text.get(column, "")
     if cell == "" and optional:
@@ -106,7 +106,7 @@ def number(
 
 
 def temperature(text: dict[str, str], column: str) -> float:
-    """Return a temperature, °C, NaN for an empty cell. Raises `BadCell` for an impossible one."""
+    """Return the temperature in a column, °C, NaN for an empty cell. Raises `BadCell` if it is impossible."""
     expected = f"a temperature in °C from {ABSOLUTE_ZERO_C:g} to {HOTTEST_C:g}"
     return number(
         text, column, expected, optional=True, least=ABSOLUTE_ZERO_C, most=HOTTEST_C,
@@ -115,7 +115,7 @@ def temperature(text: dict[str, str], column: str) -> float:
 
 
 def integer(text: dict[str, str], column: str, *, default: int | None = None) -> float:
-    """Return a whole number of 1 or more, of an empty cell the default. Raises `BadCell`."""
+    """Return the whole number, 1 or more, in a column; `default` for an empty cell. Raises `BadCell`."""
     if default is not None and text.get(column, "") == "":
         return float(default)
     expected = "a whole number, 1 or more"
@@ -126,7 +126,7 @@ def integer(text: dict[str, str], column: str, *, default: int | None = None) ->
 
 
 def angle(text: dict[str, str], column: str, *, optional: bool) -> float:
-    """Return an angle in degrees, at most two turns. Raises `BadCell`."""
+    """Return the angle in a column, -720 to 720 degrees, NaN for an empty `optional` cell. Raises `BadCell`."""
     value = number(text, column, "an angle in degrees", optional=optional)
     if abs(value) > 720:
         raise BadCell(
@@ -136,7 +136,7 @@ def angle(text: dict[str, str], column: str, *, optional: bool) -> float:
 
 
 def direction(text: dict[str, str]) -> float:
-    """Return +1 or -1, of an empty cell 0. Raises `BadCell`."""
+    """Return the direction of approach of a row: +1, -1, or 0 for an empty cell. Raises `BadCell`."""
     value = number(text, "direction", "+1 (rising), -1 (falling) or nothing", optional=True)
     if math.isnan(value):
         return 0.0
@@ -154,16 +154,17 @@ def _quoted(cell: str) -> str:
 # --- optional columns: the level, the supply and its rails ------------------------------------------
 
 ANGLES: Final = ("alpha1_arcsec", "alpha2_arcsec", "u_alpha1_arcsec", "u_alpha2_arcsec")
-"""The columns of a levelling: the platform's angles while the block is mounted, and their u."""
+"""The columns of the platform's tilt angles during a mounting and of their standard uncertainties."""
 DRIFTS: Final = ("drift_alpha1_arcsec_h", "drift_alpha2_arcsec_h")
-"""The columns of the platform's rate of tilt from repeated readings, rms: equal in all rows of a run."""
+"""The columns of the platform's rms tilt rate, from repeated level readings: equal in all rows of a run."""
 LEVEL_COLUMNS: Final = (*ANGLES, *DRIFTS)
 
 
 def level_rad(extra: Mapping[str, Labels], rows: int) -> Floats | None:
-    """Return α1, α2 and their u of each row, rad, shape (rows, 4), NaN where not known; None for no such column.
+    """Return α1, α2, u(α1), u(α2) of each row, rad, shape (rows, 4), NaN if unknown; None without these columns.
 
-    Raises `ValueError` for a cell that is no number, and for an angle without its u.
+    `extra` are the text columns of a table. Raises `ValueError` for a cell that is not a number, and for an angle
+    without its standard uncertainty.
     """
     if not all(name in extra for name in ANGLES):
         return None
@@ -178,7 +179,7 @@ def level_rad(extra: Mapping[str, Labels], rows: int) -> Floats | None:
 
 
 def drift_rad_s(extra: Mapping[str, Labels]) -> tuple[float, float] | None:
-    """Return the rate of the platform's tilt, rad/s; None where the level was not read again."""
+    """Return the rms rates of α1 and α2, rad/s, from the text columns; None if the level was not read again."""
     if not all(name in extra for name in DRIFTS):
         return None
     rates = [[float(cell) for cell in extra[name].tolist() if cell.strip()] for name in DRIFTS]
@@ -189,7 +190,7 @@ def drift_rad_s(extra: Mapping[str, Labels]) -> tuple[float, float] | None:
 
 
 def wrong_level_cell(text: Mapping[str, str]) -> tuple[str, str] | None:
-    """Return the first invalid level column of a row and its mistake; None for a good row."""
+    """Return the first invalid level column of a row and a sentence on its mistake; None for a valid row."""
     for name in LEVEL_COLUMNS:
         cell = text.get(name, "").strip()
         try:
@@ -209,35 +210,35 @@ _COLUMN: Final = re.compile(r"rail_(?P<rail>[a-z][a-z0-9_]*?)_(?P<what>nominal_v
 
 
 def voltage_column(rail: str) -> str:
-    """Return the column of the measured voltage of a rail, V."""
+    """Return the name of the column with a rail's measured voltage, V."""
     return f"rail_{rail}_v"
 
 
 def nominal_column(rail: str) -> str:
-    """Return the column of the nominal voltage of a rail, V."""
+    """Return the name of the column with a rail's nominal voltage, V."""
     return f"rail_{rail}_nominal_v"
 
 
 def current_column(rail: str) -> str:
-    """Return the column of the measured current of a rail, A."""
+    """Return the name of the column with a rail's measured current, A."""
     return f"rail_{rail}_a"
 
 
 def is_of_a_rail(column: str) -> bool:
-    """Return whether a column is one of a rail: voltage, nominal voltage or current."""
+    """Return whether a column name is that of a rail's voltage, nominal voltage or current."""
     return _COLUMN.fullmatch(column) is not None
 
 
 def rails_of(columns: Iterable[str]) -> tuple[str, ...]:
-    """Return the rails that have a voltage among these columns, in their order."""
+    """Return the names of the rails with a voltage column among `columns`, in the same order."""
     matches = [_COLUMN.fullmatch(column) for column in columns]
     return tuple(match["rail"] for match in matches if match is not None and match["what"] == "v")
 
 
 def above_nominal_v(extra: Mapping[str, Labels]) -> Floats | None:
-    """Return the voltages of the rails less their nominal ones, V, shape (n, rails), NaN where one is not given.
+    """Return the rail voltages minus their nominal voltages, V, shape (n, rails); None without rails.
 
-    None where there is no rail. A rail without its nominal voltage has nothing to count from: it is NaN throughout.
+    A value is NaN if the voltage or the nominal voltage is not given.
     """
     rails = rails_of(extra)
     if not rails:
@@ -255,15 +256,15 @@ SINCE_POWER_ON_S: Final = "since_power_on_s"
 
 
 def since_power_on_s(extra: Mapping[str, Labels]) -> Floats | None:
-    """Return the time since the block was switched on, s, shape (n,), NaN where not given; None for no column."""
+    """Return the time since the block was switched on, s, shape (n,), NaN if not given; None without the column."""
     return _numbers(extra[SINCE_POWER_ON_S]) if SINCE_POWER_ON_S in extra else None
 
 
 def since_power_on_cells(read_s: Sequence[float | None], power: Sequence[tuple[float, str]]) -> list[str]:
-    """Return the cells of that column for readings at these times, s, empty where it is not known.
+    """Return the cells of the column `since_power_on_s` for readings at the times `read_s`, s; "" if unknown.
 
-    `power` are the states of the supply in a record with their times, s: "on", "found on", "off", "fault". A block
-    that was found on has been on since the last "on", or for a time that nobody knows.
+    `power` lists (time in s, state) from the record; the states are "on", "found on", "off" and "fault". A block
+    "found on" has been on since the last "on"; without one the time is unknown.
     """
     cells = []
     for time_s in read_s:
@@ -289,12 +290,12 @@ class Rail:
     current_a: float
 
     def to_json(self) -> dict[str, float]:
-        """Return the rail as JSON for an event of the record."""
+        """Return the rail as a JSON object for an event of the record."""
         return {"voltage_v": self.voltage_v, "nominal_v": self.nominal_v, "current_a": self.current_a}
 
     @classmethod
     def from_json(cls, row: Mapping[str, Any]) -> Rail:
-        """Return the rail of an event. Raises `KeyError`, `TypeError`, `ValueError` for what is none."""
+        """Return the rail from the JSON object of an event. Raises `KeyError`, `TypeError`, `ValueError`."""
         values = (row["voltage_v"], row["nominal_v"], row["current_a"])
         if any(type(value) not in (int, float) or not isfinite(value) for value in values):
             raise ValueError("a number of a rail is none")
@@ -302,7 +303,7 @@ class Rail:
 
 
 def between(before: Mapping[str, Rail], after: Mapping[str, Rail]) -> dict[str, Rail]:
-    """Return the rails of a reading: the means of a measurement before it and one after it."""
+    """Return the rails of a reading by name: the means of the measurements before and after it."""
     return {
         name: Rail(
             (rail.voltage_v + after[name].voltage_v) / 2.0,
@@ -315,7 +316,7 @@ def between(before: Mapping[str, Rail], after: Mapping[str, Rail]) -> dict[str, 
 
 
 def columns_of(taken: Sequence[Mapping[str, Rail]]) -> dict[str, list[str]]:
-    """Return the columns of readings as text, by name: three of each rail that any of them has."""
+    """Return the rail columns of readings by name, as text: three columns for each rail of any reading."""
     columns: dict[str, list[str]] = {}
     for name in dict.fromkeys(name for rails in taken for name in rails):
         rails = [row.get(name) for row in taken]
@@ -326,7 +327,7 @@ def columns_of(taken: Sequence[Mapping[str, Rail]]) -> dict[str, list[str]]:
 
 
 def ranges_in_words(extra: Mapping[str, Sequence[str]]) -> str:
-    """Return the ranges of voltage and current of each rail in words; empty without rails.
+    """Return the ranges of voltage and current of each rail in words; an empty string without rails.
 
     `extra` are the text columns of a table.
     """

@@ -1,4 +1,4 @@
-"""Corrections of readings: known errors of instruments, tilt of the platform, mistakes made at a bench."""
+"""Corrections of readings: known instrument errors, tilt of the platform, mistakes made at a bench."""
 
 from __future__ import annotations
 
@@ -19,18 +19,19 @@ from drivers.angles import SLIPS
 # --- corrections ------------------------------------------------------------------------------------
 
 Curve = tuple[tuple[float, float], ...]
-"""A table of corrections: rising positions and the correction at each; linear between them."""
+"""A correction table: pairs of (position, correction) at rising positions, interpolated linearly."""
 
 VOLTS: Final = "V"
 AGAIN: Final = 4
-"""Iterations that invert a correction, which changes little over its own size."""
+"""Fixed-point iterations to invert a correction; few are enough, as a correction is small and smooth."""
 
 
 @dataclass(frozen=True)
 class Corrections:
-    """What is added to readings: U (1 + `gain`) + `offset_v` for x, y, z; to the angle and the temperature read.
+    """Corrections of signals, U (1 + `gain`) + `offset_v` for x, y, z, and of the angle and temperature read.
 
-    `head` is in rad over a turn from 0 on, which it goes round; `thermometer` in K over °C, its ends hold beyond.
+    `head` is in rad over the angle in rad, periodic over one turn; `thermometer` is in K over the temperature in
+    °C, constant beyond its ends.
     """
 
     gain: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -44,7 +45,7 @@ class Corrections:
         return any(self.gain) or any(self.offset_v)
 
     def then(self, gain: tuple[float, float, float], offset_v: tuple[float, float, float]) -> Corrections:
-        """Return these corrections with further ones of the signals after them: U (1 + `gain`) + `offset_v`."""
+        """Return these corrections followed by a further correction of the signals, U (1 + `gain`) + `offset_v`."""
         both = [(1.0 + own) * (1.0 + more) - 1.0 for own, more in zip(self.gain, gain, strict=True)]
         sums = [own * (1.0 + more) + added
                 for own, more, added in zip(self.offset_v, gain, offset_v, strict=True)]  # fmt: skip
@@ -55,9 +56,9 @@ class Corrections:
 
 
 def corrected(readings: Readings, by: Corrections) -> Readings:
-    """Return readings with the corrections added, marked as such: those that are marked come back as they are.
+    """Return the readings corrected and marked as corrected; readings already marked are returned unchanged.
 
-    Signals are corrected where they are in volts. The last digit of the readings stays that of what was read.
+    Only signals in volts are corrected. `resolution_read` keeps the resolution before correction.
     """
     if readings.corrected or not by:
         return readings
@@ -73,7 +74,7 @@ def corrected(readings: Readings, by: Corrections) -> Readings:
 
 
 def as_read(readings: Readings, by: Corrections) -> Readings:
-    """Return the uncorrected readings, from which these corrections make `readings`."""
+    """Return the readings as read, the inverse of `corrected`; uncorrected readings are returned unchanged."""
     if not readings.corrected or not by:
         return readings
     angle_rad, temperature_c = readings.angle_rad, readings.temperature_c
@@ -91,7 +92,7 @@ def as_read(readings: Readings, by: Corrections) -> Readings:
 
 
 def _signals(readings: Readings, by: Corrections, *, back: bool) -> dict[str, Any]:
-    """Return signals and their standard deviations with the corrections added, or taken `back`."""
+    """Return the signals and their standard deviations with the corrections applied, or undone if `back`."""
     if not by.of_signals or readings.unit != VOLTS:
         return {}
     scale, offset_v = 1.0 + np.array(by.gain), np.array(by.offset_v)
@@ -109,7 +110,7 @@ def _of_thermometer(by: Corrections, temperature_c: Floats) -> Floats | float:
 
 
 def on_scale(table: Curve, angle_rad: Floats) -> Floats:
-    """Return the corrections of a head's table at angles of any size, rad; NaN for NaN."""
+    """Return the corrections of a head, rad, interpolated from its table at any angles, rad; NaN for NaN."""
     known_rad, added_rad = np.array(table).T
     return np.asarray(np.interp(angle_rad, known_rad, added_rad, period=math.tau))
 
@@ -117,15 +118,18 @@ def on_scale(table: Curve, angle_rad: Floats) -> Floats:
 DAY: Final = 24.0 * HOUR
 
 FOUNDATION: Final = Distribution(2.0 * ARCSEC / DAY, "rectangular")
-"""How fast a foundation may tilt where nobody measured it, rad/s: the paper's moves 1 to 2 arcseconds a day."""
+"""Prior of a foundation's tilt rate if not measured, rad/s; the paper states 1 to 2 arcseconds a day."""
 FOUNDATION_ARCSEC_H: Final = FOUNDATION.u * HOUR / ARCSEC
 REFUTED: Final = 3.0
-"""Two readings that are further apart than so many standard uncertainties have a platform that moved more."""
+"""If two readings differ by more than so many standard uncertainties, the prior `FOUNDATION` is discarded."""
 
 
 @dataclass(frozen=True)
 class LevelReading:
-    """What the level showed at a bench time: α1 and α2 with their u, arcsec; `levelled` just before it."""
+    """A reading of the level at bench time `time_s`: α1 and α2 with their standard uncertainties, arcsec.
+
+    `mounting` is (series, installation); `levelled` says that the platform was levelled just before.
+    """
 
     time_s: float
     mounting: tuple[int, str]
@@ -135,7 +139,10 @@ class LevelReading:
 
 
 def with_levels(readings: Readings, seen: Sequence[LevelReading]) -> Readings:
-    """Return the readings with columns of these level readings, in the order of time; unchanged without any."""
+    """Return the readings with level columns added; unchanged if no mounting has a levelling.
+
+    `seen` are the level readings in order of time.
+    """
     found = {
         mounting: of for mounting in {s.mounting for s in seen} if (of := _mounting_level(seen, mounting))
     }
@@ -155,7 +162,7 @@ def with_levels(readings: Readings, seen: Sequence[LevelReading]) -> Readings:
 
 @dataclass(frozen=True)
 class _MountingLevel:
-    """α1, α2 and their u in the middle of a mounting, arcsec; how fast they moved, arcsec/h, root mean square."""
+    """α1 and α2 in the middle of a mounting with their standard uncertainties, arcsec; rms rates, arcsec/h."""
 
     alpha: tuple[float, float]
     u: tuple[float, float]
@@ -163,7 +170,7 @@ class _MountingLevel:
 
 
 def _mounting_level(seen: Sequence[LevelReading], mounting: tuple[int, str]) -> _MountingLevel | None:
-    """Return the level of the platform in a mounting; None where it was not levelled for it."""
+    """Return the platform's tilt during a mounting; None if the platform was not levelled for it."""
     own = [s for s in seen if s.mounting == mounting]
     last = max((k for k, s in enumerate(own) if s.levelled), default=None)
     if last is None:
@@ -184,10 +191,10 @@ def _mounting_level(seen: Sequence[LevelReading], mounting: tuple[int, str]) -> 
 def _middle_and_rate(
     alpha: tuple[float, float], u: tuple[float, float], hours: float
 ) -> tuple[float, float, float]:
-    """Return an angle in the middle between two readings of it, its u, and the root mean square of its rate.
+    """Return the angle midway between two readings of it, its standard uncertainty, and the rms of its rate.
 
-    It goes straight from one to the other. Of its rate it is known before that no foundation moves more than
-    `FOUNDATION`; where the two readings are too far apart for that, as much as they say.
+    The angle is assumed to change linearly. The rate has the prior 0 ± u of `FOUNDATION`; if the readings refute
+    it (`REFUTED`), the prior's u is the observed rate.
     """
     moved = alpha[1] - alpha[0]
     rate_u = FOUNDATION_ARCSEC_H
@@ -203,12 +210,12 @@ def _middle_and_rate(
 
 
 # --- mistakes made at a bench -----------------------------------------------------------------------
-# One vocabulary for the early warning, which supposes them of a run that goes on, and for the diagnosis, which
-# supposes them of a table. Slips of the scale are those at which a person is asked to look again.
+# Shared by the early warning, which tests for these mistakes during a run, and the diagnosis, which tests a table.
+# The scale-reading mistakes are those for which a person is asked to read again (`drivers.angles.SLIPS`).
 
 
 class MistakeName(StrEnum):
-    """Mistakes as results name them."""
+    """The names of mistakes in results."""
 
     SWAPPED_CHANNELS = "swapped_channels"
     REVERSED_POLARITY = "reversed_polarity"
@@ -218,16 +225,18 @@ class MistakeName(StrEnum):
     WRONG_SETTING = "wrong_setting"
     OUTLIER = "outlier"
     WRONG_UNIT = "wrong_unit"
+    ANOTHER_BLOCK = "another_block"
+    STUCK_CHANNEL = "stuck_channel"
     OTHER_MOUNTING = "other_mounting"
-    """The block sat otherwise: no mistake of its own, since nothing says how; others may look like it."""
+    """The block was mounted differently in an unknown way; other mistakes may look like this."""
 
 
 @dataclass(frozen=True)
 class Wiring:
     """The wiring of the signals to the channels.
 
-    `order` has for each true signal x, y, z the channel (0, 1, 2) that shows it, `signs` by what it is to be
-    multiplied then.
+    For the true signals x, y, z, `order` holds the channel (0, 1, 2) that shows each signal, and `signs` the
+    factor that corrects its sign.
     """
 
     order: tuple[int, int, int] = (0, 1, 2)
@@ -235,17 +244,17 @@ class Wiring:
 
     @property
     def matrix(self) -> Floats:
-        """The matrix (3, 3) that corrects a triple of signals."""
+        """The matrix (3, 3) that turns the three channels as read into the true signals."""
         return np.diag(self.signs) @ np.eye(3)[list(self.order)]
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """The channels that show a wrong signal or sign."""
+        """The channels that show a wrong signal or a wrong sign."""
         return tuple(CHANNELS[i] for i in range(3) if self.order[i] != i or self.signs[i] < 0)
 
     @property
     def shown(self) -> str:
-        """The sentence on which channel shows which signal: "x shows z, y shows x, z shows y"."""
+        """The wiring in words: "x shows z, y shows x, z shows y"."""
         return ", ".join(f"{CHANNELS[i]} shows {CHANNELS[self.order.index(i)]}" for i in range(3))
 
 
@@ -264,9 +273,9 @@ OPPOSITE_RAD: Final = float(np.pi)
 SLIPS_RAD: Final = {
     slip.size: float(np.radians(slip.degrees)) for slip in SLIPS if np.radians(slip.degrees) < OPPOSITE_RAD
 }
-"""Errors of the head, rad, to either side, for each common slip in reading its scale, by name."""
+"""Size of the angle error, rad, of each common mistake in reading the scale, by name; either sign is possible."""
 
 
 def reflected_rad(angle_rad: Floats) -> Floats:
-    """Return the error of the head, rad, where 360° - φ was read for φ, by the shorter way."""
+    """Return the error of reading 360° - φ for the angle φ, both rad, wrapped to [-π, π)."""
     return np.remainder(-2 * angle_rad + np.pi, 2 * np.pi) - np.pi

@@ -1,4 +1,4 @@
-"""The readings file: CSV (RFC 4180, UTF-8, dot as decimal sign) to a table of readings and back."""
+"""Read and write readings files: CSV (RFC 4180, UTF-8, dot as decimal sign) to a table of readings and back."""
 
 from __future__ import annotations
 
@@ -60,11 +60,11 @@ AS_TEXT: Final = (
     SINCE_POWER_ON_S,
     *LEVEL_COLUMNS,
 )
-"""Documented columns that stay text."""
+"""Documented columns that are kept as text."""
 
 
 class ReadingsError(ValueError):
-    """A readings file that cannot be used; the text lists what is wrong, a line each."""
+    """A readings file that cannot be used; the message lists the mistakes, one per line."""
 
 
 @dataclass
@@ -79,11 +79,11 @@ class _Columns:
 def read_csv(
     path: Path, installations: Collection[str], *, skip_bad_rows: bool = False, content: bytes | None = None
 ) -> Readings:
-    """Read a readings file, or what was read of it already, `content`.
+    """Return the table in a readings file; `content` is the file's bytes if they were read already.
 
-    `installations` are the labels that the bench file knows; V, F, S and R are always known.
-    Raises `ReadingsError` with file, line, column and what was expected for every bad row (the first 20,
-    then a count); with `skip_bad_rows` they are left out and listed in `Readings.skipped`.
+    `installations` are the labels in the bench file; V, F, S and R are always known. Raises `ReadingsError` with
+    file, line, column and the expected value for every bad row (the first 20, then a count). With
+    `skip_bad_rows`, bad rows are instead left out and listed in `Readings.skipped`.
     """
     header, body = split_table(path, _example_header(), content)
     numbers = {
@@ -102,9 +102,9 @@ def read_csv(
 def read_frame(
     frame: pd.DataFrame, installations: Collection[str], *, skip_bad_rows: bool = False
 ) -> Readings:
-    """Read a pandas DataFrame with the columns of a readings file; what is missing in it is an empty cell.
+    """Return the table in a pandas DataFrame with the columns of a readings file; missing values are empty cells.
 
-    As `read_csv`; the lines in a `ReadingsError` are those of the file that the frame would make.
+    Raises as `read_csv`; line numbers in a `ReadingsError` count as if the frame were written to a file.
     """
     header = [str(name).strip().lower() for name in frame.columns]
     rows = frame.itertuples(index=False, name=None)
@@ -113,7 +113,7 @@ def read_frame(
 
 
 def _cell(value: object) -> str:
-    """Return a value of a frame as a readings file has it; whole numbers stand as floats where one is missing."""
+    """Return a value of a frame as a cell; 3.0 becomes "3", as pandas makes integers floats if one is missing."""
     if value is None or value != value or str(value) == "<NA>":  # noqa: PLR0124 - NaN is not itself
         return ""
     return str(int(value)) if isinstance(value, float) and value.is_integer() else str(value)
@@ -173,10 +173,10 @@ def _read(
 def split_table(
     path: Path, example: str, content: bytes | None = None
 ) -> tuple[list[str], list[tuple[int, list[str]]]]:
-    """Return the header in small letters, and the rows that are not empty, each with its line number.
+    """Return the header of a CSV file in lower case, and the rows that are not empty as (line number, cells).
 
-    `example` is a header that the file could have, `content` what was read of it already. Raises `ReadingsError`
-    when the file is no CSV table.
+    `example` is a valid header for the error message, `content` the file's bytes if they were read already.
+    Raises `ReadingsError` if the file is not a CSV table.
     """
     try:
         text = (read_given(path) if content is None else content).decode("utf-8-sig")
@@ -206,14 +206,17 @@ def split_table(
 
 
 def _without_empty_end(cells: list[str], least: int) -> list[str]:
-    """Return the cells without empty ones beyond the first `least`: spreadsheets pad lines with commas."""
+    """Return the cells without trailing empty ones, but at least `least`: spreadsheets pad lines with commas."""
     while len(cells) > least and not cells[-1].strip():
         cells = cells[:-1]
     return cells
 
 
 def _signal_suffix(path: Path, header: list[str]) -> str:
-    """Return the unit suffix that all three signal columns share; refuse a header that lacks a column."""
+    """Return the unit suffix shared by the three signal columns, such as "v".
+
+    Raises `ReadingsError` if a required column is missing or the units differ.
+    """
     present = [s for s in UNITS if any(f"u{axis}_{s}" in header for axis in "xyz")]
     missing = [name for name in REQUIRED if name not in header]
     if len(present) > 1:
@@ -237,7 +240,7 @@ def _example_header() -> str:
 def _row(
     header: list[str], cells: list[str], signals: list[str], labels: Collection[str]
 ) -> dict[str, float]:
-    """Return the numbers of one row by column; raises `BadCell` for the first cell that is wrong."""
+    """Return the numbers of one row by column name. Raises `BadCell` for the first invalid cell."""
     if len(cells) != len(header):
         raise BadCell(
             header[min(len(cells), len(header) - 1)],
@@ -320,15 +323,15 @@ def _assemble(
 
 
 def write_csv(readings: Readings, path: Path) -> None:
-    """Write a readings file with all the columns that the table has; text columns as they came."""
+    """Write a readings file with all columns of the table; text columns are written unchanged."""
     path.write_text(format_csv(readings), encoding="utf-8", newline="")
 
 
 def format_csv(readings: Readings, *, to_the_bit: bool = False) -> str:
-    """Return the readings file as text.
+    """Return the table as the text of a readings file.
 
-    Numbers are written so that they read back to the same value, but for what adding up samples has rounded: 0.91
-    where their mean is 0.9099999999999999, with `to_the_bit` that, too. Angles to within 1e-12 degrees.
+    Numbers read back to the same value, and angles to within 1e-12 degrees. Without `to_the_bit`, signals are
+    written without the rounding error of their mean: 0.91 for 0.9099999999999999.
     """
     signal = _text if to_the_bit else _signal
     suffix = next(s for s, unit in UNITS.items() if unit == readings.unit)
@@ -357,21 +360,21 @@ def format_csv(readings: Readings, *, to_the_bit: bool = False) -> str:
 
 
 def _degrees(angle_rad: Floats) -> Floats:
-    # rounded, or 100.1 degrees would come back from radians as 100.10000000000001
+    # rounded, as 100.1 degrees would return from radians as 100.10000000000001
     return np.asarray(np.round(np.degrees(angle_rad), 12), dtype=np.float64)
 
 
 def _text(value: float) -> str:
-    """Shortest text that reads back to the same value; empty for not given."""
+    """Return the shortest text that reads back to the same value, an empty text for NaN."""
     return "" if math.isnan(value) else repr(float(value))
 
 
 ROUNDED: Final = 16
-"""Rounding error of a sum of samples, in units of its last bit."""
+"""The largest rounding error of a mean of samples, in units in the last place (ulp)."""
 
 
 def _signal(value: float) -> str:
-    """Return `value` as text, without what the sum of a mean has rounded; empty for not given."""
+    """Return `value` as text without the rounding error of its mean, an empty text for NaN."""
     short = float(f"{value:.12g}")
     return _text(short if abs(short - value) <= ROUNDED * math.ulp(value) else value)
 
@@ -380,7 +383,7 @@ def _signal(value: float) -> str:
 
 
 def doubtful(readings: Readings, lines: Sequence[int]) -> tuple[str, ...]:
-    """Return a sentence for each doubt about a table; `lines` (n,) are the lines of its rows in the file."""
+    """Return a sentence for each suspicious feature of a table; `lines` are the n line numbers of its rows."""
     return (*_time(readings, lines), *_scatter(readings, lines))
 
 
@@ -396,7 +399,7 @@ def _time(readings: Readings, lines: Sequence[int]) -> list[str]:
 
 
 def _scatter(readings: Readings, lines: Sequence[int]) -> list[str]:
-    """Return a doubt where the scatter within a reading exceeds the whole range of the readings."""
+    """Return a sentence for each channel with a standard deviation above the range of all its readings."""
     told = []
     for i, axis in enumerate(CHANNELS):
         sd, span = readings.signal_sd[:, i], float(np.ptp(readings.signal[:, i]))

@@ -1,4 +1,4 @@
-"""One reading, from the voltmeters to the record, the early warning, the person and the table of readings."""
+"""One settled reading of the three channels, its JSON form in the record, and the table of many readings."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ Triple = tuple[float, ...]
 """A number for each of the channels x, y, z."""
 
 MaybeTriple = tuple[float | None, ...]
-"""A number for each of x, y, z where there is one."""
+"""A number, or None if there is none, for each of the channels x, y, z."""
 
 _NONE: Final = (None, None, None)
 
 
 @dataclass(frozen=True)
 class Outlier:
-    """The sample (from 1) that an outlier test names: its value, its distance from the mean and the critical one.
+    """The sample (numbered from 1) that an outlier test flags: its value, its distance from the mean.
 
-    Both distances are in standard deviations of the samples.
+    `sigma` is this distance and `critical` the critical value, both in standard deviations of the samples.
     """
 
     sample: int
@@ -44,17 +44,16 @@ class Outlier:
 
 @dataclass(frozen=True, kw_only=True)
 class Reading:
-    """One settled reading of the three channels, as the record holds it; signals in `unit`.
+    """One settled reading of the three channels, as stored in the record; signals in `unit`.
 
-    `angle_deg` was read back from the head, `target_deg` asked for; both are None, and `direction` is 0, where
-    the head means nothing (a shorted or a reference input, of `reference_v` volts). `time_s` counts from the
-    beginning of the run. `mean`, `sd` and `drift` are those of the samples of x, y and z, `drift_p` the
-    probability of as large a drift in samples that only scatter; None where there are too few samples for
-    them. `scan_order` is the order in which the channels were read. `rails` is what the supply measured at each
-    rail of the block, the mean of a look before the reading and one after it. Where a thermometer at the block told
-    the temperature, `temperature_source` is its sensor and `chamber_c` the air of the chamber. What is left at its
-    default was not recorded: records before these were kept lack `samples` and what is drawn from them, the
-    reference and the scan order, and where nothing is known of the supply there are no rails.
+    `angle_deg` was read back from the head, `target_deg` was requested. Without a head angle (a shorted input, or a
+    reference input of `reference_v` volts) both are None and `direction` is 0. `time_s` counts from the start of
+    the run. `mean`, `sd` and `drift` are statistics of the samples of x, y and z; `drift_p` is the p-value of the
+    drift. With too few samples they are None. `scan_order` is the order in which the channels were read. `rails`
+    holds the mean of two measurements of each supply rail, before and after the reading. With a separate
+    thermometer at the block, `temperature_source` is its sensor and `chamber_c` the air temperature of the chamber.
+    A default means "not recorded": old records lack `samples` and their statistics, the reference and the scan
+    order.
     """
 
     installation: str
@@ -82,14 +81,14 @@ class Reading:
 
     @property
     def place(self) -> tuple[int, str, int, int]:
-        """Which reading of a run it is; one taken again has the same place."""
+        """The reading's place in a run: (series, installation, pass, point); a repeated reading has the same."""
         return self.series, self.installation, self.pass_number, self.point
 
     def __str__(self) -> str:
         return f"installation {self.installation}, pass {self.pass_number}, point {self.point}"
 
     def to_json(self) -> dict[str, Any]:
-        """Return the reading as JSON for an event of the record."""
+        """Return the reading as a JSON object for an event of the record."""
         own = {_KEYS.get(name, name): value for name, value in asdict(self).items()}
         return {
             name: value
@@ -99,9 +98,9 @@ class Reading:
 
     @classmethod
     def from_json(cls, row: Mapping[str, Any]) -> Reading:
-        """Return the reading of an event, of older versions, too.
+        """Return the reading from the JSON object of an event, also of an older version.
 
-        Raises `KeyError`, `TypeError`, `ValueError` for what is none.
+        Raises `KeyError`, `TypeError`, `ValueError` if the object is not a reading.
         """
         given: dict[str, Any] = {}
         for name, key in _RECORDED:
@@ -117,7 +116,7 @@ class Reading:
         return reading
 
     def _check(self) -> None:
-        """Raise `ValueError` or `TypeError` for a wrong number of values, or one that is no number."""
+        """Raise `ValueError` or `TypeError` for a wrong number of values or a value of the wrong type."""
         if not len(self.mean) == len(self.sd) == len(CHANNELS):
             raise ValueError("a reading has three channels")
         for count in (self.series, self.pass_number, self.point, self.samples_taken):
@@ -145,31 +144,31 @@ class Reading:
 
 
 _WHERE_KNOWN: Final = ("rails", "temperature_source", "chamber_c")
-"""Written of a bench alone that has a supply, or a thermometer at the block."""
+"""Fields that are left out of the record if empty: they need a power supply or a thermometer at the block."""
 
 _KEYS: Final = {"pass_number": "pass"}
-"""Fields that have another name in the record."""
+"""Fields with a different name in the record."""
 
 _LARGEST: Final = 2**31
 
 _RAILS: Final = "rails"
-"""Fields that are left out of the record where they are empty."""
 
 _RECORDED: Final = tuple((of.name, _KEYS.get(of.name, of.name)) for of in fields(Reading))
-"""The fields of a reading with their names in the record."""
+"""Each field of a reading with its name in the record."""
 
 _NUMBERS: Final = frozenset({int, float})
 
 
 def readings_of(taken: Sequence[Reading], source: str, power: Sequence[tuple[float, str]] = ()) -> Readings:
-    """Make the table of readings. Scan order and reference are among its extra columns where any has them.
+    """Return the table of the readings `taken`, named `source`.
 
-    So are voltage and current of each rail, and the time since the block was switched on; `power` is when it was
-    (`since_power_on_cells`).
+    The scan order, the reference, the temperature source, the rails and the time since power-on become extra
+    columns if any reading has them. `power` lists the states of the supply, as for `since_power_on_cells`.
     """
 
     def column(name: str) -> Floats:
-        return np.array([getattr(reading, name) for reading in taken], dtype=np.float64)  # None becomes NaN
+        # numpy converts None to NaN
+        return np.array([getattr(reading, name) for reading in taken], dtype=np.float64)
 
     extra = {
         SCAN_ORDER: [reading.scan_order for reading in taken],

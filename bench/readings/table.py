@@ -1,6 +1,6 @@
-"""The table of readings that every analysis works on.
+"""The table of readings on which every analysis works.
 
-The same for a live run, a recorded run, a file of a laboratory that measured by hand, a simulation.
+A live run, a recorded run, a file of manual measurements and a simulation all give this table.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ FREE: Final = "F"
 SHORTED: Final = "S"
 REFERENCE: Final = "R"
 UNORIENTED: Final = frozenset({FREE, SHORTED, REFERENCE})
-"""Kinds of rows without a meaningful head angle, which may be empty."""
+"""Labels of rows without a meaningful head angle, whose angle cell may be empty."""
 
 SCAN_ORDER: Final = "scan_order"
 """The extra column with the order in which the channels were read, such as "xyz"."""
@@ -33,31 +33,31 @@ REFERENCE_V: Final = "reference_v"
 """The extra column with the voltage at a reference input."""
 
 TEMPERATURE_SOURCE: Final = "temperature_source"
-"""The extra column with what told the temperature of the block, where that was a thermometer of its own."""
+"""The extra column with the sensor that measured the temperature of the block, if it has its own thermometer."""
 
 CHAMBER_C: Final = "chamber_c"
-"""The extra column with the air of the chamber beside it, °C."""
+"""The extra column with the chamber's air temperature, °C, if the block has its own thermometer."""
 
 MOST_DECIMALS: Final = 8
-"""A 34401A's reply has so many: what is given to more is no reading as it came from a meter."""
+"""Decimals in a 34401A's reply: a signal with more was computed, not read from a meter."""
 
 UNITS: Final[Mapping[str, str]] = {"v": "V", "counts": "counts", "g": "g", "ms2": "m/s^2"}
-"""Suffix of the signal columns (ux_v, ux_counts, ux_g, ux_ms2) to the unit as printed."""
+"""Suffix of the signal columns (ux_v, ux_counts, ux_g, ux_ms2) to the printed unit."""
 
 
 @dataclass(frozen=True)
 class Readings:
     """A table of n settled readings as columns, in the order of measurement.
 
-    `signal` (n, 3) is in `unit`; `angle_rad` is read back from the scale, `target_rad` what was asked for;
-    both, `time_s` and `temperature_c` are NaN where not given; `direction` is +1, -1 or 0 (not known);
-    `signal_sd` (n, 3) is the standard deviation of a reading's samples, NaN where not given.
-    `extra` keeps further columns as text; `notes` says what a reader of the table should know;
+    `signal` (n, 3) is in `unit`; `angle_rad` is read back from the scale, `target_rad` is the requested angle;
+    both, `time_s` and `temperature_c` are NaN if not given; `direction` is +1, -1 or 0 (unknown);
+    `signal_sd` (n, 3) is the standard deviation of a reading's samples, NaN if not given.
+    `extra` keeps further columns as text; `notes` are remarks for the user of the table;
     `skipped` lists rows that were left out on request, with the reason; `verification_missing` counts the
-    verification points that were planned or written but are not among the rows. `corrected` says that known
-    errors of the instruments are taken away; `resolution_read` is then the last digit before, in `unit`.
-    Where several runs are one table, `began_s` (n,) is when each row's run began on the clock of `time_s`, and
-    `block` (n,) numbers the blocks that were measured; None is one run, one block.
+    planned verification points that are not among the rows. `corrected` says that known instrument
+    errors are corrected; `resolution_read` is then the resolution before correction, in `unit`.
+    In a table of several runs, `began_s` (n,) is the start of each row's run on the clock of `time_s`, and
+    `block` (n,) the number of the block measured; None means a single run or block.
     """
 
     source: str
@@ -85,16 +85,16 @@ class Readings:
 
     @property
     def run(self) -> Ints:
-        """Number of the run that a row is of, in the order of their beginnings, shape (n,)."""
+        """The run number of each row, shape (n,), from 0 in the order in which the runs began."""
         if self.began_s is None:
             return np.zeros(len(self), dtype=np.int64)
         return np.unique(self.began_s, return_inverse=True)[1].astype(np.int64)
 
     @property
     def resolution(self) -> float:
-        """The last digit that the signals are given to, in `unit`; 0 where they have more than 8 decimals.
+        """The last digit of the signals, in `unit`; 0 if they have more than 8 decimals.
 
-        Means of several samples have a digit more than the samples: it is theirs that counts here.
+        It is the last digit of the means, which may have one more digit than the samples.
         """
         if self.resolution_read is not None:
             return self.resolution_read
@@ -118,11 +118,11 @@ class Readings:
 
     @property
     def is_oriented(self) -> NDArray[np.bool_]:
-        """True for rows with the block in an installation, but not for verification, shape (n,)."""
+        """Mask of the rows with the block mounted in an installation, without verification rows, shape (n,)."""
         return ~np.isin(self.installation, [VERIFICATION, *UNORIENTED])
 
     def oriented(self) -> Readings:
-        """Return the rows that a calibration fits: mounted in an installation, not for verification."""
+        """Return the rows that a calibration fits: mounted in an installation, without verification rows."""
         return self.select(self.is_oriented)
 
     def verification(self) -> Readings:
@@ -132,7 +132,7 @@ class Readings:
     def conditions(self) -> Conditions:
         """Return the conditions of the rows for the forward model, at the angles read back.
 
-        The scan order is that of the column `scan_order`; raises `ValueError` where it is none.
+        Raises `ValueError` if a cell of the column `scan_order` is invalid.
         """
         return Conditions.of(
             self.installation.tolist(),
@@ -154,9 +154,9 @@ class Readings:
 
 
 def scan_order(text: str) -> tuple[int, ...]:
-    """Return the channels 0, 1, 2 in the order of a text such as "zyx"; of an empty one, x, y, z.
+    """Return the channel numbers in the order of a text: "zyx" gives (2, 1, 0), an empty text (0, 1, 2).
 
-    Raises `ValueError` for a text that is no order of the three.
+    Raises `ValueError` if the text is not a permutation of "xyz".
     """
     order = tuple("xyz".find(letter) for letter in text.strip().lower())
     if order and sorted(order) != [0, 1, 2]:
@@ -184,7 +184,7 @@ def make_readings(
     samples: Sequence[int] | Floats | None = None,
     scan_order: list[str] | None = None,
 ) -> Readings:
-    """Build a table from columns of length n; those left out take the values that stand for "not given"."""
+    """Return a table made of columns of length n; omitted columns get the values that mean "not given"."""
     n = len(installation)
 
     def whole(values: Sequence[int] | Floats | None, default: int) -> Ints:
@@ -220,9 +220,9 @@ BETWEEN_S: Final = 3600.0
 
 @dataclass(frozen=True)
 class JoinedPart:
-    """A table, and the time at which its clock began, s of any common clock; None where it is not known.
+    """A table to join, with the start of its clock on a clock common to all tables, s, None if unknown.
 
-    `block` is the number of the block that it is of, `None` where nobody says.
+    `block` is the number of the block measured, None if unknown.
     """
 
     readings: Readings
@@ -231,14 +231,13 @@ class JoinedPart:
 
 
 def together(parts: Sequence[JoinedPart]) -> Readings:
-    """Return one table of several, in the order in which they were measured.
+    """Return several tables joined into one, in the order in which they were measured.
 
-    Series are renumbered so that no mounting of one table is taken for one of another: the first table keeps
-    its own, each further one begins after the last series before it. Times run on: with the real distance
-    where every table has its beginning and none begins before another ends, else `BETWEEN_S` apart; rows
-    without a time get one at the pace of `Conditions.elapsed_s`; `Readings.began_s` keeps when the clock of each
-    run began. `notes` say which table became what. Raises
-    `ValueError` for tables in different units.
+    Series are renumbered to keep the mountings of different tables apart: the first table keeps its numbers, each
+    further table continues after the last. Times are placed on one clock: with the real intervals if every table
+    has a start and they do not overlap, else `BETWEEN_S` apart. Rows without a time get one from
+    `Conditions.elapsed_s`. `Readings.began_s` holds the start of each run's clock; `notes` state the new series
+    and start of each table. Raises `ValueError` for tables in different units.
     """
     units = {part.readings.unit: part.readings.source for part in parts}
     if len(units) > 1:
@@ -273,12 +272,12 @@ def together(parts: Sequence[JoinedPart]) -> Readings:
 
 
 def _clock_s(table: Readings) -> Floats:
-    """Return the time of each reading on the clock of the table, estimated where it is not given."""
+    """Return the time of each reading on the table's clock, s, estimated if not given."""
     return table.time_s if table.began_s is not None else table.conditions().elapsed_s
 
 
 def _starts(parts: Sequence[JoinedPart]) -> tuple[list[JoinedPart], list[float], bool]:
-    """Return the tables in order, when the first reading of each was taken, s, and whether that is measured."""
+    """Return the tables in order of time, the time of each first reading, s, and whether the times are measured."""
     lasts = {id(part): float(np.max(clock_s) - clock_s[0]) for part, clock_s in _clocks(parts)}
     known = [p.began_s + _first_s(p.readings) for p in parts if p.began_s is not None]
     if len(known) == len(parts):
@@ -303,7 +302,7 @@ def _first_s(table: Readings) -> float:
 
 
 def stacked(tables: Sequence[Readings], notes: tuple[str, ...] = ()) -> Readings:
-    """Return tables joined one after another; the notes of each begin with its name."""
+    """Return the tables concatenated, with `notes` first; each table's own notes are prefixed with its name."""
     columns: dict[str, Any] = {
         of.name: np.concatenate([getattr(table, of.name) for table in tables])
         for of in fields(Readings)

@@ -1,1 +1,1 @@
-"""Results: each with its model, of which JSON and schema come, its text, its page and its plots."""
+"""Results of the commands: typed models, which give JSON and schema, and their text, pages and plots."""

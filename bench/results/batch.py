@@ -1,4 +1,4 @@
-"""The result of `bench batch`: how verdicts and coefficients differ from the stored ones; as JSON and text."""
+"""The result of `bench batch`, which compares new verdicts and coefficients with the stored ones."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _ON_SCREEN: Final = 20
 
 
 class FileAsked(ResultModel):
-    """A file that the batch was asked to use."""
+    """A file that was named in an option of the batch."""
 
     file: str
     sha256: str
@@ -34,7 +34,7 @@ class ProgramPart(ResultModel):
 
 
 class RunsPart(ResultModel):
-    """Numbers of runs in the batch."""
+    """The numbers of runs in the batch."""
 
     listed: int = Field(description="runs that the patterns or the query find")
     done: int = Field(description="runs that have a row")
@@ -45,7 +45,7 @@ class RunsPart(ResultModel):
 
 
 class Counted(ResultModel):
-    """Numbers of runs whose new result differs from the stored one."""
+    """The numbers of runs whose new result differs from the stored one or equals it."""
 
     different: int = Field(description="runs of which it would be different")
     same: int = Field(description="runs of which it stays")
@@ -64,13 +64,13 @@ class VerdictChange(ResultModel):
 
 
 class VerdictsPart(Counted):
-    """Numbers of runs whose new verdict differs from the stored one."""
+    """The numbers of runs whose new verdict differs from the stored one or equals it."""
 
     changes: list[VerdictChange] = Field(description="how many runs go from which verdict to which")
 
 
 class ChangeInU(ResultModel):
-    """The largest change of a coefficient in each run, in units of its stored u."""
+    """The largest change of a coefficient in each run, in units of its stored u: statistics over the runs."""
 
     median: float
     of_95_percent: float
@@ -80,7 +80,7 @@ class ChangeInU(ResultModel):
 
 
 class RatioPart(ResultModel):
-    """Ratio of the new u to the stored u."""
+    """The range of the ratio of the new u to the stored u."""
 
     least: float
     most: float
@@ -96,7 +96,7 @@ class _Different(ResultModel):
 
 
 class DifferentVerdict(_Different):
-    """A run whose verdict would be different."""
+    """A run whose new verdict differs from the stored one."""
 
     worst_delta_g_stored: float | None = Field(description="g")
     worst_delta_g: float | None = Field(description="g")
@@ -104,7 +104,7 @@ class DifferentVerdict(_Different):
     largest_change_of: str | None
 
     def cells(self) -> list[str]:
-        """Return what a table says of it beside the verdicts."""
+        """Return the cells of its table row after the verdicts."""
         sizes = (self.worst_delta_g_stored, self.worst_delta_g)
         change = self.largest_change_in_u
         went = "" if change is None else f"{change:.2g} u in {self.largest_change_of}" if change else "none"
@@ -112,25 +112,25 @@ class DifferentVerdict(_Different):
 
 
 class DifferentNames(_Different):
-    """A run whose diagnosis would be different."""
+    """A run whose new diagnosis differs from the stored one."""
 
     names_stored: str
     names: str
 
     def cells(self) -> list[str]:
-        """Return what a table says of it beside the verdicts."""
+        """Return the cells of its table row after the verdicts."""
         return [self.names_stored, self.names]
 
 
 class FailedRun(ResultModel):
-    """A run that gave no result."""
+    """A run that could not be evaluated, and the reason."""
 
     run: str
     why: str
 
 
 class MeasuredWith(ResultModel):
-    """How many runs a version of the program measured."""
+    """The number of runs that were measured with one version of the program."""
 
     version: str | None
     runs: int
@@ -140,7 +140,7 @@ Asked = bool | int | float | str | FileAsked | list[float] | list[FileAsked] | N
 
 
 class BatchResult(ResultModel):
-    """Many runs computed anew: `bench batch … --json`, and `summary.json` in the batch's folder."""
+    """The results of many runs computed again: `bench batch … --json`, and `summary.json` in its folder."""
 
     command: Literal["calibrate", "diagnose", "report"]
     over: list[str] = Field(description="patterns, or words of a query")
@@ -164,12 +164,12 @@ class BatchResult(ResultModel):
     files: list[str] = Field(description="tables in the batch's folder")
 
     def accepted(self, *, strict: bool = False) -> bool:
-        """Whether no verdict differs and no run failed; where `strict`, neither fit nor names differ."""
+        """Return whether no verdict differs and no run failed; `strict` also counts differences in fit or names."""
         more = (self.fit or self.names) if strict else None
         return not (self.verdicts.different or self.runs.failed or (more and more.different))
 
     def print_on(self, out: Console, folder: Path) -> None:
-        """Print which verdicts differ, how far coefficients went, and the tables in the batch's folder."""
+        """Print the verdicts that differ, the changes of the coefficients, and the paths of the tables."""
         self._print_runs(out)
         self._print_verdicts(out)
         if self.different:
@@ -255,7 +255,7 @@ def _option(value: Asked) -> str:
 
 
 def _short(run: str) -> str:
-    """Return the path of a run from the working folder, where it is in it."""
+    """Return the path of a run relative to the working folder if the run is in that folder."""
     path = Path(run)
     return str(path.relative_to(Path.cwd())) if path.is_relative_to(Path.cwd()) else run
 

@@ -1,4 +1,4 @@
-"""The result of `bench budget`: as JSON, as text in the terminal, as a page with its figures."""
+"""The result of `bench budget` as JSON, as text, and as a page with figures."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ BySource = Annotated[dict[str, float], Field(description="standard uncertainty f
 
 
 class ReadingCounts(ResultModel):
-    """How many readings of the procedure are fitted, and how many are verification points."""
+    """The numbers of readings that are fitted, and of verification points, in the procedure."""
 
     fitted: int
     verification: int
@@ -57,14 +57,14 @@ class CoefficientPart(ResultModel):
 
 
 class CovariancePart(ResultModel):
-    """Standard uncertainties of the twelve coefficients, with their covariance."""
+    """Standard uncertainties and covariance of the twelve coefficients."""
 
     u: Twelve
     covariance: Matrix
 
 
 class SourcePart(ResultModel):
-    """An error of the bench, and what it contributes to the coefficients."""
+    """An error source of the bench, and its contribution to the coefficients."""
 
     symbol: str
     u: float = Field(description="standard uncertainty, SI")
@@ -85,7 +85,7 @@ class SourcePart(ResultModel):
 
 
 class AccelerationPart(ResultModel):
-    """Uncertainty of any measured acceleration."""
+    """The uncertainty of any measured acceleration."""
 
     range_g: float
     same_voltmeters: bool = Field(description="whether it is read with the voltmeters of the calibration")
@@ -93,7 +93,7 @@ class AccelerationPart(ResultModel):
 
 
 class VerificationPart(ResultModel):
-    """How well the check at the verification points can judge a block."""
+    """The uncertainty of Δg at each verification point, and whether the check is capable of a decision."""
 
     limit_g: float
     rule: str
@@ -114,7 +114,7 @@ class VerificationPart(ResultModel):
 
 
 class OutputPart(ResultModel):
-    """A coefficient or a Δg by Monte Carlo, beside the linear result."""
+    """A coefficient or a Δg by the Monte Carlo method, compared with the linear result."""
 
     mean: float
     u: float
@@ -128,7 +128,7 @@ class OutputPart(ResultModel):
 
 
 class MonteCarloPart(ResultModel):
-    """The budget by Monte Carlo on the exact geometry (JCGM 101, clause 8)."""
+    """The budget by the Monte Carlo method on the exact geometry (JCGM 101, clause 8)."""
 
     trials: int
     probability: float
@@ -139,7 +139,7 @@ class MonteCarloPart(ResultModel):
 
 
 class BudgetResult(ResultModel):
-    """The contribution of each error of the bench to each coefficient and to a measured acceleration."""
+    """The contribution of each error source to the coefficients and to a measured acceleration."""
 
     bench: str
     bench_file: BenchPart
@@ -170,11 +170,11 @@ class BudgetResult(ResultModel):
         return self.verification.capable
 
     def report(self, path: str | Path) -> None:
-        """Write the page (HTML, with everything in it). Raises `OSError`."""
+        """Write the budget as one self-contained HTML page. Raises `OSError`."""
         write_whole(Path(path), render_budget(self))
 
     def print_on(self, out: Console) -> None:
-        """Print coefficients by source, measured accelerations, the check, Monte Carlo and notes."""
+        """Print the tables of coefficients, sources, accelerations and verification points, and the notes."""
         out.print(_headline(self))
         out.print(
             "standard uncertainties by source: K in µV/g, U0 in µV; * a plausible size, not a stated one"
@@ -188,7 +188,7 @@ class BudgetResult(ResultModel):
         print_notes(out, self.notes)
 
     def __repr__(self) -> str:
-        """Return the tables with the notes."""
+        """Return the printed tables and the bench file."""
         return f"{as_text(self.print_on)}\nbench: {self.bench_file.words}"
 
     def _repr_html_(self) -> str:
@@ -200,7 +200,7 @@ class BudgetResult(ResultModel):
 def budget_result(
     found: Assessment, *, bench: BenchPart, procedure: str, about: str, g_m_s2: float
 ) -> BudgetResult:
-    """Return the result of an assessment; `about` names the block that it is about."""
+    """Return the result of an assessment; `about` names the block to which the budget applies."""
     budget, question = found.budget, found.question
     total, setup, contributions = budget.combined, budget.setup, budget.contributions
     factor = coverage_factor(total.dof, budget.probability)
@@ -301,7 +301,7 @@ def _headline(result: BudgetResult) -> str:
 
 
 def _coefficient_table(result: BudgetResult) -> Table:
-    """Return the table of sources by coefficient, with combined u, effective degrees of freedom and U."""
+    """Return a table of sources by coefficients, with combined u, effective degrees of freedom and U."""
     shown = _table("source", *result.order)
     for row in _by_source(result):
         shown.add_row(row.head, *row.cells)
@@ -356,7 +356,7 @@ def _table(first: str, *others: str) -> Table:
     return table(first, *(f">{heading}" for heading in others), no_wrap=True)
 
 
-# --- rows of the tables, in the terminal and on the page ------------------------------------------------
+# --- rows of the tables, for both terminal and page -----------------------------------------------------
 
 ACCELERATION_COLUMNS: Final = (
     "u(|a|) mean", "largest", "U(|a|) largest", "u(vector) mean", "largest", "most of it",
@@ -370,7 +370,7 @@ def _by_source(result: BudgetResult) -> Iterator[Row]:
 
 
 def _combined(result: BudgetResult) -> Iterator[Row]:
-    """Yield the sums over sources: of the stand, per local g, of all; then degrees of freedom and U."""
+    """Yield the rows below the sources: u of the stand, u per local g, combined u, degrees of freedom, U."""
     coefficients = [result.coefficients[name] for name in result.order]
     if "stand" in result.groups:
         yield Row("stand, as calibrate states", _micro(result.groups["stand"].u))
@@ -428,7 +428,7 @@ def _micro(values: Iterable[float]) -> tuple[str, ...]:
 
 
 def render_budget(result: BudgetResult) -> str:
-    """Return the page; the same result gives the same text."""
+    """Return the HTML page; the same result always gives the same text."""
     check = result.verification
     return page(
         "budget.html.j2",
@@ -460,13 +460,13 @@ def render_budget(result: BudgetResult) -> str:
 COLOURS: Final = (BLUE, VERMILION, GREEN, ORANGE, PURPLE, "#56B4E9", "#F0E442", GREY)
 HATCHES: Final = ("", "////", "....", "xxxx")
 VISIBLE: Final = 0.01
-"""Sources with less than this part of every variance are drawn together."""
+"""Sources below this fraction of every coefficient's variance are drawn as one, "others"."""
 DOTS_PER_INCH: Final = 160
 
 
 @dataclass(frozen=True)
 class BudgetFigure:
-    """A figure by name, with what it shows in words."""
+    """A figure: its name, size in inches, drawing function, and alternative text."""
 
     name: str
     inches: tuple[float, float]
@@ -478,7 +478,7 @@ class BudgetFigure:
         return svg_figure(self.name, self.inches, self.draw, self.alt)
 
     def save(self, folder: Path) -> tuple[Path, Path]:
-        """Draw the figure once, write it as SVG and as PNG, and return both files. Raises `OSError`."""
+        """Write the figure as SVG and as PNG to a folder; return both paths. Raises `OSError`."""
         with drawn(self.name, self.inches, self.draw) as figure:
             svg, png = folder / f"{self.name}.svg", folder / f"{self.name}.png"
             figure.savefig(png, dpi=DOTS_PER_INCH)
@@ -487,12 +487,12 @@ class BudgetFigure:
 
 
 def figures(result: BudgetResult) -> tuple[BudgetFigure, ...]:
-    """Return the figures of a budget's result."""
+    """Return the two figures of a budget: contributions by coefficient, and u of a measured acceleration."""
     return contributions(result), modulus(result)
 
 
 def contributions(result: BudgetResult) -> BudgetFigure:
-    """Bars as high as the combined u of each coefficient, parted as the sources part its variance."""
+    """Return a bar chart of the combined u of each coefficient, divided like its variance among the sources."""
     names = result.order
     u = np.array([result.coefficients[name].u for name in names])
     parts = {name: np.array(source.contribution_u) ** 2 for name, source in result.sources.items()}
@@ -518,7 +518,7 @@ def contributions(result: BudgetResult) -> BudgetFigure:
 
 
 def modulus(result: BudgetResult) -> BudgetFigure:
-    """u of |a| against |a|: mean and largest over directions, and the sources that matter (mean)."""
+    """Return a plot of u(|a|) against |a|: mean and maximum over directions, and the larger sources."""
     rows = result.acceleration.magnitudes
     at = np.array([row.magnitude_g for row in rows])
     mean = np.array([row.u_modulus_mean for row in rows])
@@ -551,7 +551,7 @@ def modulus(result: BudgetResult) -> BudgetFigure:
 
 
 def _gathered(shares: Mapping[str, Floats]) -> dict[str, Floats]:
-    """Return the shares that are large enough to be seen, and the sum of all others."""
+    """Return the shares that reach `VISIBLE`, and "others", the sum of the rest."""
     seen = {source: share for source, share in shares.items() if np.max(share) >= VISIBLE}
     rest = sum((share for source, share in shares.items() if source not in seen), np.zeros(12))
     return {**seen, "others": rest} if np.any(rest > 0.0) else seen

@@ -38,7 +38,7 @@ from bench.results.parts import (
 
 
 class PerMs2Part(ResultModel):
-    """K per m/s², from K per g and `g_m_s2`, whose own uncertainty is in `u`."""
+    """K per m/s²: K per g divided by `g_m_s2`, with the uncertainty of local gravity included in `u`."""
 
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, ValuePart]
@@ -47,13 +47,13 @@ class PerMs2Part(ResultModel):
 
 
 class WidenedFitPart(FitPart):
-    """Lack of fit against the repeats, and the factor by which it widens u."""
+    """A test for lack of fit against the repeats, and the factor by which it widens u."""
 
     birge: float = Field(description="by how much u is widened because the model does not fit; 1: not")
 
 
 class NoisePriorPart(ResultModel):
-    """The prior sizes of the noise, which u includes beside the readings."""
+    """The prior of the noise, which is combined with the scatter of the readings."""
 
     reading_v: float = Field(description="of a reading, unit of the signal, 1 sigma")
     setting_arcsec: float
@@ -72,7 +72,7 @@ class NoisePriorPart(ResultModel):
 
 
 class ComponentPart(ResultModel):
-    """A component of variance that several readings share."""
+    """A variance component that several readings have in common."""
 
     what: str = Field(description="what shares it: setting, angle of a setting, visit, pass, drift")
     channels: str
@@ -85,7 +85,7 @@ class ComponentPart(ResultModel):
 
 
 class DriftPart(ResultModel):
-    """The drift of the biases about their means over the run."""
+    """The drift of the biases over the run, relative to their means."""
 
     hours: float
     rms: dict[str, float]
@@ -93,7 +93,7 @@ class DriftPart(ResultModel):
 
 
 class NoisePart(ChannelsPart):
-    """The noise of a reading in x, y and z, and the noise that readings share, as standard deviations."""
+    """The noise of a reading by channel, and the noise common to several readings, as standard deviations."""
 
     reading_v: float = Field(
         description="of a reading, root mean square of the three channels, unit of the signal"
@@ -116,7 +116,7 @@ class NoisePart(ChannelsPart):
 
 
 class OutlierPart(ResultModel):
-    """A signal that the model and the other readings contradict."""
+    """A signal that contradicts the model and the other readings."""
 
     row: int = Field(description="row of the table, from 1")
     series: int
@@ -131,7 +131,7 @@ class OutlierPart(ResultModel):
 
 
 class FreePositionPart(ResultModel):
-    """A free position that joined the fit."""
+    """A free position (unknown orientation) used in the fit through |a| = 1 g."""
 
     installation: str
     pass_number: int = Field(alias="pass")
@@ -140,7 +140,7 @@ class FreePositionPart(ResultModel):
 
 
 class FreePositionsPart(ResultModel):
-    """The free positions that joined the fit by |a| = 1 g."""
+    """The free positions used in the fit through |a| = 1 g."""
 
     used: int
     rms_g: float = Field(description="of |a| − 1 over all of them")
@@ -149,14 +149,14 @@ class FreePositionsPart(ResultModel):
 
 
 class ArrayWithU(ResultModel):
-    """Numbers with their standard uncertainties."""
+    """A vector or matrix with standard uncertainties."""
 
     value: list[float] | Matrix
     u: list[float] | Matrix
 
 
 class TriangularPart(ResultModel):
-    """The nine coefficients that remain where no reading had a known orientation: K is triangular."""
+    """The nine coefficients that free positions alone determine, with a triangular K."""
 
     convention: str
     bias: ArrayWithU
@@ -165,7 +165,7 @@ class TriangularPart(ResultModel):
 
 
 class CertificateReadPart(ResultModel):
-    """The certificate that the result was read from (`bench certificate read`)."""
+    """The certificate from which the result was read (`bench certificate read`)."""
 
     number: str
     laboratory: str
@@ -173,7 +173,7 @@ class CertificateReadPart(ResultModel):
 
 
 class PriorPart(ResultModel):
-    """The prior from units of the block's type (`--prior`), and its effect on the result."""
+    """The prior from other units of the same type (`--prior`), and its effect on the result."""
 
     file: str
     type: str = Field(description="of the units")
@@ -189,9 +189,10 @@ class PriorPart(ResultModel):
 
 
 class CalibrateResult(ResultModel):
-    """Coefficients of U = K a + U0 with their uncertainty.
+    """The coefficients of U = K a + U0 with their uncertainty.
 
-    With several sources a list of these, and of `source-failed` where one could not be evaluated.
+    For several sources, the output is a list of these; a source that could not be evaluated has a `source-failed`
+    object in its place.
     """
 
     estimator: str = Field(description="name of the estimator")
@@ -254,7 +255,7 @@ class CalibrateResult(ResultModel):
 
 
 def calibrate_result(found: Calibration, **made_from: Any) -> CalibrateResult:
-    """Return a calibration as `--json` writes it; `made_from` are the members from `source` on."""
+    """Return the result of a calibration; `made_from` are the members from `source` on."""
     rows = (found.block.vector, found.u, found.u_readings, found.U, found.dof)
     columns = zip(COEFFICIENTS, *(row.tolist() for row in rows), strict=True)
     return CalibrateResult.from_object(
@@ -279,7 +280,7 @@ def calibrate_result(found: Calibration, **made_from: Any) -> CalibrateResult:
 
 
 def _per_ms2(found: Calibration) -> dict[str, Any]:
-    """Return K in unit/(m/s²), from K per g by the g that is stated, with its uncertainty."""
+    """Return K in unit/(m/s²), calculated from K per g and local g, with the uncertainty of both."""
     values = found.block.vector[:9]
     u = np.hypot(found.u[:9], values * found.gravity_u) / found.g_m_s2
     return {"unit": f"{found.unit}/(m/s^2)", **values_with_u(values / found.g_m_s2, u)}
@@ -343,7 +344,7 @@ def _triangular(found: Triangular) -> dict[str, Any]:
 
 
 def headline(name: str, found: Calibration) -> str:
-    """Return a sentence that names the calibrated readings and the method."""
+    """Return a line with the name of the source, the estimator, the model and the number of readings."""
     readings = f"{len(found.fitted)} readings"
     if found.free is not None:
         readings += f", {len(found.free)} by their modulus"
@@ -356,7 +357,7 @@ def headline(name: str, found: Calibration) -> str:
 
 
 def coefficients_table(found: Calibration) -> Table:
-    """Return the coefficients with u, U (k = 2) and u of the readings alone, rounded to two digits of u."""
+    """Return a table of the coefficients with u, U (k = 2) and the u from the readings alone."""
     shown = table("coefficient", ">value", ">u", ">U (k=2)", ">u, readings", "")
     rows = (found.block.vector, found.u, found.U, found.u_readings)
     for name, *sizes in zip(COEFFICIENTS, *(row.tolist() for row in rows), strict=True):
@@ -369,7 +370,7 @@ def coefficients_table(found: Calibration) -> Table:
 
 
 def sources_table(found: Calibration) -> Table:
-    """Return further contributions to u, which the readings do not show: size, origin, and what each costs."""
+    """Return a table of the error sources that the readings do not show, with the largest contribution of each."""
     shown = table("u holds also", ">u", "from", ">most", "in")
     for source in found.sources:
         u = u_of(source.covariance)
@@ -385,7 +386,7 @@ def sources_table(found: Calibration) -> Table:
 
 
 def print_calibration(name: str, found: Calibration, notes: Sequence[str], out: Console) -> None:
-    """Print the coefficients, the noise, the fit, outliers, notes, and what is assumed."""
+    """Print the coefficients, noise, fit, outliers, notes and assumptions."""
     out.print(headline(name, found))
     out.print(f"U = K a + U0, a the specific force in g (+1 g on an upward axis), U in {found.unit}")
     out.print(coefficients_table(found))

@@ -1,4 +1,4 @@
-"""The results of `bench catalogue`: sync, answers, units, due dates; as JSON, as text, a unit as a page."""
+"""The results of `bench catalogue`: sync, queries, units, due dates; as JSON, as text, and a unit as a page."""
 
 from __future__ import annotations
 
@@ -28,21 +28,21 @@ _COLUMNS_ON_SCREEN: Final = {
     "runs": ("name", "created", "unit", "bench", "state", "verdict", "diagnosis", "problem"),
     "coefficients": ("name", "created", "unit", "bench", "Kxx", "Kyy", "Kzz", "U0x", "U0y", "U0z"),
 }
-"""Columns of a question that a terminal shows, where that is not all."""
+"""Columns that a terminal shows, by type of row; all columns for types that are not listed here."""
 
 Row = dict[str, bool | int | float | str | None]
 """A row by column; null where nothing was recorded, times in UTC (ISO 8601)."""
 
 
 class FolderProblem(ResultModel):
-    """A folder with a problem that the sync found, and the reason."""
+    """A folder with a problem found by the sync."""
 
     path: str = Field(description="the folder")
     reason: str = Field(description="why it holds no run of the catalogue, or what is wrong with its run")
 
 
 class SyncResult(ResultModel):
-    """The result of a sync of the catalogue, as numbers of run folders."""
+    """The result of synchronising the catalogue with the run folders."""
 
     catalogue: str = Field(description="its file, or its URL without the password")
     added: int = Field(description="runs that were not there")
@@ -53,7 +53,7 @@ class SyncResult(ResultModel):
     problems: list[FolderProblem]
 
     def print_on(self, out: Console) -> None:
-        """Print each problem, and the counts."""
+        """Print the problems and the counts."""
         for one in self.problems:
             out.print(f"{one.path}: {one.reason}")
         bad = f", {len(self.problems)} with a problem" if self.problems else ""
@@ -65,7 +65,7 @@ class SyncResult(ResultModel):
 
 
 class AskResult(ResultModel):
-    """The answer to a question to the catalogue: rows by column."""
+    """The answer to a catalogue query, as rows."""
 
     query: list[str] = Field(description="the words of the question")
     of: Literal[
@@ -75,7 +75,7 @@ class AskResult(ResultModel):
     rows: list[Row] = Field(description="a row by column; null where nothing was recorded, times in UTC")
 
     def print_on(self, out: Console) -> None:
-        """Print the first rows, with the columns that a terminal has room for."""
+        """Print the first rows with the columns that fit a terminal."""
         if self.rows:
             names = [name for name in _COLUMNS_ON_SCREEN.get(self.of, self.rows[0]) if name in self.rows[0]]
             shown = table(*(name.replace("_", " ") for name in names))
@@ -86,7 +86,7 @@ class AskResult(ResultModel):
 
 
 class DuePart(ResultModel):
-    """The day when a unit is due for calibration, with the reason."""
+    """The date on which a unit is due for calibration, and the reason."""
 
     due: str = Field(description="the day")
     basis: Literal["drift", "interval"] = Field(
@@ -104,20 +104,20 @@ class DuePart(ResultModel):
 
 
 class UnitDue(DuePart):
-    """The day when a unit is due for calibration, with the name of the unit."""
+    """The date on which a unit is due for calibration, with the unit's name."""
 
     unit: str = Field(description="type and serial number")
 
 
 class DueResult(ResultModel):
-    """The days when units are due for calibration, the earliest first."""
+    """The dates on which units are due for calibration, earliest first."""
 
     query: list[str] = Field(description="the words of the question")
     units: list[UnitDue]
     not_known: dict[str, str] = Field(description="units of which no date is known, with the reason")
 
     def print_on(self, out: Console) -> None:
-        """Print the first units, and why others have no date."""
+        """Print the first units due, and why other units have no date."""
         shown = table("due", "unit", "by", ">calibrations", "last", "")
         for one in self.units[:ON_SCREEN]:
             simulated = "simulated" if one.simulated else ""
@@ -130,7 +130,7 @@ class DueResult(ResultModel):
 
 
 class CoefficientThen(ResultModel):
-    """A coefficient as a calibration found it."""
+    """A coefficient from one calibration of a unit."""
 
     value: float = Field(description="in unit/g; a bias in unit")
     u: float = Field(description="standard uncertainty")
@@ -138,7 +138,7 @@ class CoefficientThen(ResultModel):
 
 
 class UnitCalibration(ResultModel):
-    """A calibration of a unit."""
+    """One calibration of a unit."""
 
     path: str = Field(description="folder of the run")
     created: str = Field(description="when it was begun, UTC")
@@ -162,7 +162,7 @@ class UnitResult(ResultModel):
     notes: list[str]
 
     def print_on(self, out: Console) -> None:
-        """Print the last coefficients with their changes, and when the unit is due."""
+        """Print the latest coefficients with their changes, and the due date."""
         made = f"{len(self.runs)} runs, {len(self.calibrations)} calibrations compared"
         out.print(f"{self.unit}: {made}{', SIMULATED' if self.simulated else ''}", style="bold")
         if self.calibrations:
@@ -179,7 +179,7 @@ class UnitResult(ResultModel):
 
 
 def due_part(found: Due) -> DuePart:
-    """Return when a unit is due as results have it."""
+    """Return the part of the result on the due date of a unit."""
     return DuePart(
         due=str(found.date.astype("datetime64[D]")),
         basis=found.basis,
@@ -203,12 +203,12 @@ def _cell(value: object) -> str:
         return "–"
     if isinstance(value, bool):
         return "yes" if value else "no"
-    if isinstance(value, str) and value.endswith("+00:00") and value[4:5] == "-":  # a time, UTC
+    if isinstance(value, str) and value.endswith("+00:00") and value[4:5] == "-":  # a time in UTC
         return value[:16].replace("T", " ")
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-# --- a unit: what changed, its page and its figure ----------------------------------------------------
+# --- a unit: page and figure --------------------------------------------------------------------------
 
 INCHES: Final = (7.4, 7.6)
 _RUN_COLUMNS: Final = (
@@ -217,7 +217,7 @@ _RUN_COLUMNS: Final = (
 
 
 def unit_page(result: UnitResult) -> str:
-    """Return the page of a unit (HTML); the same result gives the same text."""
+    """Return the HTML page of a unit; the same result always gives the same text."""
     from bench.results.tables import page
 
     calibrations = result.calibrations
@@ -233,13 +233,13 @@ def unit_page(result: UnitResult) -> str:
 
 
 def _expected(due: DuePart | None) -> list[str]:
-    """Return the errors expected at the last calibration and when due, in millionths of g, to two digits."""
+    """Return the expected errors at the last calibration and on the due date, in µg, as text."""
     sizes = [due.error_at_last_g, due.error_when_due_g] if due else []
     return ["–" if size is None else two_digits(size * 1e6) for size in sizes]
 
 
 def unit_figure(calibrations: Sequence[UnitCalibration]) -> str:
-    """Return an SVG element: each coefficient less its last value over time, with bars of k = 2."""
+    """Return an SVG element that plots each coefficient minus its last value over time, with bars U (k = 2)."""
     from bench.results.plots import svg_figure
 
     words = f"Each of the twelve coefficients in {len(calibrations)} calibrations, less its last value"
@@ -247,7 +247,7 @@ def unit_figure(calibrations: Sequence[UnitCalibration]) -> str:
 
 
 def unit_file(calibrations: Sequence[UnitCalibration]) -> str:
-    """Return the same figure as an SVG file of its own."""
+    """Return the figure of `unit_figure` as a standalone SVG file."""
     from bench.results.plots import svg_file
 
     return svg_file("unit", INCHES, _drawing(calibrations))
@@ -279,7 +279,7 @@ def _drawing(calibrations: Sequence[UnitCalibration]) -> Callable[[Figure], None
 
 
 def coefficient_rows(calibrations: Sequence[UnitCalibration]) -> list[tuple[str, ...]]:
-    """Return for each coefficient its last value, its U, the change since the one before and since the first."""
+    """Return a row for each coefficient: name, last value, U, changes since the previous and first values, unit."""
     if not calibrations:
         return []
     values, sizes = _arrays(calibrations)
@@ -295,7 +295,7 @@ def coefficient_rows(calibrations: Sequence[UnitCalibration]) -> list[tuple[str,
 
 
 def _arrays(calibrations: Sequence[UnitCalibration]) -> tuple[Floats, Floats]:
-    """Return values and standard uncertainties, (n, 12) each."""
+    """Return the values and the standard uncertainties of the coefficients, each (n, 12)."""
     values, sizes = (
         np.array([[getattr(one.coefficients[name], what) for name in COEFFICIENTS] for one in calibrations])
         for what in ("value", "u")

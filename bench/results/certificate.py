@@ -1,4 +1,4 @@
-"""The results of `bench certificate`: what was issued, what a register holds, a verdict; as JSON and as text."""
+"""The results of `bench certificate`: issued certificates, the content of a register, a verification."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from bench.base.text import visible
 
 
 class IssuedRun(ResultModel):
-    """The outcome for a run: its certificate, its draft, or the reason why there is none."""
+    """The outcome for a run: its certificate or draft, or the reason why there is none."""
 
     run: str
     number: str | None = Field(description="null for a draft, and where none was issued")
@@ -33,7 +33,7 @@ class IssuedRun(ResultModel):
 
 
 class CertificateResult(ResultModel):
-    """The outcome of `bench certificate` for each run."""
+    """The outcomes of `bench certificate` for all runs."""
 
     certificates: list[IssuedRun] = Field(description="one for each run, in their order")
 
@@ -42,7 +42,7 @@ State = Literal["issued", "amended", "replaced", "revoked"]
 
 
 class RegisteredCertificate(ResultModel):
-    """A certificate of the register."""
+    """A certificate in the register."""
 
     number: str
     issued: str = Field(description="civil time")
@@ -62,7 +62,7 @@ class RegisteredCertificate(ResultModel):
 
 
 class RegisterResult(ResultModel):
-    """The certificates in a register, and those of them that are missing or changed."""
+    """The certificates in a register, and the problems with their files."""
 
     register_: str = Field(alias="register", description="its folder")
     head: str = Field(description="SHA-256 of the last line, which proves all lines before it")
@@ -76,12 +76,12 @@ class RegisterResult(ResultModel):
             out.print(f"{one.number}  {one.issued[:10]}  {one.unit}  {one.run}  {state}")
 
     def print_head(self, out: Console) -> None:
-        """Print that the chain of hashes holds, and its last hash."""
+        """Print the number of certificates, and the last hash of the intact chain."""
         out.print(f"{len(self.certificates)} certificates, chain of hashes whole, head {self.head}")
 
 
 class SignerPart(ResultModel):
-    """Who signed."""
+    """The signer of a certificate."""
 
     name: str = Field(description="as the signer's certificate says")
     certificate_sha256: str
@@ -98,7 +98,7 @@ class CertifiedCoefficient(ResultModel):
 
 
 class CertificateSays(ResultModel):
-    """The content of a certificate: laboratory, customer, items and coefficients."""
+    """The contents of a certificate."""
 
     number: str
     laboratory: str
@@ -113,7 +113,7 @@ class CertificateSays(ResultModel):
     files: list[str] = Field(description="files in the XML")
 
     def print_on(self, out: Console) -> None:
-        """Print who certifies what for whom, and the coefficients."""
+        """Print the certificate's data and coefficients."""
         if self.simulated:
             out.print("SIMULATED: it certifies nothing of any real unit")
         for name, text in {
@@ -135,7 +135,7 @@ class CertificateSays(ResultModel):
 
 
 class RegisterSays(ResultModel):
-    """The entry of the laboratory's register for a certificate number."""
+    """The entry for a certificate in the laboratory's register."""
 
     folder: str
     named: bool = Field(description="whether --laboratory named it; else it is beside the file")
@@ -149,12 +149,12 @@ class RegisterSays(ResultModel):
 
     @property
     def holds(self) -> bool:
-        """Whether the certificate was issued, and neither amended nor revoked."""
+        """Whether the certificate was issued, and was not amended, replaced or revoked since."""
         return self.state == "issued"
 
     @property
     def words(self) -> str:
-        """The words after the verdict; empty for a certificate that holds."""
+        """The state as a suffix to the verdict; "" for a valid certificate."""
         if self.holds:
             return ""
         return f", {self.state.upper()} ({self.by})" if self.known else ", UNKNOWN TO THE REGISTER"
@@ -187,7 +187,7 @@ class VerifyResult(ResultModel):
     not_proved: list[str]
 
     def print_on(self, out: Console) -> None:
-        """Print the verdict; for a certificate that is not intact, print only the reasons."""
+        """Print the verdict; for a certificate that is not intact, only the reasons."""
         out.print(f"{self.file}: {self.verdict}")
         for why in self.wrong:
             out.print(f"  {visible(why)}")
@@ -209,7 +209,7 @@ class VerifyResult(ResultModel):
 
 
 def print_coefficients(result: Mapping[str, Any], out: Console) -> None:
-    """Print the coefficients of a result that has the form of `bench calibrate --json`."""
+    """Print a table of the coefficients in a result of the form of `bench calibrate --json`."""
     shown = table("coefficient", ">value", ">u", "")
     for name, one in result["coefficients"].items():
         digits = places(one["u"])

@@ -1,4 +1,4 @@
-"""The result of `bench check`: the steps of a procedure on a bench, and its mistakes; as JSON and as text."""
+"""The result of `bench check`: the steps of a procedure on a bench, and its problems; as JSON and as text."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class OpenCoefficients(ResultModel):
 
 
 class DirectionPart(ResultModel):
-    """A combination of coefficients and stand errors that stays open."""
+    """A linear combination of coefficients and stand errors that the readings do not determine."""
 
     kind: str = Field(description="`turn`: a common turn of the block's axes")
     text: str
@@ -50,7 +50,7 @@ class DirectionPart(ResultModel):
 
 
 class RemedyPart(ResultModel):
-    """A further measurement that would determine an open direction."""
+    """A further measurement that would determine further combinations."""
 
     text: str
     determines: int = Field(description="how many combinations more it determines")
@@ -58,7 +58,7 @@ class RemedyPart(ResultModel):
 
 
 class ObservabilityPart(ResultModel):
-    """Which coefficients and stand errors the readings determine."""
+    """The coefficients and stand errors that the readings determine, and those they do not."""
 
     rank: int
     unknowns: int
@@ -69,7 +69,7 @@ class ObservabilityPart(ResultModel):
 
 
 class UntilPart(ResultModel):
-    """Bench time and number of settings of a run with goals, at the noise that the bench file states."""
+    """The predicted time and number of settings of a run that stops at its goals (`--until`)."""
 
     draws: int
     noise_of_stated: float
@@ -84,7 +84,7 @@ class UntilPart(ResultModel):
 
 
 class CheckResult(ResultModel):
-    """The steps, time and mistakes of a procedure on a bench, and what its readings will determine."""
+    """The steps, expected time and problems of a procedure on a bench, and what its readings determine."""
 
     procedure: str
     bench: str
@@ -110,7 +110,7 @@ class CheckResult(ResultModel):
 
 @dataclass(frozen=True)
 class Findings:
-    """The result of a check, with what its text needs beside: the plan, the bench, the outlooks."""
+    """The result of a check with the objects that its text needs: plan, bench and predictions."""
 
     result: CheckResult
     plan: Plan
@@ -120,12 +120,12 @@ class Findings:
 
     @property
     def can_be_tried(self) -> bool:
-        """Whether nothing forbids a dry run."""
+        """Whether a dry run is possible."""
         return not (self.result.problems or self.result.dry_run_refuses)
 
 
 def observability_part(outlook: Outlook) -> ObservabilityPart:
-    """Return the part of a result on the coefficients and stand errors that planned readings leave open."""
+    """Return the part of a result on the coefficients and stand errors that planned readings determine."""
     found = outlook.found
     return ObservabilityPart(
         rank=found.rank,
@@ -141,7 +141,7 @@ def observability_part(outlook: Outlook) -> ObservabilityPart:
 
 
 def until_part(found: TimeOutlook) -> UntilPart:
-    """Return the part of a result on the duration of a run with goals."""
+    """Return the part of a result on the duration of a run that stops at its goals."""
     return UntilPart(
         draws=len(found.time_s),
         noise_of_stated=found.scale,
@@ -160,7 +160,7 @@ def until_part(found: TimeOutlook) -> UntilPart:
 
 
 def print_findings(found: Findings, out: Console, *, every_step: bool = False) -> None:
-    """Print the steps, times, what stays open, and every problem."""
+    """Print steps, expected times, undetermined coefficients and problems; `every_step` unfolds the steps."""
     result, plan, bench = found.result, found.plan, found.bench
     if (before := switched_before(plan, bench)) is not None:
         out.print(f"{'before':>13}  {before}")
@@ -201,7 +201,7 @@ def print_findings(found: Findings, out: Console, *, every_step: bool = False) -
 
 
 def _coefficients_in_words(not_determined: list[OpenCoefficients]) -> Iterator[str]:
-    """Say which coefficients a calibration determines, by temperature where there are several."""
+    """Yield sentences on the coefficients that a calibration determines, by temperature if there are several."""
     if not not_determined:
         yield "no calibration: it has no reading in an installation of known orientation"
     temperatures: dict[tuple[str, ...], list[str]] = {}
@@ -223,7 +223,7 @@ def _coefficients_in_words(not_determined: list[OpenCoefficients]) -> Iterator[s
 
 
 def _open_in_words(found: Outlook | None) -> Iterator[str]:
-    """Say what the readings leave open between coefficients and stand, and the cheapest ways to show it."""
+    """Yield sentences on the combinations that the readings do not determine, and on the cheapest remedies."""
     if found is None:
         return
     for sentence in found.open:
@@ -244,7 +244,7 @@ def _remedy_in_words(remedy: Remedy) -> str:
 
 
 def outlook_in_words(found: TimeOutlook) -> str:
-    """Say how long a run will take, and with how many settings: the median, and what 90 % of runs lie between."""
+    """Return the predicted time and number of settings of a run: median, and the range of 90 % of all runs."""
     low_s, mid_s, high_s = found.quantiles(found.time_s)
     low, mid, high = (round(n) for n in found.quantiles(found.settings))
     reached = float(np.mean(found.reached))
@@ -260,7 +260,7 @@ def outlook_in_words(found: TimeOutlook) -> str:
 
 
 def disk_space(size: float) -> str:
-    """Return a size in bytes as a person says it."""
+    """Return a size in bytes with a decimal prefix: 1500 -> "1.5 kB"."""
     for unit in ("B", "kB", "MB"):
         if size < 1000:
             return f"{size:.3g} {unit}"
@@ -269,15 +269,15 @@ def disk_space(size: float) -> str:
 
 
 LONGEST_PERIOD: Final = 24
-"""Largest number of steps of one point that are searched for as a pattern."""
+"""Longest pattern of steps, in steps, that the listing searches for."""
 
 FEWEST_PASSES: Final = 6
-"""Least number of equal passes that the listing folds into one line; fewer are listed one by one."""
+"""Fewest equal passes that the listing folds into one line."""
 
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """One line of a listing: the first and the last step that it stands for (from 1), and what they do."""
+    """A line of a listing: the first and the last step (from 1) that it describes, and the description."""
 
     first: int
     last: int
@@ -286,7 +286,10 @@ class Line:
 
 @dataclass(frozen=True, slots=True)
 class _Block:
-    """Steps from `start` on that consist of `period` steps, repeated `times` times at other points and angles."""
+    """A group of steps from index `start`: `period` steps, repeated `times` times at various points and angles.
+
+    Blocks with an equal `shape` differ only in point, angle and pass.
+    """
 
     start: int
     period: int
@@ -299,7 +302,7 @@ class _Block:
 
 
 def listing(plan: Plan, *, every_step: bool = False) -> Iterator[Line]:
-    """Yield the lines of a plan; with `every_step` each step has its own."""
+    """Yield the lines of a plan; with `every_step` one line for each step, else similar steps in one line."""
     steps = plan.steps
     if every_step:
         yield from (Line(n, n, step.describe()) for n, step in enumerate(steps, start=1))
@@ -315,7 +318,7 @@ def listing(plan: Plan, *, every_step: bool = False) -> Iterator[Line]:
 
 
 def _blocks(steps: Sequence[Step]) -> Iterator[_Block]:
-    """Divide steps into runs that repeat the same few; a block's shape leaves out its pass."""
+    """Divide steps into blocks that repeat a short pattern of steps."""
     within_pass = [_shape(step, _POINT) for step in steps]
     for start, period, times in _folded(within_pass, 2):
         shape = tuple(_shape(step, _POINT_AND_PASS) for step in steps[start : start + period])
@@ -323,9 +326,10 @@ def _blocks(steps: Sequence[Step]) -> Iterator[_Block]:
 
 
 def _folded(shapes: Sequence[object], fewest: int) -> Iterator[tuple[int, int, int]]:
-    """Yield start, period and times of the patterns in a sequence, the one that covers most at each place.
+    """Yield start, period and number of repetitions of each pattern in a sequence.
 
-    A pattern occurs at least `fewest` times; an element outside patterns has period and times 1.
+    At each place, the pattern that covers most elements is chosen; it repeats at least `fewest` times. Any other
+    element is yielded alone, with period and repetitions 1.
     """
     numbers: dict[object, int] = {}
     codes = [numbers.setdefault(shape, len(numbers)) for shape in shapes]
@@ -341,7 +345,7 @@ def _folded(shapes: Sequence[object], fewest: int) -> Iterator[tuple[int, int, i
 
 
 def _times(codes: Sequence[int], start: int, period: int) -> int:
-    """Return how many times in a row the `period` codes from `start` on occur."""
+    """Return how many times in a row the `period` codes at `start` occur."""
     end = start + period
     while end < len(codes) and codes[end] == codes[end - period]:
         end += 1
@@ -354,7 +358,7 @@ _FIELDS: Final = {kind: tuple(f.name for f in fields(kind)) for kind in KINDS}
 
 
 def _shape(step: Step, without: frozenset[str]) -> tuple[Any, ...]:
-    """Return the type and the fields of a step, except those in `without`; steps with equal shapes are alike."""
+    """Return the type of a step and its fields except those in `without`; similar steps have equal shapes."""
     return (type(step), *(getattr(step, name) for name in _FIELDS[type(step)] if name not in without))
 
 
@@ -362,7 +366,7 @@ def _shape(step: Step, without: frozenset[str]) -> tuple[Any, ...]:
 
 
 def _block_in_words(steps: Sequence[Step], block: _Block) -> str:
-    """Return the description of a block of steps."""
+    """Return a description of a block of steps."""
     if block.times == 1 and block.period == 1:
         return steps[block.start].describe()
     unit = steps[block.start : block.start + block.period]
@@ -378,7 +382,7 @@ def _block_in_words(steps: Sequence[Step], block: _Block) -> str:
 
 
 def _where(step: Step) -> str:
-    """Return the point of a step in words, or the description of a step that has no point."""
+    """Return the point of a step; for a step without one, the description of the step."""
     if not isinstance(step, Turn | Read):
         return step.describe()
     return step.where()
@@ -389,7 +393,7 @@ def _span(first: Turn, last: Turn) -> str:
 
 
 def _doing(step: Step) -> str:
-    """Return the action of a step in words, without its point."""
+    """Return the action of a step without its point: "turn", "read 10 × 1 NPLC"."""
     match step:
         case Turn():
             return "turn"

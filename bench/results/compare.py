@@ -1,4 +1,4 @@
-"""Calibrations compared: of one block over time, of one block on two benches; JSON and text."""
+"""Comparisons of calibrations: of one block over time, and of benches by common blocks; as JSON and as text."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 class CalibrationOfBlock(ResultModel):
-    """One of the compared calibrations: its source and date."""
+    """One of the compared calibrations: its source, date and block."""
 
     name: str = Field(description="the result file, run or readings file")
     made_at: str | None = Field(description="ISO 8601; null where nobody recorded it")
@@ -35,7 +35,7 @@ class CalibrationOfBlock(ResultModel):
 
 
 class ChangePart(ResultModel):
-    """How a coefficient changed since the first calibration, in unit/g or unit."""
+    """The change of a coefficient since the first calibration, in unit/g or unit."""
 
     difference: float
     u: float = Field(description="standard uncertainty of the difference")
@@ -72,13 +72,13 @@ class LinesPart(ResultModel):
 
 
 class BenchOfSource(BenchPart):
-    """The bench file of readings that were calibrated for the comparison."""
+    """The bench file with which a compared run or readings file was calibrated."""
 
     source: str = Field(description="which readings")
 
 
 class CompareResult(ResultModel):
-    """A comparison of calibrations of one block: changes and drift."""
+    """A comparison of calibrations of one block: changes since the first, and drift."""
 
     first: CalibrationOfBlock = Field(description="the reference")
     unit: str = Field(description="of the signals")
@@ -94,7 +94,7 @@ class CompareResult(ResultModel):
 
 
 def compare_result(found: Comparison, bench: Sequence[BenchOfSource]) -> CompareResult:
-    """Return a comparison with the bench files behind it, as `--json` writes it."""
+    """Return the result of a comparison; `bench` are the bench files used for runs and readings files."""
     return CompareResult.from_object(
         found,
         first=CalibrationOfBlock(**_of_block(found.first)),
@@ -187,7 +187,10 @@ def _drift_table(drift: LinesPart) -> Table:
 
 
 def history_figure(comparison: Comparison) -> str:
-    """Return an SVG file: each coefficient less its first value, with bars of k = 2; changed ones in red."""
+    """Return an SVG file that plots each coefficient minus its first value, with bars U (k = 2).
+
+    Coefficients that changed are red crosses.
+    """
     snapshots = [comparison.first, *(changes.later for changes in comparison.changes)]
     dates = [snapshot.when for snapshot in snapshots if snapshot.when is not None]
     dated = len(dates) == len(snapshots)
@@ -217,7 +220,7 @@ def history_figure(comparison: Comparison) -> str:
 
 
 class DegreePart(ResultModel):
-    """The degree of equivalence of a bench: its difference from the reference value, with U."""
+    """The degree of equivalence of a bench: its deviation from the reference value, with U."""
 
     d: float = Field(description="bench less reference")
     u: float = Field(description="of d")
@@ -226,7 +229,7 @@ class DegreePart(ResultModel):
 
 
 class PairPart(ResultModel):
-    """The difference of two benches on the units that both measured."""
+    """The difference between two benches on the units that both measured."""
 
     first: str
     second: str
@@ -251,7 +254,7 @@ class EquivalencePart(ResultModel):
 
 
 class TogetherPart(ResultModel):
-    """A chi-square test of the differences in all twelve coefficients at once."""
+    """A chi-square test of a difference in all twelve coefficients at once."""
 
     chi2: float = Field(description="of the vector of twelve differences with its covariance")
     dof: int
@@ -261,21 +264,21 @@ class TogetherPart(ResultModel):
 
 
 class PairTogether(TogetherPart):
-    """The test of two benches in all twelve coefficients at once."""
+    """A chi-square test of the difference between two benches in all twelve coefficients at once."""
 
     first: str
     second: str
 
 
 class AllTogether(ResultModel):
-    """The tests of each bench, and of each pair, in all twelve coefficients at once."""
+    """Chi-square tests in all twelve coefficients at once, of each bench and of each pair of benches."""
 
     benches: dict[str, TogetherPart] = Field(description="degrees of equivalence, by bench")
     pairs: list[PairTogether]
 
 
 class BeyondPart(ResultModel):
-    """A degree of equivalence beyond U (k = 2)."""
+    """A degree of equivalence that exceeds its U (k = 2)."""
 
     bench: str
     coefficient: str
@@ -283,7 +286,7 @@ class BeyondPart(ResultModel):
 
 
 class BenchesResult(FleetResult):
-    """A comparison of benches on common units."""
+    """A comparison of benches by units that several of them measured."""
 
     per_g_m_s2: float = Field(description="the g that scale factors are per")
     benches: list[str] = Field(description="that take part")
@@ -295,7 +298,7 @@ class BenchesResult(FleetResult):
 
 
 def benches_result(found: BenchComparison) -> BenchesResult:
-    """Return benches held against one another, as `--json` writes them."""
+    """Return the result of a comparison of benches."""
     names = [{"first": found.benches[p.first], "second": found.benches[p.second]} for p in found.pairs[0]]
     return BenchesResult.from_object(
         found,
@@ -326,7 +329,7 @@ def benches_result(found: BenchComparison) -> BenchesResult:
 
 
 def print_benches(result: BenchesResult, out: Console) -> None:
-    """Print consistency and the worst bench of each coefficient, and the benches that are off."""
+    """Print the consistency and the worst bench for each coefficient, and the benches beyond U."""
     out.print(
         f"{len(result.benches)} benches on {len(result.units)} common units, {result.calibrations} calibrations; "
         "d = bench less reference, U with k=2"
@@ -356,7 +359,7 @@ def print_benches(result: BenchesResult, out: Console) -> None:
 
 
 def _print_together(found: AllTogether, out: Console) -> None:
-    """Print which benches, and pairs of them, differ in all twelve coefficients taken together."""
+    """Print the benches and pairs of benches that differ in all twelve coefficients taken together."""
     benches: Iterable[tuple[str, TogetherPart]] = found.benches.items()
     pairs = ((f"{pair.first} and {pair.second}", pair) for pair in found.pairs)
     apart = [(name, one) for name, one in (*benches, *pairs) if one.apart]
@@ -369,7 +372,10 @@ def _print_together(found: AllTogether, out: Console) -> None:
 
 
 def equivalence_figure(of: BenchComparison) -> str:
-    """Return an SVG file; benches beyond U are crosses in red, the band is the dark size of the others."""
+    """Return an SVG file of the degrees of equivalence, with bars U (k = 2).
+
+    Benches beyond U are red crosses. The band is the dark uncertainty.
+    """
     benches, found, signal = of.benches, of.found, of.signal
     rows = np.arange(len(benches))
 

@@ -1,4 +1,4 @@
-"""The result of `bench compensate`: polynomials of temperature with tables, as JSON and as text."""
+"""The result of `bench compensate`: polynomials of temperature and a compensation table, as JSON and as text."""
 
 from __future__ import annotations
 
@@ -49,27 +49,27 @@ class TermPart(ValuePart):
 
 
 class PolynomialPart(ResultModel):
-    """A coefficient as a polynomial of the temperature less the reference."""
+    """A coefficient as a polynomial of temperature minus reference temperature."""
 
     degree: int
     terms: list[TermPart]
 
 
 class DifferencePart(ValuePart):
-    """A coefficient reached with rising temperature less the same with falling."""
+    """The difference of a coefficient between rising and falling temperature."""
 
     p_all_looks: float = Field(description="probability by chance alone, for the looks at all twelve")
 
 
 class HysteresisPart(ResultModel):
-    """The hysteresis of the coefficients: rising minus falling at the same temperature."""
+    """The thermal hysteresis of the coefficients: rising minus falling at the same temperature."""
 
     rising_minus_falling: dict[str, DifferencePart]
     p: float = Field(description="that of all twelve together")
 
 
 class PlateauPart(ResultModel):
-    """A temperature plateau, with the coefficients from its readings alone."""
+    """A temperature plateau, with the coefficients estimated from its readings alone."""
 
     temperature_c: float
     branch: Literal[-1, 0, 1] = Field(description="rising (1), falling (-1), or neither")
@@ -80,14 +80,14 @@ class PlateauPart(ResultModel):
 
 
 class ThermalNoisePart(ResultModel):
-    """The sizes of the noise of a reading, as standard deviations."""
+    """The noise as standard deviations: of a reading (unit of the signal) and of a setting of the head."""
 
     reading: float
     setting_rad: float
 
 
 class ApproximationPart(ResultModel):
-    """The error that interpolation in the table adds, in g."""
+    """The errors that the use of the table adds."""
 
     interpolation_bias_g: float = Field(description="at 0 g")
     interpolation_per_g: float = Field(description="in addition for each g")
@@ -97,7 +97,7 @@ class ApproximationPart(ResultModel):
 
 
 class TablePart(ResultModel):
-    """N and U0 at equal steps of temperature."""
+    """The compensation table: N and U0 at equally spaced temperatures."""
 
     first_c: float
     step_k: float
@@ -107,13 +107,13 @@ class TablePart(ResultModel):
 
 
 class VerdictAtPart(VerdictPart):
-    """The verdict on Δg at the verification points at one temperature."""
+    """The verdict on the verification points at one temperature."""
 
     temperature_c: float
 
 
 class CompensateResult(ResultModel):
-    """Coefficients as polynomials of the temperature, with tables."""
+    """The coefficients as polynomials of temperature, with the compensation table."""
 
     unit: str
     g_m_s2: float
@@ -152,10 +152,11 @@ def compensate_result(
     checks: Sequence[tuple[float, Verification]],
     **made_from: Any,
 ) -> CompensateResult:
-    """Return a temperature model as `--json` writes it.
+    """Return the result of a temperature model.
 
-    `of_readings` is the covariance that the readings show, `hidden` are the errors that they do not, `checks` the
-    verifications by temperature; `made_from` are the members from `sources` on.
+    `of_readings` is the part of the covariance that comes from the readings, `hidden` are the error sources that
+    they do not show. `checks` holds temperature (°C) and verification. `made_from` are the members from `sources`
+    on.
     """
     u, count = u_of(model.covariance).reshape(model.values.shape), model.values.shape[1]
     return CompensateResult.from_object(
@@ -187,7 +188,7 @@ def compensate_result(
 
 
 def table_part(shown: CompensationTable) -> TablePart:
-    """Return a table as results have it."""
+    """Return the part of the result on a compensation table."""
     return TablePart.from_object(
         shown, entries=INVERSE, rows=shown.entries.astype(np.float64), approximation=approximation(shown)
     )
@@ -212,7 +213,7 @@ def _plateau(plateau: PlateauResult) -> PlateauPart:
 def print_compensation(
     model: TemperatureModel, shown: CompensationTable, names: Sequence[str], out: Console
 ) -> None:
-    """Print the polynomials, the hysteresis, how well they fit, and what the table adds in error."""
+    """Print the polynomials, the hysteresis, the lack of fit, and the errors that the table adds."""
     out.print(
         f"Temperature model of {', '.join(names)}: {model.readings} readings, {model.minimum_c:.1f} to "
         f"{model.maximum_c:.1f} °C, about {model.reference_c:g} °C"

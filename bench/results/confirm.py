@@ -1,4 +1,4 @@
-"""The result of `bench confirm`: the effects of a model in new readings, as JSON and as text."""
+"""The result of `bench confirm`: the effects of a model tested on new readings, as JSON and as text."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class ParameterNow(ResultModel):
 
 
 class EffectPart(ResultModel):
-    """An effect of the model in the new readings."""
+    """An effect of the model, tested on the new readings."""
 
     name: str
     either_of: list[str] = Field(
@@ -47,7 +47,7 @@ class EffectPart(ResultModel):
 
 
 class ConfirmResult(ResultModel):
-    """The test of a model on new readings: the gap with and without the model, and the state of each effect."""
+    """The test of a model on new readings: the gap with and without the model, and the verdict on each effect."""
 
     closed: Real = Field(
         description="(before - after)/(before - floor): the part of the gap that the model closes; null where "
@@ -77,7 +77,7 @@ class ConfirmResult(ResultModel):
 
 
 def effect_part(now: EffectNow) -> EffectPart:
-    """Return the part of the result on an effect: its verdict, and its values then and now."""
+    """Return the part of the result on an effect: its verdict, its values in the model and the new estimates."""
     return EffectPart(
         name=now.applied.effect.name,
         either_of=list(now.applied.either_of),
@@ -111,7 +111,7 @@ def confirm_result(
     simulated: bool,
     notes: Sequence[str],
 ) -> ConfirmResult:
-    """Return what was found of new readings and a model, with what they were made from, as `--json` writes it."""
+    """Return the result of testing a model; the keyword arguments are members of the result."""
     return ConfirmResult(
         closed=found.closed,
         before=found.before.reduced,
@@ -134,7 +134,7 @@ def confirm_result(
 
 
 def print_confirmation(source: str, found: Confirmation, notes: Sequence[str], out: Console) -> None:
-    """Print the effects of a model in new readings, and how far the model closes the gap."""
+    """Print the verdict on each effect, and how much of the gap the model closes."""
     print_notes(out, notes)
     for effect in found.effects:
         for line in words.effect_now_in_words(effect):
@@ -143,7 +143,7 @@ def print_confirmation(source: str, found: Confirmation, notes: Sequence[str], o
         f"Reduced chi-square {found.before.reduced:.2f} without the model, {found.after.reduced:.2f} with it "
         f"(noise alone: 1; {typeset(words.p_in_words(found.p_after, 2))} with it)"
     )
-    # where the values are others, what is found beside them makes up for that
+    # if values changed, effects found beside the model merely compensate for its wrong values
     left = words.beside_in_words(found.diagnosis)
     if left and found.verdict == "confirmed":
         out.print(f"Something else is in these readings: {left}; 'bench diagnose' with this model tells it")

@@ -1,4 +1,4 @@
-"""The result of `bench chart`: the control chart of a check block, as JSON and as text."""
+"""The result of `bench chart`: the control chart of a check block, as JSON, as text and as a page."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 LAST_ROWS: Final = 12
-"""Number of the last runs that are listed in a terminal."""
+"""Number of runs, the latest, that a terminal lists."""
 
 
 class DesignPart(ResultModel):
-    """The rules by which the chart judges a run."""
+    """The design of the chart: false alarm rate, smoothing and basis of the limits."""
 
     arl: float = Field(description="mean number of runs between false alarms of the whole")
     arl_of_each: float = Field(description="the same of each of the three statistics that reject a run")
@@ -42,7 +42,7 @@ class DesignPart(ResultModel):
 
 
 class LimitsPart(ResultModel):
-    """The limits of the charts."""
+    """The control limits."""
 
     t2: float = Field(description="of T² of a run")
     ewma_t2: float = Field(description="of T² of the EWMA")
@@ -51,7 +51,7 @@ class LimitsPart(ResultModel):
 
 
 class ShortTermPart(ResultModel):
-    """The scatter within a run."""
+    """The scatter of the readings within a run."""
 
     s: float = Field(description="short-term standard deviation of a reading, in the unit")
     dof: float
@@ -60,7 +60,7 @@ class ShortTermPart(ResultModel):
 
 
 class DeviationPart(ResultModel):
-    """The deviation of a coefficient from the centre: its size, its u and their ratio; the same for the EWMA."""
+    """The deviation of a coefficient from the centre line, its u, and their ratio; also for the EWMA."""
 
     deviation: float
     u: float
@@ -71,7 +71,7 @@ class DeviationPart(ResultModel):
 
 
 class ChartedRun(ResultModel):
-    """A run of the check block that is judged."""
+    """A run of the check block after the baseline, with its verdict."""
 
     run: str
     when: str = Field(description="ISO 8601")
@@ -117,7 +117,7 @@ class ComponentsPart(ResultModel):
 
 
 class DriftPart(ResultModel):
-    """The drift of a coefficient in accepted runs, a straight line."""
+    """The drift rate of a coefficient in the accepted runs, from a straight line."""
 
     per_year: float
     u: float
@@ -149,7 +149,11 @@ class ChartResult(ResultModel):
 
 @dataclass(frozen=True)
 class CheckBlockChart:
-    """The control chart of a check block, with the `block`, the `unit` per `g_m_s2`, and the runs left out."""
+    """The control chart of a check block.
+
+    `unit` is the unit of the signals and `g_m_s2` the g to which scale factors refer; `notes` names the runs left
+    out.
+    """
 
     chart: ControlChart
     block: str
@@ -164,7 +168,7 @@ class CheckBlockChart:
         return self.chart.in_control
 
     def sentence(self) -> str:
-        """Return a sentence on the state of the last run."""
+        """Return a sentence on the verdict of the last run."""
         if not self.chart.verdicts:
             first = self.chart.baseline[-1].name
             return f"NO VERDICT yet: {first} is the first, and nothing is there to hold it against"
@@ -175,7 +179,7 @@ class CheckBlockChart:
 
     @cached_property
     def result(self) -> ChartResult:
-        """The result as `bench chart --json` writes it."""
+        """The result of `bench chart --json`."""
         chart, design, centre = self.chart, self.chart.design, self.chart.centre
         return ChartResult.from_object(
             self,
@@ -201,11 +205,11 @@ class CheckBlockChart:
         )  # fmt: skip
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the result as `bench chart --json` writes it."""
+        """Return the result of `bench chart --json` as a dictionary."""
         return self.result.to_dict()
 
     def print_on(self, out: Console) -> None:
-        """Print the last runs, the deviations of the last one, and the verdict."""
+        """Print the last runs, the deviations of the last run, and the verdict."""
         result = self.result
         kind = ", SIMULATED" if result.simulated else ""
         what = result.reference or f"a baseline of {_counted(result.baseline)}"
@@ -229,7 +233,7 @@ class CheckBlockChart:
         out.print(self.sentence(), style="bold")
 
     def __repr__(self) -> str:
-        """Return what `bench chart` prints."""
+        """Return the text that `bench chart` prints."""
         return as_text(self.print_on)
 
 
@@ -273,12 +277,12 @@ def _counted(runs: Sequence[object]) -> str:
 
 
 def _in_u(z: float | None) -> str:
-    """Return a deviation in its u, with its sign; a dash where there is none."""
+    """Return a deviation in units of its u, with its sign; a dash for None."""
     return "–" if z is None else f"{z:+.1f}".replace("-", MINUS)
 
 
 def _run_cells(run: ChartedRun) -> list[str]:
-    """Return when a run was begun, its T², that of the EWMA, and s over that of the baseline."""
+    """Return the cells of a run: start time, T², T² of the EWMA, and s relative to the baseline."""
     f = run.short_term.f
     ewma_t2 = "–" if run.ewma_t2 is None else f"{run.ewma_t2:.1f}"
     return [
@@ -287,7 +291,7 @@ def _run_cells(run: ChartedRun) -> list[str]:
 
 
 def _deviation_cells(name: str, own: DeviationPart, signal: str) -> list[str]:
-    """Return how far a coefficient is off the centre, u, and the deviation and its EWMA in their u."""
+    """Return the cells of a coefficient: deviation, u, and both deviation and EWMA in units of their u."""
     scale = scale_for(own.u, signal)
     unit = _unit_of(name, scale)
     off = f"{fixed(own.deviation / scale.size, 1)} {unit}"
@@ -307,7 +311,7 @@ def _runs_table(result: ChartResult) -> Table:
 
 
 def _coefficients_table(result: ChartResult) -> Table:
-    """Return a table of the last run: the deviation of each coefficient in u, and the scatter of the baseline."""
+    """Return a table of the deviations of the last run, and of the scatter of the baseline over stated u."""
     last, limits, parts = result.runs[-1], result.limits, result.components
     shown = table(
         last.run, ">off the centre", ">u", f">in u (≤ {limits.single:.1f})",
@@ -326,7 +330,7 @@ def _coefficients_table(result: ChartResult) -> Table:
 
 
 MOST_SHOWN: Final = 60
-"""Number of the last runs that are drawn and listed on the page."""
+"""Number of runs, the latest, that the page draws and lists."""
 BASIS_IN_WORDS: Final = {
     "stated": "stated u, believed as it stands",
     "scaled": "stated u, times one factor for all coefficients that the baseline shows",
@@ -335,7 +339,7 @@ BASIS_IN_WORDS: Final = {
 
 
 def render_chart(found: CheckBlockChart) -> str:
-    """Return the page; the same chart gives the same text."""
+    """Return the HTML page; the same chart always gives the same text."""
     chart, result = found.chart, found.result
     last = chart.verdicts[-1] if chart.verdicts else None
     look = "none" if last is None else "passed" if last.accepted else "failed"
@@ -366,7 +370,7 @@ def render_chart(found: CheckBlockChart) -> str:
 
 
 def _joint(found: CheckBlockChart, figure: Figure) -> None:
-    """Draw T² of each run over T² of the EWMA over the short-term standard deviation."""
+    """Draw panels of T² of each run, T² of the EWMA and, if known, the short-term standard deviation."""
     chart = found.chart
     shown = slice(-MOST_SHOWN, None)
     panels = figure.subplots(3 if chart.short is not None else 2, sharex=True, squeeze=False)[:, 0]
@@ -385,7 +389,7 @@ def _joint(found: CheckBlockChart, figure: Figure) -> None:
 
 
 def _single(found: CheckBlockChart, figure: Figure) -> None:
-    """Draw for each coefficient the deviation from the centre with limits, and the EWMA with its own."""
+    """Draw a panel for each coefficient: its deviation and its EWMA, each with its limits."""
     chart = found.chart
     shown = slice(-MOST_SHOWN, None)
     along = np.arange(1.0, len(chart.later) + 1)[shown]
@@ -427,12 +431,12 @@ def _panel(axes: Axes, along: Floats, values: Floats, limits: Floats) -> None:
 
 
 def _level(axes: Axes, along: Floats, level: Floats, **style: Any) -> None:
-    """Draw a limit half a run to either side of each, so that a single run has one to be seen, too."""
+    """Draw a limit as a step of width 1 around each run, so that it is visible even for a single run."""
     axes.plot(np.column_stack((along - 0.5, along + 0.5)).ravel(), np.repeat(level, 2), **style)
 
 
 def _name_runs(axes: Axes, chart: Any, along: Floats) -> None:
-    """Name runs by the day they were begun, as many as there is room for."""
+    """Label at most 15 runs with the date on which they began, and the time if several began on one day."""
     every = max(1, len(along) // 8)
     ticks = along[::-1][::every][::-1]
     days = {f"{run.when:%Y-%m-%d}" for run in chart.later}

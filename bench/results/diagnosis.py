@@ -1,4 +1,4 @@
-"""The result of `bench diagnose`: its JSON, and its text for the terminal."""
+"""The result of `bench diagnose` as JSON and as text."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ from bench.results.parts import BenchPart, CorrectionPart
 
 
 class OrientationPart(ResultModel):
-    """How the block was oriented at the verification points."""
+    """The orientation of the block at the verification points, as the signals show it."""
 
     off_deg: float = Field(description="turn between what the signals say and what the bench file states")
     axis: Vector = Field(description="about this axis of the block")
@@ -66,7 +66,7 @@ class ProposalPart(ResultModel):
 
 
 class ModulusPart(ResultModel):
-    """Error of the modulus at a verification point."""
+    """The error of the modulus at a verification point."""
 
     angle_deg: float
     pass_number: int = Field(alias="pass")
@@ -76,7 +76,7 @@ class ModulusPart(ResultModel):
 
 
 class SimulationPart(ResultModel):
-    """A comparison of a model with the readings; numbers are null where no reading was repeated."""
+    """A comparison of the readings with a simulation; numbers are null if no reading was repeated."""
 
     chi2: Real
     dof: int | float
@@ -89,7 +89,7 @@ class SimulationPart(ResultModel):
 
 
 class SimulationsPart(ResultModel):
-    """The simulations of the given model, and of the model with the effects found."""
+    """The simulations with the given model, and with the effects found added to it."""
 
     before: SimulationPart
     after: SimulationPart | None
@@ -103,7 +103,7 @@ class ShiftPart(ResultModel):
 
 
 class RivalPart(ResultModel):
-    """A family of effects that competes with the effects found."""
+    """A family of effects that competes with an effect found."""
 
     name: str
     ln_odds: float = Field(description="ln odds that it is there")
@@ -112,7 +112,7 @@ class RivalPart(ResultModel):
 
 
 class CopyPart(ResultModel):
-    """The copy of the readings in which mistakes are corrected."""
+    """The copy of the readings with the mistakes corrected."""
 
     readings: Path | None = Field(description="the readings file of the copy; null where it was not written")
     used: int = Field(description="readings in the copy")
@@ -132,7 +132,7 @@ Coefficients = Annotated[
 
 
 class BlockPart(ResultModel):
-    """The coefficients of one block where a diagnosis covers several."""
+    """The coefficients of one block in a diagnosis of several blocks."""
 
     mountings: list[str]
     coefficients: Coefficients
@@ -141,7 +141,7 @@ class BlockPart(ResultModel):
 
 
 class FoundResult(ResultModel):
-    """The findings of a diagnosis: verdict, effects, mistakes and the gap."""
+    """The findings of a diagnosis."""
 
     verdict: Verdict = Field(
         description="where several apply, the first of mistake, unknown, confounded, named"
@@ -189,8 +189,8 @@ class FoundResult(ResultModel):
 class DiagnoseResult(FoundResult):
     """A diagnosis: where model and readings disagree, which effect is missing, and how far it closes the gap.
 
-    `bench diagnose --json`; with several sources a list of these, and of `source-failed` where one could not be
-    evaluated.
+    For several sources, the output of `bench diagnose --json` is a list of these; a source that could not be
+    evaluated has a `source-failed` object in its place.
     """
 
     next_measurement: ProposalPart | None = Field(
@@ -222,7 +222,7 @@ class DiagnoseResult(FoundResult):
 
 
 def found_result(found: Diagnosis) -> FoundResult:
-    """Return the findings of a diagnosis as a part of the result."""
+    """Return the part of the result on the findings of a diagnosis."""
     turned = found.linear.orientation
     return FoundResult.from_object(
         found,
@@ -258,7 +258,7 @@ def diagnose_result(
     bench: BenchPart | None,
     corrections: Sequence[CorrectionPart],
 ) -> DiagnoseResult:
-    """Return a diagnosis with the files that were written of it, as `bench diagnose --json` writes it."""
+    """Return the result of a diagnosis; `files` are the files that were written."""
     diagnosis, shown = full.diagnosis, full.shown
     mistakes, proposal = diagnosis.mistakes, full.next_measurement
     blocks = [_block_part(one) for one in full.blocks]
@@ -291,7 +291,7 @@ def mistakes_result(
     bench: BenchPart | None,
     corrections: Sequence[CorrectionPart],
 ) -> DiagnoseResult:
-    """Return mistakes that leave too little to fit, as `bench diagnose --json` writes them."""
+    """Return the result of a diagnosis that ended because too few readings remain without the mistakes."""
     nothing: dict[str, Any] = {
         **dict.fromkeys(("next_measurement", "verification_orientation", "gap", "model", "noise", "p_left")),
         **dict.fromkeys(("form", "registered", "simulation", "report")),
@@ -352,11 +352,11 @@ def _block_part(shown: ModelComparison) -> BlockPart:
 
 LISTED_PLACES: Final = 6
 LISTED_SHIFT: Final = 0.5
-"""A change of a coefficient below this part of its u is not worth a line."""
+"""Smallest change of a coefficient, in units of its u, that is printed."""
 
 
 def print_one(full: FullDiagnosis, files: Files, out: Console) -> None:
-    """Print one diagnosis in the order in which it was made."""
+    """Print one diagnosis, in the order of its steps."""
     diagnosis, shown = full.diagnosis, full.shown
     _notes(full, "", out)
     _mistakes(diagnosis, out)
@@ -378,7 +378,7 @@ def print_one(full: FullDiagnosis, files: Files, out: Console) -> None:
 
 
 def print_several(results: Sequence[tuple[FullDiagnosis, Files]], out: Console) -> None:
-    """Print a line for each of several diagnoses, with the files that were written of it."""
+    """Print a table with a row for each diagnosis, and the files that were written."""
     rows = table("source", "verdict", "what", ">p, all looks", ">gap before", ">after", "model")
     for full, files in results:
         diagnosis, gap = full.diagnosis, full.diagnosis.gap
@@ -422,7 +422,7 @@ def _places(diagnosis: Diagnosis, out: Console) -> None:
 
 
 def print_mistakes(found: MistakesAlone, files: Files, out: Console) -> None:
-    """Print mistakes that leave too little to fit anything, and what is missing."""
+    """Print the mistakes of a diagnosis that ended with them, and what must be measured again."""
     for mistake in found.mistakes:
         out.print(f"Mistake: {mistake.name}: {mistake.words}", style="bold")
     out.print(f"Put right in a copy, {found.reason}")
@@ -521,7 +521,7 @@ def _consequence(shown: ModelComparison, out: Console) -> None:
 
 
 def _blocks(full: FullDiagnosis, out: Console) -> None:
-    """Print the coefficients of each block; the effects of stand and meters were printed once for all blocks."""
+    """Print the coefficients of each block with u and the p-value of its simulation."""
     changed = any(block.after is not None for block in full.blocks)
     out.print(f"Coefficients of each block{', with what was found' if changed else ''}; in brackets u:")
     rows = table("block", *(f">{name}" for name in full.blocks[0].coefficients), ">p")

@@ -1,4 +1,4 @@
-"""The page of a diagnosis with its figures: one HTML file that needs nothing but itself."""
+"""The page of a diagnosis with its figures: one self-contained HTML file."""
 
 from __future__ import annotations
 
@@ -52,19 +52,22 @@ if TYPE_CHECKING:
 
 INK: Final = "#222222"
 DRAWN: Final = 4
-"""Number of mountings whose residuals are drawn in full view; further mountings are folded away."""
+"""Number of mountings whose residuals are visible at once; those of further mountings are collapsed."""
 
 MOST_DRAWN: Final = 12
-"""Up to this number of mountings all are drawn; of more, only the mountings in full view."""
+"""Largest number of mountings that are all drawn; if there are more, only `DRAWN` of them are drawn."""
 
 STATES: Final = {"agrees": "passed", "named": "none", "confounded": "none"}
-"""Colour of the box of each verdict; any other verdict has the colour of a failure."""
+"""The style of the verdict box for each verdict; that of a failure for any other verdict."""
 
 
 def render_diagnosis(
     full: FullDiagnosis, files: Files, title: str, limit_g: float, provenance: Mapping[str, str]
 ) -> str:
-    """Return the page; the same content gives the same text. `limit_g` is that of the verification points."""
+    """Return the HTML page; the same content always gives the same text.
+
+    `limit_g` is the limit of |Δg| at the verification points. `provenance` maps names to text.
+    """
     diagnosis, shown = full.diagnosis, full.shown
     return page(
         "diagnosis.html.j2",
@@ -109,7 +112,7 @@ def render_diagnosis(
 
 
 def drawn(svg: str) -> Markup:
-    """Return a figure for the page."""
+    """Mark an SVG text as safe for the page."""
     return Markup(svg)  # noqa: S704 - our own drawing
 
 
@@ -166,26 +169,26 @@ def _tests(shown: ModelComparison) -> list[Row]:
 
 
 def _drawn_of(shown: ModelComparison) -> int:
-    """Return the number of mountings that get figures; each figure takes a second."""
+    """Return the number of mountings that get figures; drawing each figure takes about a second."""
     count = len(mounts_of(shown.before.calibration))
     return count if count <= MOST_DRAWN else DRAWN
 
 
 def _overlays(shown: ModelComparison) -> tuple[list[Markup], list[Markup]]:
-    """Return overlays of measured and simulated signals: the most telling mounting, then others, folded."""
+    """Return overlays of measured and simulated signals: a list with the most telling one, and the others."""
     figures = [drawn(overlay_of_mount(shown, i)) for i in most_telling(shown)[: _drawn_of(shown)]]
     return figures[:1], figures[1:]
 
 
 def _residuals(shown: ModelComparison) -> tuple[list[Markup], list[Markup]]:
-    """Return the figures of the first mountings: those in full view, and those folded away."""
+    """Return the residual figures: a list of the visible ones, and a list of the collapsed ones."""
     mounts = mounts_of(shown.before.calibration)[: _drawn_of(shown)]
     figures = [drawn(residuals_of_mount(shown, i)) for i in range(len(mounts))]
     return figures[:DRAWN], figures[DRAWN:]
 
 
 def _apart(diagnosis: Diagnosis) -> list[Effect]:
-    """Return the measurement that would show each effect in a tie."""
+    """Return the catalogue entries of all effects in ties; each states the measurement that would show it."""
     names = dict.fromkeys(
         name
         for effect in diagnosis.effects
@@ -195,14 +198,14 @@ def _apart(diagnosis: Diagnosis) -> list[Effect]:
     return [CATALOGUE[name] for name in names if name in CATALOGUE]
 
 
-# --- figures -------------------------------------------------------------------------------------
+# --- figures --------------------------------------------------------------------------------------
 
 MANY: Final = 3
-"""From so many mountings on there is room for their labels alone."""
+"""From this number of mountings on, a label has no room for the word "installation"."""
 
 
 def columns_of(shown: ModelComparison) -> list[tuple[str, Calibration]]:
-    """Return the columns of the figures: before, after (where an effect was named), and a simulated run."""
+    """Return title and calibration of the figures' columns: before, after (if any effect was named), simulated."""
     after = [] if shown.after is None else [("after", shown.after.calibration)]
     return [
         ("before" if after else "readings", shown.before.calibration),
@@ -212,13 +215,13 @@ def columns_of(shown: ModelComparison) -> list[tuple[str, Calibration]]:
 
 
 def common_scale(shown: ModelComparison) -> Scale:
-    """Return the scale on which all residuals are drawn."""
+    """Return the scale (prefix of the unit) that all residual figures share."""
     largest = max(float(np.max(np.abs(c.residuals))) for _, c in columns_of(shown))
     return scale_for(largest, shown.before.calibration.unit)
 
 
 def residuals_of_mount(shown: ModelComparison, mount: int) -> str:
-    """Residuals against head angle in one mounting: a row for each channel, before and after side by side.
+    """Return a plot of residuals against head angle in one mounting: a row per channel, a column per model.
 
     The stand's angles are at their estimates. The band is two standard deviations of a single reading.
     """
@@ -252,7 +255,7 @@ def residuals_of_mount(shown: ModelComparison, mount: int) -> str:
 
 
 def residuals_in_time(shown: ModelComparison) -> str:
-    """Residuals against time (in the order of measurement where there is none), before and after side by side."""
+    """Return a plot of residuals, before and after, against time, or against order if times are missing."""
     columns, scale = columns_of(shown)[: 1 if shown.after is None else 2], common_scale(shown)
     time_s = columns[0][1].fitted.time_s
     timed = bool(np.all(np.isfinite(time_s)))
@@ -279,7 +282,7 @@ def residuals_in_time(shown: ModelComparison) -> str:
 
 
 def gap_bars(gap: Gap) -> str:
-    """Reduced chi-square of what was held out, each fold by itself, before and after; 1 is noise alone."""
+    """Return a bar chart of the reduced chi-square of each held-out fold, before and after; noise alone gives 1."""
     folds = gap.folds
     names = [fold.label.replace(" and ", "\nand ") for fold in folds]
     places = np.arange(len(folds), dtype=float)
@@ -303,7 +306,7 @@ def gap_bars(gap: Gap) -> str:
 
 
 def ranking_bars(rows: Sequence[Rival], named: str, number: int) -> str:
-    """Ln odds of the most plausible families; those that the data cannot tell apart in one bracket."""
+    """Return a bar chart of the ln odds of an effect and its rivals; a bracket joins those that are tied."""
     ordered = sorted(rows, key=lambda rival: rival.evidence)
     places = np.arange(len(ordered), dtype=float)
     alike = [i for i, rival in enumerate(ordered) if rival.family == named or rival.tied]
@@ -323,7 +326,7 @@ def ranking_bars(rows: Sequence[Rival], named: str, number: int) -> str:
                     label=text,
                     height=0.7,
                 )
-        if len(alike) > 1 and max(alike) - min(alike) < len(alike):  # no other one between them
+        if len(alike) > 1 and max(alike) - min(alike) < len(alike):  # no other family lies between them
             reach = max(ordered[i].evidence for i in alike)
             at = reach + 0.03 * max(abs(reach), 1.0)
             axes.plot([at, at], [min(alike) - 0.35, max(alike) + 0.35], color="#222222", linewidth=1.2)
@@ -349,7 +352,7 @@ def _kind(rival: Rival, named: str) -> str:
 
 
 def modulus_at_points(shown: ModelComparison, limit_g: float) -> str:
-    """Δg at the verification points before and after, bars of k = 2, between the limits (paper, Fig. 6)."""
+    """Return a plot of Δg at the verification points, before and after, with bars of k = 2 (paper, Fig. 6)."""
     scale = scale_for(limit_g, "g")
     limit = limit_g / scale.size
     parts: list[tuple[str, Sequence[ModulusPoint], str, str]] = [("Δg", shown.before.points, "o", BLUE)]
@@ -393,7 +396,7 @@ def modulus_at_points(shown: ModelComparison, limit_g: float) -> str:
 
 
 def most_telling(shown: ModelComparison) -> list[int]:
-    """Return the numbers of the mountings, sorted by how much the effects found change their simulation."""
+    """Return the indices of the mountings, starting with the one that the effects found change most."""
     before, last = shown.before.calibration, shown.last.calibration
     missing = before.residuals - last.residuals
     sizes = [float(np.mean(missing[rows] ** 2)) for _, rows in mounts_of(before)]
@@ -401,10 +404,10 @@ def most_telling(shown: ModelComparison) -> list[int]:
 
 
 def overlay_of_mount(shown: ModelComparison, mount: int) -> str:
-    """Signals against head angle in one mounting, a row for each channel: measured points over the simulated bench.
+    """Return a plot of measured and simulated signals against head angle in one mounting, a row per channel.
 
-    On the left the signals, on the right both less what the model as it was given simulates: what is missing from
-    it, and how the bench simulated with what was found has it.
+    The left column has the signals. The right column has both minus the simulation with the given model; it shows
+    what that model lacks, and whether the effects found supply it.
     """
     before, last = shown.before.calibration, shown.last.calibration
     label, rows = mounts_of(before)[mount]
@@ -463,7 +466,7 @@ def overlay_of_mount(shown: ModelComparison, mount: int) -> str:
 
 
 def _wave(angle_deg: Floats, values: Floats, at_deg: Floats) -> Floats:
-    """Return the wave through simulated signals: a constant, once a turn, and what few angles give beyond."""
+    """Fit a constant, sine and cosine of the angle to `values` at `angle_deg`; return the fit at `at_deg`."""
 
     def columns(degrees: Floats) -> Floats:
         phi = np.radians(degrees)
@@ -473,7 +476,7 @@ def _wave(angle_deg: Floats, values: Floats, at_deg: Floats) -> Floats:
 
 
 def _joined(axes: Axes, angle_deg: Floats, values: Floats, rows: Mask, passes: Any) -> None:
-    """Draw a line through the simulated signals of each pass, in the order of the angle."""
+    """Draw a line through the values of each pass, in order of angle."""
     for number in np.unique(passes[rows]):
         mine = np.flatnonzero(rows & (passes == number))
         ordered = mine[np.argsort(angle_deg[mine])]

@@ -1,4 +1,4 @@
-"""Parts of a diagnosis as it is written as JSON: what was found, the gap, the noise, the terms without a name."""
+"""Parts of the JSON of a diagnosis: findings, gap, noise, unnamed terms."""
 
 from __future__ import annotations
 
@@ -8,17 +8,16 @@ from pydantic import BeforeValidator, Field
 
 from bench.base.result_model import Real, ResultModel
 from bench.diagnosis.gap import FLOOR, UNDETERMINED, Fold, Gap, rms
-from bench.diagnosis.local_scatter import LocalScatter
 from bench.diagnosis.mistakes.search import Mistake
 from bench.diagnosis.noise_kinds import NoiseKind
 from bench.diagnosis.posterior import KnownTogether
-from bench.diagnosis.residual_model import FormTerm, FreeForm
+from bench.diagnosis.residual_model import FormTerm, FreeForm, LocalScatter
 
 VerdictOfCopy = Literal["agrees", "named", "confounded", "unknown"]
 
 
 class ValuePart(ResultModel):
-    """A parameter as estimated; without u a shape, which was tried."""
+    """A parameter with its standard uncertainty; a shape parameter, which is chosen from a grid, has no u."""
 
     value: float
     u: float = 0.0
@@ -26,7 +25,7 @@ class ValuePart(ResultModel):
 
 
 def _nested(values: Any) -> Any:
-    """Return values by installations, parameter and channel, each level where there is one."""
+    """Return values as nested dictionaries by installations, parameter and channel; empty levels are left out."""
     if not isinstance(values, tuple):
         return values
     tree: dict[str, Any] = {}
@@ -46,7 +45,7 @@ Parameters = Annotated[
 
 
 class MistakePlace(ResultModel):
-    """Where a mistake is, and how the misfit of all readings, in units of their noise, changes when put right."""
+    """The place of a mistake, and the misfit of all readings (in units of noise) with and without the mistake."""
 
     pass_number: int | None = Field(alias="pass")
     point: int | None
@@ -55,7 +54,7 @@ class MistakePlace(ResultModel):
 
 
 class FoundPart(ResultModel):
-    """The members that a mistake and any effect found have in common."""
+    """The members that mistakes and effects share."""
 
     name: str = Field(description="from the catalogue, or what kind of mistake or unnamed pattern it is")
     channels: list[str]
@@ -76,7 +75,7 @@ class FoundPart(ResultModel):
 
 
 class OddsPart(ResultModel):
-    """A name that may stand in the place of an effect found, with its posterior probability."""
+    """A possible name of an effect found, with its posterior probability."""
 
     name: str
     probability: float
@@ -108,7 +107,7 @@ class EffectPart(FoundPart):
 
 
 class FoldPart(ResultModel):
-    """A fold: the readings held out, and how well the fit to all others predicts them."""
+    """The readings held out together, and the misfit with which the others predict them."""
 
     what: str
     confirmable: bool = Field(description="whether the other readings determine the coefficients")
@@ -124,7 +123,7 @@ class FoldPart(ResultModel):
 
 
 class GapPart(ResultModel):
-    """Reduced chi-square of readings that were not used in the fit."""
+    """The reduced chi-square of readings that were held out of the fit."""
 
     before: Real = Field(
         description="with the model before; null where no fold measures it, `reason` says why"
@@ -157,7 +156,7 @@ class GapPart(ResultModel):
 
 
 class OfChannels(ResultModel):
-    """A number for each of the three channels."""
+    """A number for each channel."""
 
     x: float
     y: float
@@ -165,7 +164,7 @@ class OfChannels(ResultModel):
 
 
 class FindingPart(ResultModel):
-    """A noise that is larger than stated."""
+    """A noise larger than stated."""
 
     what: Literal["reading", "setting"]
     found: float
@@ -198,7 +197,7 @@ class NoisePart(ResultModel):
 
 
 class SizePart(ResultModel):
-    """A size of a term, as estimated; `channel` is null where it is of all."""
+    """The estimated size of a term; `channel` is null if all channels share it."""
 
     parameter: str
     channel: str | None
@@ -208,7 +207,7 @@ class SizePart(ResultModel):
 
 
 class TermPart(ResultModel):
-    """A term that describes what has no name."""
+    """A term that describes an unnamed effect."""
 
     name: str
     stage: str = Field(description="where it is added in the chain from the head to the voltmeter")
@@ -224,7 +223,7 @@ class TermPart(ResultModel):
 
 
 class FormFoldPart(ResultModel):
-    """A fold of readings that were held out of the search for terms."""
+    """The readings held out together from the search for unnamed terms."""
 
     what: str
     counted: bool
@@ -233,7 +232,7 @@ class FormFoldPart(ResultModel):
 
 
 class FormGapPart(ResultModel):
-    """Reduced chi-square of readings that were not used to find the terms."""
+    """The reduced chi-square of readings that were held out of the search for unnamed terms."""
 
     before: Real
     after: Real
@@ -246,7 +245,7 @@ class FormGapPart(ResultModel):
 
 
 class DarkPart(ResultModel):
-    """The dark uncertainty: the misfit that stays unexplained in each reading."""
+    """The dark uncertainty: the scatter of readings that remains unexplained."""
 
     value: float = Field(description="1 sigma; 0 where it is no more than chance gives")
     u: Real
@@ -255,7 +254,7 @@ class DarkPart(ResultModel):
 
 
 class FormPart(ResultModel):
-    """Terms that describe what has no name."""
+    """The terms that describe an unnamed effect."""
 
     terms: list[TermPart]
     instead_of: list[str] = Field(description="the named effects in whose place the terms are as plausible")
@@ -266,11 +265,11 @@ class FormPart(ResultModel):
     unit: str
 
 
-# --- from what was found to the result --------------------------------------------------------------
+# --- conversion of a diagnosis to parts of its result -------------------------------------------------
 
 
 def mistake_part(mistake: Mistake) -> EffectPart:
-    """Return a mistake as results have it."""
+    """Return the part of the result on a mistake."""
     return EffectPart.from_object(
         mistake,
         parameters=MistakePlace(
@@ -284,7 +283,7 @@ def mistake_part(mistake: Mistake) -> EffectPart:
 
 
 def gap_part(gap: Gap) -> GapPart:
-    """Return a gap as results have it; its sizes are null where no fold counts."""
+    """Return the part of the result on a gap; its sizes are null if no readings could be held out."""
     opened = bool(gap.folds)
     return GapPart.from_object(
         gap,
@@ -322,7 +321,7 @@ def _undetermined_part(label: str) -> FoldPart:
 
 
 def form_part(form: FreeForm) -> FormPart:
-    """Return the terms that describe what has no name, as results have them."""
+    """Return the part of the result on the unnamed terms."""
     dark = form.dark
     return FormPart.from_object(
         form,

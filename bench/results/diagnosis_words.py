@@ -1,4 +1,4 @@
-"""A diagnosis in words, for page and terminal alike."""
+"""Sentences on a diagnosis, shared by page and terminal."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import Final
 
 import numpy as np
 
+from bench.base.arrays import CHANNELS
 from bench.base.numbers import fixed, quantity, rounded, two_digits, typeset, uncertainty
 from bench.diagnosis.confirm import EffectNow
 from bench.diagnosis.free_records import FreeDiagnosis
@@ -26,7 +27,7 @@ from bench.model.effects import CATALOGUE
 
 @dataclass(frozen=True)
 class Files:
-    """The files written for a diagnosis: corrected copies, model files (one per sensor), and the page."""
+    """The files written for a diagnosis: corrected copies, model files (one for each sensor), and the page."""
 
     copies: tuple[Path, ...] = ()
     models: tuple[Path, ...] = ()
@@ -34,28 +35,28 @@ class Files:
 
     @property
     def copy(self) -> Path | None:
-        """The first copy; None where none was written."""
+        """The first corrected copy; None if there is none."""
         return next(iter(self.copies), None)
 
     @property
     def model(self) -> Path | None:
-        """The first model file; None where none was written."""
+        """The first model file; None if there is none."""
         return next(iter(self.models), None)
 
 
 NO_FILES: Final = Files()
 
 UNITS: Final = (("ug", "µg"), ("uV", "µV"), ("^2", "²"), ("^3", "³"), ("arcsec", "″"))
-"""Units as files write them, and as a page does."""
+"""Units as files spell them, and their printed form."""
 
 WHOLE_UG: Final = 9.95
-"""Least size in micro-g that is written without decimals."""
+"""Smallest size in µg that is printed without decimals."""
 
 MUCH_LESS_CERTAIN: Final = 2.0
-"""Factor by which u must grow for the coefficient to get a line."""
+"""Factor by which u of a coefficient must grow for the coefficient to be listed."""
 
 LEAST_P: Final = 1e-9
-"""Least probability that is stated: below it, the value would depend on normal noise far beyond any data."""
+"""Smallest probability that is stated; a smaller one would rely on noise that is normal far into its tails."""
 
 STILL_MISSING: Final = (
     "the readings still differ from the simulated bench by more than their repeats do, at 1 %: "
@@ -69,14 +70,14 @@ LOUD_REPEATS: Final = (
 
 
 def unit_in_print(unit: str) -> str:
-    """Return a unit as it is printed: "µg/g²" for "ug/g^2"."""
+    """Return the printed form of a unit: "ug/g^2" -> "µg/g²"."""
     for written, printed in UNITS:
         unit = unit.replace(written, printed)
     return unit
 
 
 def with_unit(number: str, unit: str) -> str:
-    """Return a number with its unit as printed: "58 µg/g²", "8.1″", "0.3" where the unit is 1."""
+    """Return a number with the printed form of its unit: "58 µg/g²", "8.1″"; "0.3" if the unit is "1"."""
     printed = unit_in_print(unit)
     if printed == "1":
         return number
@@ -84,7 +85,7 @@ def with_unit(number: str, unit: str) -> str:
 
 
 def effect_title(effect: NamedEffect | Mistake) -> str:
-    """Return name, channels and mountings: "quadratic_nonlinearity of y"."""
+    """Return the name of an effect with its channels and mountings: "quadratic_nonlinearity of y"."""
     title = effect.name
     entry = CATALOGUE.get(title)
     of_channels = entry is None or any(parameter.per_channel for parameter in entry.parameters)
@@ -97,7 +98,7 @@ def effect_title(effect: NamedEffect | Mistake) -> str:
 
 
 def mistake_title(mistake: Mistake) -> str:
-    """Return a mistake with its place: "outlier of z in installation 2, pass 1, point 5"."""
+    """Return the name of a mistake with its place: "outlier of z in installation 2, pass 1, point 5"."""
     numbers = [("pass", mistake.pass_number), ("point", mistake.point)]
     return ", ".join([effect_title(mistake), *(f"{what} {n}" for what, n in numbers if n is not None)])
 
@@ -115,7 +116,7 @@ def parameters_in_words(effect: NamedEffect) -> Iterator[str]:
 
 
 def parameter_in_words(value: EffectValue, at: str) -> str:
-    """Return a parameter with its value, and the place `at` which it has this value."""
+    """Return a parameter with its value: "K2 of y = 58.1 ± 5.2 µg/g² (u)"; `at` names its place, or is empty."""
     of = f" of {value.channel}" if value.channel else ""
     return f"{value.parameter}{of}{at} = {_value_in_words(value)}"
 
@@ -136,17 +137,17 @@ def p_in_words(p: float, digits: int = 1) -> str:
 
 
 def p_in_column(p: float, digits: int = 1) -> str:
-    """Return a probability for a column with the heading p: "0.003", "< 1e-09"."""
+    """Return a probability for a column headed p: "0.003", "< 1e-09"."""
     return p_in_words(p, digits).removeprefix("p ").removeprefix("= ")
 
 
 def sentence_of(family: str) -> str:
-    """Return the description of a family of effects, a sentence without its full stop."""
+    """Return the description of a family of effects as a sentence without a full stop."""
     return CATALOGUE[family].sentence if family in CATALOGUE else UNNAMED_WORDS[family]
 
 
 def place_in_words(place: ResidualPattern) -> str:
-    """Return one pattern of the disagreement as a phrase."""
+    """Return a pattern of the residuals as a phrase: where it is, what it is, its size and its p-value."""
     where = "verification points" if place.channel == "modulus" else f"channel {place.channel}"
     if place.installation == "all":
         where += ", whole run"
@@ -157,10 +158,10 @@ def place_in_words(place: ResidualPattern) -> str:
 
 
 def smallest_found(diagnosis: Diagnosis) -> list[tuple[str, str]]:
-    """Return for each visible effect the size that is found in half of all runs, in its unit.
+    """Return the name of each effect that the readings can show, and the size found in half of all runs.
 
-    The size is that of the effect's most visible form. For several parameters (the phases of a wave) it is
-    their norm in the least visible direction.
+    The size, in the effect's unit, is that of the form that is easiest to find. For several parameters, such as
+    the two phases of a wave, it is their norm in the direction that is hardest to find.
     """
     sizes = []
     for name, factor in diagnosis.detectable.items():
@@ -180,13 +181,13 @@ def smallest_found(diagnosis: Diagnosis) -> list[tuple[str, str]]:
 
 
 def orders_in_words(orders: Sequence[int], listed: int = 4) -> str:
-    """Return numbers of waves per turn, the smallest first: "6, 10, 14, …"."""
+    """Return harmonics of the turn as a list that ends after `listed` of them: "6, 10, 14, 18, …"."""
     shown = ", ".join(str(order) for order in orders[:listed])
     return f"{shown}, …" if len(orders) > listed else shown
 
 
 UNCONFIRMED: Final = "Found, but not confirmed"
-"""The verdict where nothing else explains it, and readings held out do not confirm it."""
+"""The words for a verdict "confounded" that is not due to a tie: held-out readings do not confirm the effects."""
 
 LEAD: Final[Mapping[str, str]] = {
     "agrees": "Nothing found",
@@ -195,19 +196,19 @@ LEAD: Final[Mapping[str, str]] = {
     "confounded": "Found, but not told apart",
     "unknown": "Something unknown",
 }
-"""The verdict in a word or two."""
+"""The words for each verdict."""
 
 
 def lead(diagnosis: Diagnosis) -> str:
-    """Return the verdict in a word or two."""
+    """Return the verdict in a few words."""
     tied = any(effect.cannot_tell_from for effect in diagnosis.effects)
     return LEAD[diagnosis.verdict] if diagnosis.verdict != "confounded" or tied else UNCONFIRMED
 
 
 def closed_in_words(part: float | None, before_g: float, after_g: float, noise_g: float) -> str:
-    """Return how far a gap is closed, at most 100 %, with its sizes.
+    """Return the fraction of a gap that is closed, at most 100 %, with the gap's root mean squares.
 
-    "gap closed 99 %, from 412 µg to 9.0 µg (noise alone: 8.8 µg)"; all sizes are root mean squares.
+    Example: "gap closed 99 %, from 412 µg to 9.0 µg (noise alone: 8.8 µg)". `part` is None if there was no gap.
     """
     sizes = f"from {micro_g(before_g)} to {micro_g(after_g)} (noise alone: {micro_g(noise_g)})"
     if part is None:
@@ -218,13 +219,13 @@ def closed_in_words(part: float | None, before_g: float, after_g: float, noise_g
 
 
 def micro_g(value_g: float) -> str:
-    """Return a size in micro-g: "412 µg", "9.0 µg"."""
+    """Return a size, given in g, in µg: "412 µg", "9.0 µg"."""
     size = 1e6 * value_g
     return f"{size:.0f} µg" if abs(size) >= WHOLE_UG else f"{two_digits(size)} µg"
 
 
 def gap_in_words(gap: Gap) -> str:
-    """Return how far what was named closes the gap on held-out readings; empty if none was held out."""
+    """Return how far the named effects close the gap on held-out readings; "" if nothing was named or held out."""
     if not (gap.named and gap.folds):
         return ""
     told = closed_in_words(gap.closed, gap.before_rms_g, gap.after_rms_g, gap.expected_rms_g)
@@ -232,13 +233,13 @@ def gap_in_words(gap: Gap) -> str:
 
 
 def verdict_in_words(diagnosis: Diagnosis) -> str:
-    """Return the reason for the verdict, one sentence without its full stop."""
+    """Return the findings, the gap and the warnings of a diagnosis as a sentence without a full stop."""
     told = [what_in_words(diagnosis), gap_of_verdict(diagnosis), *warnings_in_words(diagnosis)]
     return "; ".join(filter(None, told))
 
 
 def surer_in_words(proposal: Proposal | None) -> str:
-    """Return what it costs to tell a tie, in hours, and how likely it is to be told; empty without a tie."""
+    """Return the time that the proposed procedure takes and its chance of resolving a tie; "" without a tie."""
     one = None if proposal is None else proposal.surer
     if one is None:
         return ""
@@ -247,9 +248,17 @@ def surer_in_words(proposal: Proposal | None) -> str:
     )
 
 
+NOISY: Final = 4.0
+"""Ratio of a channel's noise to that of the others from which on the headline mentions it."""
+
+
 def warnings_in_words(diagnosis: Diagnosis) -> Iterator[str]:
-    """Yield what a headline must not leave out: noise that is not normal and alike, readings far from the model."""
-    yield from (kind.headline for kind in diagnosis.noise_kinds)
+    """Yield the warnings of the headline: channels with much more noise, and readings far from the model."""
+    sizes = diagnosis.noise_by_channel
+    for i, channel in enumerate(CHANNELS):
+        others = float(np.sqrt(np.mean(np.delete(sizes, i) ** 2)))
+        if sizes[i] >= NOISY * others:
+            yield f"channel {channel} is {sizes[i] / others:.1f} times as noisy as the others"
     if diagnosis.far:
         listed = "; ".join(one.words for one in diagnosis.far[:LISTED_FAR])
         more = f" and {len(diagnosis.far) - LISTED_FAR} more" if len(diagnosis.far) > LISTED_FAR else ""
@@ -260,28 +269,28 @@ def warnings_in_words(diagnosis: Diagnosis) -> Iterator[str]:
 
 
 def odds_in_words(effect: NamedEffect) -> str:
-    """Return the odds of the names in the place of an effect: "97 % cubic_nonlinearity, 2 % scale_asymmetry"."""
+    """Return the posterior probabilities of an effect's names: "97 % cubic_nonlinearity, 2 % scale_asymmetry"."""
     shown = [one for one in effect.odds if one.probability >= LEAST_SHOWN]
     return ", ".join(f"{_percent(one.probability)} {one.name}" for one in shown)
 
 
 LEAST_SHOWN: Final = 0.01
-"""Names of lower probability are left to the JSON."""
+"""Smallest probability of a name that is printed; the JSON has all."""
 
 
 def _percent(probability: float) -> str:
-    """Return a probability in per cent; never 100 %."""
+    """Return a probability in per cent, "> 99 %" above 99.5 %."""
     return "> 99 %" if probability > 0.995 else f"{100 * probability:.0f} %"
 
 
 def gap_of_verdict(diagnosis: Diagnosis) -> str:
-    """Return how far the gap closes, or why it does not confirm the findings; empty where nothing was found."""
+    """Return how far the gap closes, or why it does not confirm the findings; "" if nothing was found."""
     gap = diagnosis.gap
     return gap.reason if diagnosis.of_copy == "confounded" and gap.reason else gap_in_words(gap)
 
 
 def what_in_words(diagnosis: Diagnosis) -> str:
-    """Return the findings in one sentence without its full stop."""
+    """Return the findings as a sentence without a full stop."""
     effects = diagnosis.effects
     match diagnosis.verdict:
         case "agrees":
@@ -305,7 +314,7 @@ def what_in_words(diagnosis: Diagnosis) -> str:
 
 
 def what_to_do(full: FullDiagnosis, files: Files) -> Iterator[str]:
-    """Yield what a person does after a diagnosis, a sentence each, with the commands to type."""
+    """Yield a sentence on each step that should follow a diagnosis, with the command to type."""
     diagnosis, source, model = full.diagnosis, full.source, files.model
     if diagnosis.verdict == "mistake":
         yield "Put it right on the bench and measure again" + (
@@ -326,7 +335,7 @@ def what_to_do(full: FullDiagnosis, files: Files) -> Iterator[str]:
 
 
 def _of_copy_in_words(diagnosis: Diagnosis) -> str:
-    """Return the verdict of the search on the copy in which mistakes are corrected, in words."""
+    """Return the result of the search in the corrected copy."""
     if diagnosis.of_copy == "agrees":
         return "it agrees with the model within the noise"
     if diagnosis.of_copy == "unknown":
@@ -335,24 +344,24 @@ def _of_copy_in_words(diagnosis: Diagnosis) -> str:
 
 
 def alike_in_words(effects: Sequence[NamedEffect | Mistake]) -> str:
-    """Return the effects, each with those that the data cannot tell from it: "bias_drift of x or warm_up"."""
+    """Return the names of effects, each with those tied with it: "bias_drift of x or warm_up; ..."."""
     return "; ".join(" or ".join([effect_title(one), *one.cannot_tell_from]) for one in effects)
 
 
 def mountings_of(block: ModelComparison) -> str:
-    """Return the mountings of a block of several, as they stand in the body of data: "1/3, 2/3"."""
+    """Return the mountings of a block, as installation/series: "1/3, 2/3"."""
     return ", ".join(str(mount) for mount in block.before.calibration.fitted.conditions().mounts)
 
 
 def beside_in_words(diagnosis: Diagnosis | FreeDiagnosis) -> str:
-    """Return what was found in readings, whatever they are of."""
+    """Return the names of the effects found in a diagnosis of any kind of readings."""
     if isinstance(diagnosis, FreeDiagnosis):
         return "; ".join(" or ".join([one.name, *one.cannot_tell_from]) for one in diagnosis.found)
     return alike_in_words(diagnosis.effects)
 
 
 def shift_in_words(ranking: Sequence[Rival], other: str) -> str:
-    """Return the largest change of a coefficient if the cause were `other`; empty where `other` is no rival."""
+    """Return the coefficient that would change most if `other` were the cause, with its change; "" for no rival."""
     for rival in ranking:
         if rival.family == other:
             coefficient, in_u = rival.largest_shift
@@ -361,7 +370,7 @@ def shift_in_words(ranking: Sequence[Rival], other: str) -> str:
 
 
 def why_no_model(diagnosis: Diagnosis) -> str:
-    """Return why there is no model file, and how to get one all the same; it follows "no model …"."""
+    """Return the reason why no model file was written, to follow "no model file is written"."""
     if diagnosis.gap.shrinks is False:
         return "of what makes readings that were held out no smaller a gap: it would not be a better model"
     if any(effect.cannot_tell_from for effect in diagnosis.effects):
@@ -370,7 +379,7 @@ def why_no_model(diagnosis: Diagnosis) -> str:
 
 
 def joined_in_words(shown: ModelComparison) -> Iterator[str]:
-    """Yield sentences on the verification points where only they show the effects found; else nothing."""
+    """Yield a sentence if some effects found show only at the verification points, which then are no check."""
     if shown.after is None or not shown.after.joined:
         return
     without, with_it = shown.before.worst_g, shown.after.worst_g
@@ -383,12 +392,12 @@ def joined_in_words(shown: ModelComparison) -> Iterator[str]:
 
 
 def still_missing(shown: ModelComparison) -> bool:
-    """Whether the readings differ from the best model by more than their repeats explain."""
+    """Return whether the readings differ from the last model by more than their repeats explain."""
     return shown.last.tested and shown.last.test.shown
 
 
 def evidence_in_words(full: FullDiagnosis, file_of_copy: Path | None) -> dict[str, str]:
-    """Return the evidence for each effect and for the whole diagnosis, for the reader of the model file."""
+    """Return the evidence for each effect and for the diagnosis, by title, for the model file."""
     diagnosis, gap = full.diagnosis, full.diagnosis.gap
     evidence = {"found in": full.source}
     if diagnosis.mistakes.mistakes:
@@ -421,7 +430,7 @@ def evidence_in_words(full: FullDiagnosis, file_of_copy: Path | None) -> dict[st
 
 
 def _evidence_for_form(form: FreeForm) -> dict[str, str]:
-    """Return the evidence for the unnamed terms."""
+    """Return the evidence for the unnamed terms, by title."""
     closed = (
         "not measured"
         if form.gap.closed is None
@@ -434,20 +443,20 @@ def _evidence_for_form(form: FreeForm) -> dict[str, str]:
 
 
 def less_certain(coefficients: Mapping[str, CoefficientChange]) -> list[str]:
-    """Return the coefficients whose u grows by the effects found, with the factor: "Kyz (u 249 times)"."""
+    """Return the coefficients whose u grows much with the effects found, with the factor: "Kyz (u 249 times)"."""
     grown = [(name, one.u_after / one.u_before) for name, one in coefficients.items() if one.u_before > 0]
     grown.sort(key=lambda pair: -pair[1])
     return [f"{name} (u {two_digits(times)} times)" for name, times in grown if times > MUCH_LESS_CERTAIN]
 
 
 def either_in_words(effect: EffectNow) -> str:
-    """Return the names of a tie of which the model has the first, "either of A or B"; empty for a lone name."""
+    """Return the names of a tie, "either of A or B"; "" if the effect has only one name."""
     names = effect.applied.either_of
     return f"either of {', '.join(names[:-1])} or {names[-1]}" if len(names) > 1 else ""
 
 
 def effect_now_in_words(effect: EffectNow) -> Iterator[str]:
-    """Yield lines on an effect in new readings: its verdict, and its values then and now."""
+    """Yield lines on an effect in new readings: its verdict, and its values in the model and in the readings."""
     name = either_in_words(effect) or label(effect.applied)
     if effect.verdict is None:
         yield f"{name}: these readings do not show it"
@@ -463,7 +472,7 @@ def effect_now_in_words(effect: EffectNow) -> Iterator[str]:
 
 
 def term_in_words(term: FormTerm) -> str:
-    """Return a term as a line: "unnamed_1: A * (time > t), added at the block output; A of y = 70 ± 4 µg (u)"."""
+    """Return a line on a term: "unnamed_1: A * (time > t), added at the block output; A of y = 70 ± 4 µg (u)"."""
     effect = term.effect
     added = f" to {effect.adds_to}" if effect.adds_to else ""
     sizes = [
@@ -481,7 +490,7 @@ def term_in_words(term: FormTerm) -> str:
 
 
 def form_in_words(diagnosis: Diagnosis) -> Iterator[str]:
-    """Yield the lines on the unnamed terms; nothing where no search for them was made."""
+    """Yield lines on the unnamed terms; none if no search for them was made."""
     form = diagnosis.form
     if form is None:
         return
@@ -525,7 +534,7 @@ def _dark_in_words(dark: UnexplainedScatter, unit: str) -> str:
 
 
 def dark_for_model(form: FreeForm) -> str | None:
-    """Return the misfit that the unnamed terms leave unexplained, in the words of a model file."""
+    """Return the scatter that the unnamed terms leave unexplained, for a model file; None if it is unknown."""
     if not form.applied or not isfinite(form.dark.upper):
         return None
     if form.dark.there:

@@ -1,4 +1,4 @@
-"""The results of `bench fleet` about units: bench or block, priors, drift, capability; as JSON and as text."""
+"""The results of `bench fleet` on units: bench or block, priors, drift, capability; as JSON and as text."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     pass
 
 MOST_SHOWN: Final = 12
-"""Largest number of benches or units that are named in a terminal; the JSON has all."""
+"""Largest number of benches or units that a terminal lists; the JSON has all."""
 
 
 class FleetResult(ResultModel):
@@ -37,19 +37,19 @@ class FleetResult(ResultModel):
 
 
 class LimitedPart(ResultModel):
-    """A size with its upper limit."""
+    """A standard deviation with its upper limit."""
 
     value: float = Field(description="1 sigma")
     at_most: Real = Field(description="upper limit of 95 %")
 
 
 def signed_size(value: float, unit: str) -> str:
-    """Return a size with its sign."""
+    """Return a size with its sign, unit and prefix: "+2.5 µV"."""
     return f"{MINUS if value < 0 else '+'}{quantity(abs(value), unit)}"
 
 
 def limit_in_words(limit: float | None, unit: str) -> str:
-    """Return an upper limit in words; None stands for an infinite limit."""
+    """Return an upper limit with its unit; None stands for infinity."""
     return quantity(math.inf if limit is None else limit, unit)
 
 
@@ -57,7 +57,7 @@ def _number(value: float | None) -> float:
     return math.nan if value is None else value
 
 
-# --- is it the bench or the block ---------------------------------------------------------------------
+# --- bench or block -----------------------------------------------------------------------------------
 
 
 class SizePart(LimitedPart):
@@ -72,7 +72,7 @@ class SizePart(LimitedPart):
 
 
 class AllotmentPart(ResultModel):
-    """Whether units came to benches by chance."""
+    """The test whether units were assigned to benches at random."""
 
     chi2: float
     dof: int
@@ -81,14 +81,14 @@ class AllotmentPart(ResultModel):
 
 
 class RepeatsPart(ResultModel):
-    """The scatter of repeated calibrations of a unit on a bench."""
+    """The scatter of repeated calibrations of a unit on one bench."""
 
     reduced_chi2: Real = Field(description="null without any")
     dof: int
 
 
 class SizesPart(ResultModel):
-    """The components of the variance of a coefficient: units, benches and excess scatter."""
+    """The variance components of a coefficient: units, benches and excess scatter."""
 
     unit: SizePart = Field(description="what units of a type differ by")
     bench: SizePart = Field(description="what benches differ by")
@@ -116,7 +116,7 @@ class EffectOfBench(ResultModel):
 
 
 class ApartPart(ResultModel):
-    """A bench or unit that stands out."""
+    """A bench or unit whose effect is significant."""
 
     name: str
     coefficient: str
@@ -126,7 +126,7 @@ class ApartPart(ResultModel):
 
 
 class EffectsResult(FleetResult):
-    """The variance of the coefficients by units, benches and time, and the benches and units that stand out."""
+    """The variance components of the coefficients (units, benches, excess), and the significant effects."""
 
     units: int
     benches: int
@@ -145,7 +145,7 @@ class EffectsResult(FleetResult):
 
 
 def effects_result(found: bench_or_block.BenchOrBlock, notes: Sequence[str]) -> EffectsResult:
-    """Return sizes and effects of units and benches, as `--json` writes them."""
+    """Return the result of an analysis of units and benches; `notes` are further notes."""
     rows = zip(found.benches, found.effect, found.u, found.p_all_looks, strict=True)
     return EffectsResult.from_object(
         found,
@@ -182,7 +182,7 @@ def _size(size: bench_or_block.EstimatedSize) -> SizePart:
 
 
 def print_effects(result: EffectsResult, out: Console) -> None:
-    """Print sizes of what units, benches and time bring, who stands out, and the answer."""
+    """Print the variance components, the benches and units that stand out, and the conclusion."""
     out.print(
         f"{result.calibrations} calibrations of {result.units} units ({result.types} types) on {result.benches} "
         f"benches; {result.units_on_several_benches} units measured on several"
@@ -214,7 +214,7 @@ def print_effects(result: EffectsResult, out: Console) -> None:
 
 
 class ExpectedPart(ResultModel):
-    """The expected coefficient of a further unit of the type."""
+    """The distribution of a coefficient for a further unit of the type."""
 
     mean: float
     u: float = Field(description="of a further unit")
@@ -223,7 +223,7 @@ class ExpectedPart(ResultModel):
 
 
 class PriorResult(FleetResult):
-    """The prior for a further unit from the units of its type: the file that bench calibrate --prior reads."""
+    """The prior for a further unit of a type: the file for `bench calibrate --prior`."""
 
     type: str = Field(description="of the units")
     per_g_m_s2: float = Field(description="the g that scale factors are per")
@@ -237,7 +237,7 @@ class PriorResult(FleetResult):
 
 
 def prior_result(found: prior.Prior, notes: Sequence[str]) -> PriorResult:
-    """Return what is expected of a further unit, as `--json` and the file of the prior have it."""
+    """Return the result on a prior; `notes` are further notes."""
     return PriorResult.from_object(
         found,
         type=found.kind,
@@ -254,7 +254,7 @@ def prior_result(found: prior.Prior, notes: Sequence[str]) -> PriorResult:
 
 
 def print_prior(result: PriorResult, out: Console) -> None:
-    """Print what a further unit of a type is expected to be."""
+    """Print the prior for a further unit of a type."""
     out.print(
         f"type {result.type}: {len(result.units)} units, {result.calibrations} calibrations on "
         f"{len(result.benches)} benches; {result.dof} degrees of freedom, correlations shrunk by "
@@ -273,7 +273,7 @@ def print_prior(result: PriorResult, out: Console) -> None:
 
 
 class RatePart(ResultModel):
-    """The drift of a coefficient."""
+    """The drift rate of a coefficient, with scatter and random walk."""
 
     value: float = Field(description="rate in a year")
     u: float
@@ -286,14 +286,14 @@ class RatePart(ResultModel):
 
 
 class ForetoldPoint(ResultModel):
-    """The predicted coefficients at a future day."""
+    """The coefficients predicted for a date."""
 
     at: str = Field(description="the day of --at")
     coefficients: dict[str, ValuePart] = Field(description="by name")
 
 
 class DriftResult(FleetResult):
-    """The drift of a unit, from the history of its calibrations."""
+    """The drift of a unit over its calibrations."""
 
     unit: str = Field(description="type and serial number")
     per_g_m_s2: float = Field(description="the g that scale factors are per")
@@ -304,9 +304,9 @@ class DriftResult(FleetResult):
 
 
 def drift_result(found: drift.OfUnit, at: str | None, notes: Sequence[str]) -> DriftResult:
-    """Return the drift of a unit, and its coefficients at a day if one is asked for, as `--json` writes it.
+    """Return the result on the drift of a unit, with its coefficients predicted for the date `at` if given.
 
-    Raises `CalibrationError` for a day before the last calibration, or one that is none.
+    Raises `CalibrationError` if `at` is not a date or is before the last calibration.
     """
     own = found.drift
     expected = None
@@ -334,7 +334,7 @@ def _limited(value: Floats, at_most: Floats) -> list[LimitedPart]:
 
 
 def print_drift(result: DriftResult, out: Console) -> None:
-    """Print rates, scatter and walk, and what is expected at a date."""
+    """Print drift rates, scatter and random walk, and the coefficients predicted for a date."""
     per = f"{result.signal}/g of {result.per_g_m_s2} m/s²"
     out.print(f"{result.unit}: {result.calibrations} calibrations, {per}")
     expected = result.expected
@@ -361,14 +361,14 @@ def print_drift(result: DriftResult, out: Console) -> None:
 
 
 class ScatterPart(LimitedPart):
-    """The scatter of a unit's calibrations beyond stated u, without the drift of units, 1 sigma."""
+    """The scatter of a unit's calibrations beyond stated u, without the drift of units, as a standard deviation."""
 
     value: float = Field(description="root of the mean square over what the calibrations leave open")
     at_least: float = Field(description="lower limit of 95 %")
 
 
 class DriftOfUnits(ResultModel):
-    """The standard deviation of the drift of units."""
+    """The drift of the units as standard deviations, and whether it was subtracted."""
 
     rate: float = Field(description="per year, 1 sigma over units; 0 where none is taken out")
     walk: float = Field(description="random walk in a year, 1 sigma; likewise")
@@ -377,7 +377,7 @@ class DriftOfUnits(ResultModel):
 
 
 class CapabilityPart(ResultModel):
-    """The calibration and measurement capability in a coefficient."""
+    """The calibration and measurement capability for one coefficient."""
 
     U: float = Field(description="k = 2")
     u: float
@@ -389,7 +389,7 @@ class CapabilityPart(ResultModel):
 
 
 class CapabilityResult(FleetResult):
-    """The laboratory's calibration and measurement capability, from its history."""
+    """The laboratory's calibration and measurement capability, estimated from past calibrations."""
 
     quantity: str
     device: str
@@ -407,7 +407,7 @@ class CapabilityResult(FleetResult):
 
 
 def capability_result(found: capability.Capability, notes: Sequence[str]) -> CapabilityResult:
-    """Return the statement of capability, as `--json` writes it."""
+    """Return the result on the calibration and measurement capability; `notes` are further notes."""
     columns: dict[str, Iterable[Any]] = {
         "U": found.U,
         "u": found.u,
@@ -436,7 +436,7 @@ def capability_result(found: capability.Capability, notes: Sequence[str]) -> Cap
 
 
 def print_capability(result: CapabilityResult, out: Console) -> None:
-    """Print the statement of capability."""
+    """Print the calibration and measurement capability."""
     signal = result.signal
     out.print(
         f"{'SIMULATED: ' if result.simulated else ''}calibration and measurement capability: coefficients of "

@@ -1,4 +1,4 @@
-"""The result of `bench diagnose` of free positions alone: its JSON, its text, its page."""
+"""The result of `bench diagnose` for free positions alone, as JSON, as text and as a page."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 
 class FreeFoundPart(FoundPart):
-    """An effect that was found, or a position that stands apart."""
+    """An effect that was found, or an outlying position."""
 
     odds: list[OddsPart] = Field(
         default=[], description="the names that may stand in this place, the most probable first"
@@ -41,7 +41,7 @@ class FreeFoundPart(FoundPart):
 
 
 class FreePlace(ResultModel):
-    """A record of a sensor in which |a| is off."""
+    """A record of a sensor in which |a| differs from 1 g."""
 
     channel: str
     installation: str
@@ -52,7 +52,7 @@ class FreePlace(ResultModel):
 
 
 class FreeNoise(ResultModel):
-    """The scatter of a position that remains beside the effects found."""
+    """The scatter of a position's |a| that remains with the effects found."""
 
     reading: float
     unit: Literal["g"]
@@ -61,7 +61,7 @@ class FreeNoise(ResultModel):
 
 
 class HeldOutByRecord(ResultModel):
-    """The scatter of the zeros of each held-out record over their u, as the other records predict them."""
+    """The scatter over stated u of the zeros of held-out records, predicted from the other records."""
 
     by: Literal["record"]
     before: Real = Field(description="with zeros that stay")
@@ -69,7 +69,7 @@ class HeldOutByRecord(ResultModel):
 
 
 class BetweenRecordsPart(ResultModel):
-    """The differences of the zeros between records, each record fitted by itself."""
+    """The changes of the zeros between records, each record fitted by itself."""
 
     ratio: Real = Field(description="scatter of the zeros over their stated u")
     scatter_g: list[Real]
@@ -92,10 +92,10 @@ class FreeCopyPart(ResultModel):
 
 
 class FreeDiagnoseResult(ResultModel):
-    """A diagnosis of a body of readings that has free positions alone.
+    """A diagnosis of readings that are free positions alone.
 
-    `bench diagnose --json`; with several sources a list of these, and of `source-failed` where one could not be
-    evaluated.
+    For several sources, the output of `bench diagnose --json` is a list of these; a source that could not be
+    evaluated has a `source-failed` object in its place.
     """
 
     verdict: Verdict
@@ -142,7 +142,7 @@ def free_result(
     simulated: bool = False,
     skipped_rows: Sequence[str] = (),
 ) -> FreeDiagnoseResult:
-    """Return a diagnosis with the files that were written of it, as `bench diagnose --json` writes it."""
+    """Return the result of a diagnosis; `files` are the files that were written."""
     return FreeDiagnoseResult.from_object(
         found,
         where=[FreePlace.model_validate(place) for place in found.where],
@@ -175,7 +175,7 @@ def free_result(
 
 
 def hidden() -> list[str]:
-    """Return the effects that free positions could never show: all but those of the block."""
+    """Return the effects that free positions can never show: all except those of the block."""
     return [name for name, effect in CATALOGUE.items() if effect.subsystem.value != "block"]
 
 
@@ -200,29 +200,29 @@ def _between(found: BetweenRecords) -> BetweenRecordsPart:
 
 NOTHING: Final = "the positions agree with nine coefficients of each sensor within their scatter"
 LISTED: Final = 2
-"""Largest number of readings files that are named; of more, the first and the number of files."""
+"""Largest number of readings files that are all named; if there are more, only the first and the last are."""
 
 
 def lead(found: FreeDiagnosis) -> str:
-    """Return the verdict in a word or two."""
+    """Return the verdict in a few words."""
     tied = any(one.cannot_tell_from for one in found.found)
     return words.LEAD[found.verdict] if found.verdict != "confounded" or tied else words.UNCONFIRMED
 
 
 def readings_named(found: FreeDiagnosis) -> str:
-    """Return a short name of the diagnosed readings."""
+    """Return a short name of the diagnosed readings: "a + b", or "a … z (5 readings files)"."""
     parts = found.source.split(" + ")
     return found.source if len(parts) <= LISTED else f"{parts[0]} … {parts[-1]} ({len(parts)} readings files)"
 
 
 def title_of(one: NamedEffect) -> str:
-    """Return the name of an effect, its channels, and the effects that the data cannot tell from it."""
+    """Return the name of an effect with its channels, and the effects tied with it."""
     of = f" of {', '.join(one.channels)}" if one.channels else ""
     return " or ".join([one.name + of, *one.cannot_tell_from])
 
 
 def what_in_words(found: FreeDiagnosis) -> str:
-    """Return the findings in one sentence without its full stop."""
+    """Return the findings as a sentence without a full stop."""
     rest = "; ".join(title_of(one) if one.in_catalogue else one.words for one in found.found) or NOTHING
     if not found.apart:
         return rest
@@ -231,7 +231,7 @@ def what_in_words(found: FreeDiagnosis) -> str:
 
 
 def gap_told(found: FreeDiagnosis) -> str:
-    """Return how far naming closes the gap, or why it does not confirm the findings; empty without findings."""
+    """Return how far the gap closes, or why it does not confirm the findings; "" if nothing was found."""
     if found.of_rest == "confounded" and found.gap.reason:
         return found.gap.reason
     return words.gap_in_words(found.gap)
@@ -249,7 +249,7 @@ def parameter_lines(one: NamedEffect) -> list[str]:
 
 
 def what_to_do(found: FreeDiagnosis, files: Files) -> Iterator[str]:
-    """Yield the steps that should follow the diagnosis, a sentence each, with any command to type."""
+    """Yield a sentence on each step that should follow the diagnosis, with the command to type."""
     several = found.records * found.rows.sensors > 1
     if found.apart:
         yield "Measure the positions that stand apart again, at rest" + (
@@ -275,14 +275,14 @@ def what_to_do(found: FreeDiagnosis, files: Files) -> Iterator[str]:
 
 
 def why_no_model(found: FreeDiagnosis) -> str:
-    """Return why there is no model file of what was found, after "no model …"."""
+    """Return the reason why no model file was written, to follow "no model file is written"."""
     if found.gap.shrinks is False:
         return "of what makes positions that were held out no smaller a gap: it would not be a better model"
     return "while the positions cannot tell; --accept-first takes the first"
 
 
 def print_free(found: FreeDiagnosis, files: Files, out: Console) -> None:
-    """Print the findings in free positions, in the order of the search, and the files that were written."""
+    """Print the findings in free positions in the order of the search, and the files that were written."""
     rows, gap = found.rows, found.gap
     out.print(
         f"{len(rows)} free positions, {rows.sensors} sensor{'s' * (rows.sensors > 1)}, {found.records} "
@@ -329,7 +329,7 @@ def _print_gap(gap: Gap, out: Console) -> None:
 
 
 def evidence_in_words(found: FreeDiagnosis) -> dict[str, str]:
-    """Return the evidence for the findings, for the reader of the model file."""
+    """Return the evidence for the findings, by title, for the model file."""
     gap = found.gap
     told = {"found in": readings_named(found)}
     if found.apart:
@@ -348,14 +348,14 @@ def evidence_in_words(found: FreeDiagnosis) -> dict[str, str]:
 
 MARKS: Final = "osD^vP*X"
 BARS: Final = 0.8
-"""Part of the width of a record that its bars fill."""
+"""Fraction of a record's width that its bars fill."""
 
 
 def overlay(found: FreeDiagnosis, sensor: int) -> str:
-    """Signals of a sensor in the order of measurement, a row for each channel: measured over simulated.
+    """Return a plot of the signals of a sensor in order of measurement: measured over simulated, a row per channel.
 
-    Nobody knows how it lay: it is simulated in the direction that its signals give, where a modulus other than 1 g
-    shows. On the right both less what the model as it was given simulates, magnified.
+    The orientations are unknown. Each position is simulated in the direction that its signals give, so that only
+    errors of the modulus show. The right column has both minus the simulation with the given model, magnified.
     """
     rows = found.rows
     mine = rows.sensor == sensor
@@ -409,7 +409,7 @@ def overlay(found: FreeDiagnosis, sensor: int) -> str:
 
 
 def _mark_records(all_axes: Any, record: Floats) -> None:
-    """Draw a line where another record begins."""
+    """Draw a line at each beginning of a new record."""
     edges = np.flatnonzero(np.diff(record)) + 1.5
     for axes in all_axes:
         for edge in edges:
@@ -417,7 +417,7 @@ def _mark_records(all_axes: Any, record: Floats) -> None:
 
 
 def modulus_in_time(found: FreeDiagnosis) -> str:
-    """|a| - 1 of each position against the time in its record, as it was given, and with what was found."""
+    """Return a plot of |a| - 1 g against the time since the start of the record, before and after."""
     rows = found.rows
     fits = [("as it was given", found.before), ("with what was found", found.after)][: 1 + bool(found.found)]
     scale = scale_for(float(np.max(np.abs(found.before.left))), "g")
@@ -453,7 +453,7 @@ def modulus_in_time(found: FreeDiagnosis) -> str:
 
 
 def _which(found: FreeDiagnosis, sensor: int, record: int) -> str:
-    """Return the label of a mark: its sensor and its record, where there are several."""
+    """Return the legend label of a record; that of further sensors begins with "_" and is hidden."""
     return f"record {record + 1}" if sensor == 0 or found.rows.sensors == 1 else f"_sensor {sensor + 1}"
 
 
@@ -464,7 +464,7 @@ def _few(grid: Any) -> tuple[list[Any], list[str]]:
 
 
 def modulus_by_record(found: FreeDiagnosis) -> str:
-    """Root mean square of |a| - 1 of each sensor in each record, as it was given, and with what was found."""
+    """Return a bar chart of the root mean square of |a| - 1 g in each record, for each sensor, before and after."""
     rows = found.rows
     records = np.unique(rows.record)
     scale = scale_for(float(np.max(np.abs(found.before.left))), "g")
@@ -516,7 +516,7 @@ def render_free(
     *,
     simulated: bool,
 ) -> str:
-    """Return the page; the same content gives the same text."""
+    """Return the HTML page; the same content always gives the same text."""
     signals = [drawn(overlay(found, s)) for s in range(min(found.rows.sensors, MOST_DRAWN))]
     return page(
         "free_diagnosis.html.j2",
@@ -559,7 +559,7 @@ def render_free(
 
 
 def _coefficients(found: FreeDiagnosis) -> Iterator[tuple[int, list[Row]]]:
-    """Yield the coefficients of each sensor as they are by the model before and after; six of K by convention."""
+    """Yield the index of each sensor and rows of its coefficients before and after, without the fixed ones."""
     unit = found.rows.tables[0].unit
     for sensor in range(found.rows.sensors):
         pairs = [
@@ -579,7 +579,7 @@ def _coefficients(found: FreeDiagnosis) -> Iterator[tuple[int, list[Row]]]:
 
 
 def _zeros(found: FreeDiagnosis) -> Iterator[Row]:
-    """Yield the zeros of each sensor in each record, fitted by itself, in mg with u."""
+    """Yield a row with the zeros of each sensor in each record, fitted by itself, in mg with u."""
     between = found.between
     if between is None:
         return

@@ -1,4 +1,4 @@
-"""The result of `bench learn`: what the runs of one bench share, as JSON and as text."""
+"""The result of `bench learn`: the errors that the runs of one bench have in common, as JSON and as text."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from bench.results.parts import BenchPart
 
 
 class RecordPart(ResultModel):
-    """A run from which the sizes were learned."""
+    """A run from which the errors were learned."""
 
     name: str
     readings: str = Field(description="SHA-256 of the readings file that they make")
@@ -22,7 +22,7 @@ class RecordPart(ResultModel):
 
 
 class ContradictionPart(ResultModel):
-    """A run that contradicts the others; it is left out."""
+    """A run that was left out because it contradicts the others."""
 
     run: str
     what: str
@@ -32,7 +32,7 @@ class ContradictionPart(ResultModel):
 
 
 class SizePart(ResultModel):
-    """A size of the bench that was learned from runs."""
+    """An error of the bench that was learned from runs."""
 
     value: float
     u: float = Field(description="standard uncertainty")
@@ -42,21 +42,21 @@ class SizePart(ResultModel):
 
 
 class MeansPart(ResultModel):
-    """The covariance of the means and of the waves of the head."""
+    """The covariance of the means of the stand's angles and of the head's harmonics."""
 
     order: list[str]
     covariance_rad2: Matrix
 
 
 class VariancesPart(ResultModel):
-    """The covariance of the variances of remounts (rad²) and of drift (unit²/h)."""
+    """The covariance of the variance components: of remounts (rad²) and of drift (unit²/h)."""
 
     order: list[str]
     covariance: Matrix
 
 
 class ContrastsPart(ResultModel):
-    """How the meters differ in gain or offset, SI."""
+    """The differences between the voltmeters in gain or offset, SI."""
 
     value: Vector = Field(description="of each meter, about the mean of its group")
     covariance: Matrix
@@ -69,7 +69,7 @@ class ContrastsPart(ResultModel):
 
 
 class MetersPart(ResultModel):
-    """How the voltmeters differ, by runs of one block with them exchanged."""
+    """The differences between the voltmeters, from runs of one block with the voltmeters exchanged."""
 
     meters: list[str]
     group: list[int] = Field(description="meters of one group were compared")
@@ -79,7 +79,7 @@ class MetersPart(ResultModel):
 
 
 class LearnResult(ResultModel):
-    """The sizes of stand, noise and meters that the runs of one bench share."""
+    """The errors of stand, noise and voltmeters that the runs of one bench have in common."""
 
     bench: BenchPart
     learned_for: str = Field(description="hash of stand, head, installations and meters of the bench file")
@@ -130,7 +130,7 @@ def _contrasts(found: Contrasts) -> ContrastsPart:
 
 
 def print_learned(found: Learned, result: LearnResult, out: Console) -> None:
-    """Print what contradicts first, then the sizes, then what these runs do not tell."""
+    """Print the contradicting runs, the sizes learned, and what these runs do not determine."""
     for one in result.contradicting:
         out.print(f"{one.sentence} (p {one.p:.1g}, all looks counted); it is left out", style="bold")
     kind = "simulated runs" if result.simulated else "runs"

@@ -1,4 +1,4 @@
-"""The report of a calibration: its content, and the one HTML page made of it."""
+"""The report of a calibration: its content, and the HTML page."""
 
 from __future__ import annotations
 
@@ -20,13 +20,12 @@ from bench.results.verification import advice, global_risk_in_words, headline, r
 
 @dataclass(frozen=True)
 class ReportContent:
-    """Everything that the page says; it adds nothing of its own, no date and no version.
+    """The complete content of the page, which adds neither date nor version.
 
-    `verification` is None where no verification point was measured. `compared` is the same data by another
-    estimator, such as the closed form beside generalised least squares; one by the same estimator is left
-    out. `provenance` is shown as it comes, name and text (run, procedure, bench file and hashes, operator,
-    unit under test, versions, dates). `notes` and `skipped` are sentences on the readings. `simulated` puts
-    a banner over the page.
+    `verification` is None if no verification point was measured. `compared` is a calibration of the same readings
+    by another estimator, such as the closed form; it is ignored if the estimator is the same. `provenance` maps
+    names such as "operator" or "bench file" to text, shown unchanged. `notes` and `skipped` are sentences on the
+    readings. `simulated` puts a banner on the page.
     """
 
     title: str
@@ -40,14 +39,14 @@ class ReportContent:
 
     @property
     def other(self) -> Calibration | None:
-        """The calibration to compare with, where there is one by another estimator."""
+        """The calibration by another estimator to compare with; None if there is none."""
         if self.compared is None or self.compared.estimator == self.calibration.estimator:
             return None
         return self.compared
 
 
 def render_report(content: ReportContent) -> str:
-    """Return the report as one self-contained HTML page; the same content gives the same text."""
+    """Return the report as one self-contained HTML page; the same content always gives the same text."""
     calibration, other = content.calibration, content.other
     return page(
         "report.html.j2",
@@ -71,7 +70,7 @@ def render_report(content: ReportContent) -> str:
 
 
 def _residuals(calibration: Calibration) -> dict[str, Markup] | None:
-    """Return the figures of the residuals, None where no oriented reading was fitted."""
+    """Return the figures of the residuals; None if no oriented reading was fitted."""
     if not len(calibration.fitted):
         return None
     return {
@@ -88,12 +87,12 @@ STATES: Final = {
     Statement.NOT_COMPLETE: "failed",
     Statement.FAIL: "failed",
 }
-"""How the page shows a statement."""
+"""The style of the verdict box for each statement."""
 
 
 @dataclass(frozen=True)
 class VerdictInWords:
-    """The verdict: `state` of the box and `word`, the worst point, limit, rule, risk, and what can be done."""
+    """The verdict as text: `state` is the style of the box; then the worst point, limit, rule, risk and advice."""
 
     state: str
     word: str = "Not verified"
@@ -115,7 +114,7 @@ class VerdictInWords:
 
 
 def verdict(verification: Verification | None) -> VerdictInWords:
-    """Return the verdict of a verification, "none" where there was none."""
+    """Return the verdict of a verification as text; its state is "none" if there was no verification."""
     if verification is None:
         return VerdictInWords("none")
     worst = verification.worst
@@ -143,13 +142,13 @@ def verdict(verification: Verification | None) -> VerdictInWords:
 
 
 def _of_a_verification(words: str) -> str:
-    """Return " passed", but ": conditional pass"."""
+    """Return " passed" for "passed", but ": conditional pass" for "conditional pass"."""
     return f": {words}" if words.startswith("conditional") else f" {words}"
 
 
 @dataclass(frozen=True)
 class FitInWords:
-    """The lack of fit: `state` (fits, misfits, unknown), the figures, what they say, short and as a sentence."""
+    """The test for lack of fit as text: `state` (fits, misfits or unknown), figures, short form, sentence."""
 
     state: str
     figures: str
@@ -158,7 +157,7 @@ class FitInWords:
 
 
 def fit_in_words(fit: LackOfFit) -> FitInWords:
-    """Return the outcome of a lack-of-fit test in words."""
+    """Return the outcome of a test for lack of fit as text."""
     if not math.isfinite(fit.p):
         return FitInWords(
             "unknown",
@@ -192,13 +191,13 @@ _MEASURED: Final = {
     "operator": "Operator",
     "procedure": "Procedure",
 }
-"""The entries of the provenance that are also shown near the top of the page."""
+"""The entries of the provenance that are repeated near the top of the page, with their titles there."""
 _INSTRUMENTS = ("voltmeter", "head", "thermometer", "level", "power_supply")
-"""What measured, or fed what was measured; a chamber stands at the end of the page alone."""
+"""Prefixes of the names of instruments that are listed near the top; a chamber is listed only at the end."""
 
 
 def measured(provenance: Mapping[str, str]) -> dict[str, str]:
-    """Return the operator, the unit, the date and the instruments of the readings, as far as known."""
+    """Return the unit, date, operator, procedure and instruments from the provenance, as far as they are stated."""
     stated = {title: provenance[name] for name, title in _MEASURED.items() if name in provenance}
     if "Procedure" in stated:
         stated["Procedure"] = stated["Procedure"].partition(" (plan")[0]

@@ -1,4 +1,4 @@
-"""Parts that several results have, each described once."""
+"""Parts that several results share."""
 
 from __future__ import annotations
 
@@ -17,7 +17,10 @@ Part = TypeVar("Part", bound=ResultModel)
 
 
 def by_coefficient(part: type[Part], **columns: Iterable[Any]) -> dict[str, Part]:
-    """Return a part for each of the twelve coefficients, by name; each column has the values of one member."""
+    """Return a part for each of the twelve coefficients, by name.
+
+    Each column has the values (12,) of one member of the part.
+    """
     rows = zip(*columns.values(), strict=True)
     named = zip(COEFFICIENTS, rows, strict=True)
     return {name: part(**dict(zip(columns, row, strict=True))) for name, row in named}
@@ -28,18 +31,18 @@ TOO_FEW: Final = "lack of fit: too few repeats to tell"
 
 
 def fit_in_words(fit: LackOfFit, contradicted: str, what: str = REPEATS, untold: str = TOO_FEW) -> str:
-    """Return the outcome of a test: `contradicted` where lack of fit is shown, `untold` without repeats."""
+    """Return a lack-of-fit test in words: `contradicted` if it fails, `untold` if there are too few repeats."""
     if not math.isfinite(fit.p):
         return untold
     verdict = contradicted if fit.shown else "none shown at 1 %"
     return f"{what}: chi2 {fit.chi2:.1f} for {fit.dof}, p = {fit.p:.2g}: {verdict}"
 
 
-# --- what a result is made from ---------------------------------------------------------------------
+# --- sources of a result ------------------------------------------------------------------------------
 
 
 class BenchPart(ResultModel):
-    """The bench file that was used, and the reason."""
+    """The bench file that was used, and why that one was chosen."""
 
     name: str = Field(description="as it calls itself")
     file: str = Field(description="where it is")
@@ -48,12 +51,12 @@ class BenchPart(ResultModel):
 
     @property
     def words(self) -> str:
-        """The name of the bench file, and the reason for it."""
+        """The name of the bench, and why its file was chosen."""
         return f"{self.name}, {self.why}"
 
 
 class CorrectionPart(ResultModel):
-    """The certificate of an instrument, and the correction of the readings by it."""
+    """The certificate of an instrument, and whether the readings were corrected by it."""
 
     instrument: str = Field(description="its name in the bench file")
     certificate: str = Field(description="number")
@@ -78,14 +81,14 @@ class UnitPart(ResultModel):
 
 
 class RecordPart(ResultModel):
-    """The number of events and the last hash of a run's record, which identify it."""
+    """The number of events and the hash of the last one, which identify a run's record."""
 
     events: int
     head: str = Field(description="SHA-256 of the last line: the head of the chain of hashes")
 
 
 class FailedPart(ResultModel):
-    """A source that could not be evaluated. It stands in the list of results in the place of its result."""
+    """A source that could not be evaluated; it takes the place of that source's result in a list of results."""
 
     source: str = Field(description="as it was named on the command line")
     problem: str = Field(description="why, in a sentence")
@@ -116,7 +119,7 @@ class ExpandedPart(ValuePart):
 
 
 class CoefficientPart(ValuePart):
-    """One of the twelve coefficients, in unit/g or unit; its `u` is the combined one."""
+    """One of the twelve coefficients, in unit/g or unit; `u` is the combined standard uncertainty."""
 
     u_readings: float = Field(description="the part that the readings and the stand as it is stated show")
     U: float = Field(description="expanded uncertainty, k u")
@@ -125,7 +128,7 @@ class CoefficientPart(ValuePart):
 
 
 class FitPart(ResultModel):
-    """Lack of fit against the repeats."""
+    """A test for lack of fit against the repeats."""
 
     rms: Real = Field(description="root mean square of the residuals, unit of the signal")
     chi2: Real
@@ -134,14 +137,14 @@ class FitPart(ResultModel):
 
 
 class ReadingsPart(ResultModel):
-    """The numbers of readings, by their use."""
+    """The numbers of readings used and skipped."""
 
     used: int = Field(description="in the fit")
     skipped: int = Field(description="bad rows left out")
 
 
 class ChannelsPart(ResultModel):
-    """A size for each channel."""
+    """A value for each channel."""
 
     x: float
     y: float
@@ -149,7 +152,7 @@ class ChannelsPart(ResultModel):
 
 
 class UncertaintySourcePart(ResultModel):
-    """An error in u that no reading shows."""
+    """A source of uncertainty that does not show in the readings."""
 
     name: str = Field(description="as in `bench budget`")
     symbol: str
@@ -162,27 +165,27 @@ class UncertaintySourcePart(ResultModel):
 
 
 def uncertainty_source(source: SourceOfError) -> UncertaintySourcePart:
-    """Return an error that no reading shows, as results have it."""
+    """Return the part of the result on an error source that the readings do not show."""
     u = named(u_of(source.covariance))
     return UncertaintySourcePart.from_object(source, u=u, cancels_with_the_same_meters=source.cancels)
 
 
 def named(values: Floats) -> dict[str, float]:
-    """Return values (12,) by the names of the coefficients."""
+    """Return values (12,) as a dictionary by coefficient name."""
     return dict(zip(COEFFICIENTS, values.tolist(), strict=True))
 
 
 def values_with_u(values: Floats, u: Floats) -> dict[str, Any]:
-    """Return the first of the twelve coefficients (m,) by name, each with its standard uncertainty."""
+    """Return values (m,) and their standard uncertainties by name, for the first m of the twelve coefficients."""
     rows = zip(COEFFICIENTS, values.tolist(), u.tolist(), strict=False)
     return {name: {"value": value, "u": size} for name, value, size in rows}
 
 
 def by_channel(values: Floats) -> dict[str, float]:
-    """Return values (3,) by the names of the channels."""
+    """Return values (3,) as a dictionary by channel name."""
     return dict(zip(CHANNELS, values.tolist(), strict=True))
 
 
 def coefficient_unit(name: str, unit: str) -> str:
-    """Return the unit of a coefficient for signals in `unit`."""
+    """Return the unit of a coefficient for signals in `unit`: "V/g" for "Kxx", "V" for "U0x"."""
     return unit if name.startswith("U0") else f"{unit}/g"

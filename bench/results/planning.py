@@ -28,14 +28,14 @@ _SHOWN: Final = {
     "1/g": (" µg/g²", _MICRO),
     "1/g^2": (" µg/g³", _MICRO),
 }
-"""The unit in which the size of an error is printed, with its size in SI."""
+"""Printed unit of each SI unit, with its size in SI."""
 
 
-# --- what the bench must be -----------------------------------------------------------------------------
+# --- requirements ---------------------------------------------------------------------------------------
 
 
 class LimitPart(ResultModel):
-    """The limit of an error of the bench."""
+    """The largest admissible size of an error of the bench."""
 
     name: str
     symbol: str
@@ -50,7 +50,7 @@ class LimitPart(ResultModel):
 
     @classmethod
     def of_limit(cls, found: Limit, **part: float) -> LimitPart:
-        """Return a limit as the result has it."""
+        """Return the part of the result on a limit; `part` is optional: `part=` its fraction of the variance."""
         source = found.source
         return cls.from_object(
             source,
@@ -65,22 +65,22 @@ class LimitPart(ResultModel):
 
     @property
     def words(self) -> str:
-        """The limit in the unit of the bench file, or why there is none."""
+        """The limit with its printed unit, or why there is none."""
         return self.verdict if self.limit is None else self.shown(self.limit, down=True)
 
     @property
     def now(self) -> str:
-        """The size that the bench file states."""
+        """The size in the bench file, with its printed unit."""
         return self.shown(self.u_now * (math.sqrt(3.0) if self.distribution == "rectangular" else self.k))
 
     def shown(self, value: float, *, down: bool = False) -> str:
-        """Return a size with its unit; `down` rounds towards zero."""
+        """Return a size (SI) with its printed unit; `down` rounds towards zero."""
         unit, size = _SHOWN.get(self.unit, (f" {self.unit}", 1.0))
         return f"{figures(value / size, down=down)}{unit}"
 
 
 class AlternativePart(ResultModel):
-    """Another estimator or procedure, with the uncertainty that it gives on the present bench."""
+    """Another estimator or procedure, and the uncertainty that it reaches on the present bench."""
 
     estimator: str
     procedure: str
@@ -117,7 +117,7 @@ class RequireResult(ResultModel):
 class Requirements:
     """The result of `bench require`, with further data for its text.
 
-    `up_to_g` is the largest acceleration asked about, if any; `left_out` names the errors that are not counted.
+    `up_to_g` is the largest acceleration asked about, None if none was; `left_out` names the errors not counted.
     """
 
     result: RequireResult
@@ -125,7 +125,7 @@ class Requirements:
     left_out: tuple[str, ...]
 
     def print_on(self, out: Console) -> None:
-        """Print the limits, the alternatives, whether the bench as it is keeps to the accuracy."""
+        """Print the limits, the alternatives, and whether the present bench meets the accuracy."""
         found = self.result
         up_to = "" if self.up_to_g is None else f" up to {self.up_to_g:g} g"
         out.print(
@@ -187,7 +187,7 @@ def _micro(value: float) -> str:
 
 
 class GoalPart(ResultModel):
-    """A goal of the plan, and the uncertainty reached."""
+    """A goal of the plan, and the standard uncertainty that the plan reaches."""
 
     name: str
     unit: str
@@ -208,7 +208,7 @@ class PointPart(ResultModel):
 
 
 class PlanPointsResult(ResultModel):
-    """Test points that reach an uncertainty with the least bench time."""
+    """Test points that reach a required uncertainty in the least bench time."""
 
     bench: str
     bench_file: BenchPart
@@ -226,9 +226,10 @@ class PlanPointsResult(ResultModel):
 def plan_points_result(
     points: ChosenPoints, u_paper: dict[str, float], bench: BenchPart, procedure: str | None, *, asked: bool
 ) -> PlanPointsResult:
-    """Return the result of chosen points.
+    """Return the result on chosen points.
 
-    `u_paper` has u of each goal at the paper's points; `asked` is whether there are goals.
+    `u_paper` maps the name of each goal to its u with the paper's points; `asked` is whether the user stated
+    goals.
     """
     return PlanPointsResult(
         bench=bench.name,
@@ -263,8 +264,8 @@ def plan_points_result(
 class PlannedPoints:
     """The result of `bench plan-points`, with further data for its text.
 
-    `paper_settings` are those of the paper's procedure, `learned` says whether learned sizes of the bench
-    were used, `time` is the bench time allowed.
+    `paper_settings` is the number of settings in the paper's procedure. `learned` is whether learned sizes of the
+    bench exist, which the plan does not use. `time` is the bench time allowed.
     """
 
     result: PlanPointsResult
@@ -273,7 +274,7 @@ class PlannedPoints:
     time: str | None
 
     def print_on(self, out: Console) -> None:
-        """Print the points of each mounting, the goals, the time, and what a reader should know."""
+        """Print the points of each mounting, the goals, the time and the warnings."""
         found = self.result
         shown = table("installation", ">settings", "angles (visits where more than one)")
         visits: dict[tuple[int, str], Counter[float]] = {}

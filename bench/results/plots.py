@@ -1,8 +1,8 @@
 """The figures of the report, each as an SVG string for the page.
 
-Lettering is drawn as outlines, so a figure looks the same everywhere; identifiers and hashes are fixed, so
-the same input gives the same text. Colours: Okabe and Ito's set, told apart by the colour-blind; whatever
-a colour says, a shape or a word says too.
+Glyphs are drawn as outlines, so that a figure looks the same everywhere. Identifiers and hashes are fixed, so
+that the same input gives the same text. The colours are Okabe and Ito's, which colour-blind people can tell
+apart; shapes or words repeat what colours show.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-# where its folder for settings cannot be made it goes on without, and nobody who reads a page need know
+# matplotlib warns if it cannot create its settings folder, which does not affect a page
 logging.getLogger("matplotlib").setLevel(logging.ERROR)
 
 BLUE, VERMILION, GREEN = "#0072B2", "#D55E00", "#009E73"
@@ -39,7 +39,7 @@ PASS_COLOURS: Final = (BLUE, VERMILION, GREEN, PURPLE, ORANGE)
 PASS_FILLS: Final = ("full", "none", "bottom", "left", "top")
 MARKERS: Final = {1: "^", -1: "v", 0: "o"}
 DODGE_DEG: Final = 5.0
-"""Passes at the same angle stand apart by this much, so that no reading hides another."""
+"""Horizontal spread (degrees) of passes at the same angle, so that no reading hides another."""
 
 STYLE: Final[dict[str, Any]] = {
     "svg.fonttype": "path",
@@ -64,9 +64,9 @@ STYLE: Final[dict[str, Any]] = {
 
 
 def residuals_by_angle(calibration: Calibration) -> str:
-    """Residuals against head angle: a row for each channel, a column for each installation.
+    """Return a plot of residuals against head angle: a row per channel, a column per installation.
 
-    The band is two standard deviations of a single reading: reading noise and setting error along du/dphi.
+    The band is two standard deviations of a single reading, from reading noise and setting error.
     """
     mounts = mounts_of(calibration)
     scale = residual_scale(calibration)
@@ -94,7 +94,7 @@ def residuals_by_angle(calibration: Calibration) -> str:
 
 
 def residuals_in_order(calibration: Calibration) -> str:
-    """Residuals in the order of measurement: against time where every reading has one."""
+    """Return a plot of residuals in order of measurement, against time if every reading has one."""
     scale = residual_scale(calibration)
     time_s = calibration.fitted.time_s
     along: Floats = np.arange(1.0, len(time_s) + 1.0)
@@ -119,7 +119,7 @@ def residuals_in_order(calibration: Calibration) -> str:
 
 
 def verification_points(verification: Verification) -> str:
-    """Δg at the verification points with bars of U between the limits (paper, Fig. 6)."""
+    """Return a plot of Δg at the verification points, with bars of U and the limits (paper, Fig. 6)."""
     scale = scale_for(verification.limit_g, "g")
     limit = verification.limit_g / scale.size
     points = verification.points
@@ -167,13 +167,13 @@ def verification_points(verification: Verification) -> str:
 
 
 def correlations(calibration: Calibration) -> str:
-    """Correlation matrix of the twelve coefficients, the lower triangle."""
+    """Return a plot of the correlation matrix of the twelve coefficients, lower triangle."""
     matrix = correlation_of(calibration.covariance)
 
     def draw(figure: Figure) -> None:
         axes = figure.subplots()
         shown = np.ma.masked_where(np.triu(np.ones_like(matrix, dtype=np.bool_)), matrix)
-        # a mesh is drawn as shapes; an image would be a bitmap
+        # pcolormesh draws vector shapes; imshow would embed a bitmap
         mesh = axes.pcolormesh(shown, cmap="RdBu_r", vmin=-1.0, vmax=1.0, edgecolors="white", linewidth=1.2)
         for i in range(12):
             for j in range(i):
@@ -197,7 +197,7 @@ def correlations(calibration: Calibration) -> str:
 
 
 def compared_coefficients(calibration: Calibration, compared: Calibration) -> str:
-    """Coefficients by another estimator, as differences from this one's, bars of k = 2 on both."""
+    """Return a plot of the coefficients by `compared` minus those by `calibration`, with bars of k = 2 on both."""
     difference = compared.block.vector - calibration.block.vector
     scale = scale_for(float(np.max(np.abs(difference) + 2.0 * compared.u)), calibration.unit)
 
@@ -222,20 +222,20 @@ def compared_coefficients(calibration: Calibration, compared: Calibration) -> st
     return svg_figure("compared", (7.4, 3.2), draw, alt)
 
 
-# --- what the figures show --------------------------------------------------------------------------
+# --- data of the figures ----------------------------------------------------------------------------
 
 
 def mounts_of(calibration: Calibration) -> list[tuple[Mounting, Mask]]:
-    """Return each mounting of the fitted readings with its rows as a mask (n,)."""
+    """Return each mounting of the fitted readings, with a mask (n,) of its readings."""
     conditions = calibration.fitted.conditions()
     return [(mount, conditions.mount == index) for index, mount in enumerate(conditions.mounts)]
 
 
 def sd_of_reading(calibration: Calibration, rows: Mask, angle_rad: Floats) -> Floats:
-    """Standard deviation of a single reading at head angles (m,) in the mounting `rows`, unit, shape (m, 3).
+    """Return the standard deviation (m, 3) of a single reading at head angles (m,), in the signal's unit.
 
-    Reading noise and setting error along du/dphi; the slope is that of the turn (sine and cosine of the
-    angle) which the fitted readings of the mounting describe, whatever the installation.
+    It combines reading noise with the setting error times du/dphi. The slope du/dphi is that of sine and cosine
+    of the angle, fitted to the readings `rows` of one mounting.
     """
     angle = calibration.fitted.angle_rad[rows]
     predicted = calibration.fitted.signal[rows] - calibration.residuals[rows]
@@ -247,20 +247,20 @@ def sd_of_reading(calibration: Calibration, rows: Mask, angle_rad: Floats) -> Fl
 
 
 def residual_scale(calibration: Calibration) -> Scale:
-    """Return the scale on which the residuals read well, here and in the table of readings."""
+    """Return the scale (prefix of the unit) for residuals, shared by the figures and the table of readings."""
     return scale_for(float(np.max(np.abs(calibration.residuals))), calibration.unit)
 
 
 def symbol(name: str) -> str:
-    """Return a coefficient's name as matplotlib sets it: "$K_{xy}$"."""
+    """Return a coefficient's name for matplotlib: "Kxy" -> "$K_{xy}$"."""
     return f"$U_{{0{name[2:]}}}$" if name.startswith("U0") else f"$K_{{{name[1:]}}}$"
 
 
-# --- how they are drawn -----------------------------------------------------------------------------
+# --- drawing ----------------------------------------------------------------------------------------
 
 
 def dodged_deg(calibration: Calibration) -> Floats:
-    """Head angles (n,) in degrees, the passes set apart sideways by `DODGE_DEG` in all."""
+    """Return head angles (n,) in degrees, shifted by pass so that passes lie side by side."""
     number = calibration.fitted.pass_number
     middle = (number.min() + number.max()) / 2.0
     spread = max(float(np.ptp(number)), 1.0) / 2.0
@@ -276,9 +276,9 @@ def residual_points(
     scale: Scale,
     name: str = "readings",
 ) -> None:
-    """Draw the residuals of one channel in one mounting; pass in colour and fill, direction in shape.
+    """Draw the residuals of one channel in one mounting: colour and fill show the pass, shape the direction.
 
-    `name` sets the identifiers of the marks apart from those of other calibrations in the same figure.
+    `name` distinguishes the identifiers of the marks from those of other calibrations in the same figure.
     """
     fitted = calibration.fitted
     for number in np.unique(fitted.pass_number[rows]):
@@ -295,7 +295,7 @@ def residual_points(
 
 
 def legend_of(grid: Iterator[Axes]) -> tuple[list[Any], list[str]]:
-    """Handles and labels of all axes, each label once."""
+    """Return handles and labels of the legend entries of several axes, each label once."""
     entries = {
         label: handle
         for axes in grid
@@ -305,7 +305,7 @@ def legend_of(grid: Iterator[Axes]) -> tuple[list[Any], list[str]]:
 
 
 def mark_changes(grid: Any, calibration: Calibration, along: Floats, word: str = "installation ") -> None:
-    """Draw a line where the block was mounted anew, and name the mounting above, after `word`."""
+    """Draw a line at each new mounting, and write `word` and the mounting's name above."""
     conditions = calibration.fitted.conditions()
     starts = [0, *(np.flatnonzero(np.diff(conditions.mount)) + 1)]
     for start in starts:
@@ -328,8 +328,8 @@ def _verification_labels(verification: Verification) -> list[str]:
 
 @contextmanager
 def drawn(name: str, inches: tuple[float, float], draw: Callable[[Figure], None]) -> Iterator[Figure]:
-    """Draw a figure and have it as long as the style of the pages holds; `name` fixes the identifiers in it."""
-    # matplotlib takes longer to import than anything else that a command does
+    """Draw a figure, and yield it while the page style is active; `name` makes its identifiers reproducible."""
+    # imported here because importing matplotlib takes longer than most commands
     from matplotlib import style
     from matplotlib.figure import Figure
 
@@ -340,7 +340,7 @@ def drawn(name: str, inches: tuple[float, float], draw: Callable[[Figure], None]
 
 
 def svg_file(name: str, inches: tuple[float, float], draw: Callable[[Figure], None]) -> str:
-    """Draw a figure and return the text of an SVG file that stands alone."""
+    """Draw a figure and return it as the text of a standalone SVG file."""
     return _written(name, inches, draw)
 
 
@@ -350,18 +350,18 @@ def _written(name: str, inches: tuple[float, float], draw: Callable[[Figure], No
     text = io.StringIO()
     with drawn(name, inches, draw) as figure:
         nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))
-        # not savefig: it draws all once more beforehand, and the file is the same
+        # not savefig, which draws everything twice for the same file
         FigureCanvasSVG(figure).print_svg(text, metadata=nothing)  # type: ignore[no-untyped-call]
     return text.getvalue()
 
 
 def svg_figure(name: str, inches: tuple[float, float], draw: Callable[[Figure], None], alt: str) -> str:
-    """Draw a figure and return it as an SVG element for a page; `alt` says in words what it shows."""
+    """Draw a figure and return it as an SVG element for a page; `alt` is its alternative text."""
     return _inline(svg_file(name, inches, draw), name, inches, alt)
 
 
 def _inline(svg: str, name: str, inches: tuple[float, float], alt: str) -> str:
-    """Make of an SVG file an element that lives among others in a page: identifiers of its own, no addresses."""
+    """Convert an SVG file to an element for a page, with unique identifiers and without metadata."""
     body = svg[svg.index("<svg") :]
     body = re.sub(r"<!--.*?-->|<metadata>.*?</metadata>|<style.*?</style>", "", body, flags=re.DOTALL)
     body = re.sub(r'\bid="', f'id="{name}-', body)
@@ -369,6 +369,6 @@ def _inline(svg: str, name: str, inches: tuple[float, float], alt: str) -> str:
     box = re.search(r'viewBox="[^"]*"', body)
     if box is None:  # pragma: no cover - matplotlib always writes one
         raise ValueError(f"figure {name}: no viewBox in the SVG")
-    # an em is the page's own letter size, so the figure's lettering keeps pace with the text
+    # the width is in em, so that the lettering scales with the page's text
     start = f'<svg {box[0]} role="img" aria-label="{escape(alt)}" style="max-width:{inches[0] * 6.4:.1f}em">'
     return start + re.sub(r">\s+<", "><", body[body.index(">") + 1 :].strip())

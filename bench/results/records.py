@@ -1,4 +1,4 @@
-"""Runs, their records and their instruments: results of runs, show, instruments, commission; JSON and text."""
+"""The results of `bench runs`, `show`, `instruments`, `commission` and `simulate`, as JSON and as text."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from bench.run.sentences import duration, said, sentence
 from drivers.interfaces import Identity
 
 _NAME: Final = 19
-"""Characters of the column of names, so that a line with everything has 80."""
+"""Width of the column of names, which leaves 80 characters for the whole line."""
 _SAID: Final = ("answered", "answer_refused")
 
 
@@ -49,7 +49,7 @@ class RunsResult(ResultModel):
     runs: list[RunPart]
 
     def print_on(self, folder: Path, out: Console) -> None:
-        """Print the list, a line of 80 characters for each run and its next command."""
+        """Print a line of 80 characters for each run, followed by any damage and the command that resumes it."""
         if not self.runs:
             out.print(f"{folder}: no runs there")
             return
@@ -65,7 +65,7 @@ class RunsResult(ResultModel):
 
 
 def _line(name: str, facts: Sequence[object]) -> str:
-    """Return a line of 80 characters; a name that is too long for its column has a line of its own."""
+    """Return a line of 80 characters; a name too long for its column gets a line of its own."""
     begun, instruments, state, readings, verdict = facts
     shown = f"{begun!s:16}  {instruments!s:11}  {state!s:10}  {readings!s:>8}  {verdict}"
     separate = "\n" if len(name) > _NAME else ""
@@ -73,7 +73,7 @@ def _line(name: str, facts: Sequence[object]) -> str:
 
 
 class ManifestPart(ResultModel):
-    """`run.json`: what the run was made of."""
+    """`run.json`: the inputs of a run."""
 
     format: int = Field(description="of the record")
     name: str
@@ -100,20 +100,20 @@ class ManifestPart(ResultModel):
 
 
 class ProvenRecordPart(RecordPart):
-    """The identity of a record, with the sentences of `--verify`."""
+    """The fingerprint of a record, with the findings of `--verify`."""
 
     told: list[str] = Field(description="what supports the record, and what not; by --verify")
 
 
 class ShowResult(RunPart):
-    """A run: its manifest, its state and its events."""
+    """A run: its manifest, its state and its record."""
 
     manifest: ManifestPart | dict[str, Any] = Field(description="`run.json` as it is on the disk")
     record: ProvenRecordPart
     problems: list[str] = Field(description="what is wrong with the record; asked for by --verify")
 
     def print_on(self, run: Run, supply: str, out: Console, *, verified: bool) -> None:
-        """Print the manifest and the events, or what the record proves."""
+        """Print the manifest, and then the events or, if `verified`, what the record proves."""
         summary = {name: getattr(self, name) for name in RunPart.model_fields}
         for name, value in {**summary, **run.manifest}.items():
             if value not in ("", None):
@@ -126,7 +126,7 @@ class ShowResult(RunPart):
             _print_events(run, out)
 
     def _print_proof(self, run: Run, out: Console) -> None:
-        """Print what the record proves, and what not."""
+        """Print what the record proves, and its problems."""
         wrong = run.history.problems
         found = "; ".join(wrong) if wrong else "chain of hashes whole"
         out.print(f"record: {len(run.history.events)} events, {found}")
@@ -139,7 +139,7 @@ class ShowResult(RunPart):
 
 
 def _text(value: object) -> str:
-    """Return a value of the manifest as text; what it holds by name as a list."""
+    """Return a value of the manifest as text; a mapping as "name value, name value"."""
     if isinstance(value, dict):
         return ", ".join(f"{name} {part}" for name, part in value.items())
     return str(value)
@@ -173,13 +173,13 @@ def _print_events(run: Run, out: Console) -> None:
         out.print(f"next: step {point.step + 1}, {steps[point.step].describe()}")
 
 
-# --- a line of the record ---------------------------------------------------------------------------
+# --- events of the record -----------------------------------------------------------------------------
 
 Three = Field(min_length=3, max_length=3)
 
 
 class OutlierPart(ResultModel):
-    """The sample that an outlier test names."""
+    """The sample that an outlier test identified."""
 
     sample: int = Field(description="from 1")
     value: float
@@ -188,7 +188,7 @@ class OutlierPart(ResultModel):
 
 
 class RailPart(ResultModel):
-    """What the supply measured at a rail of the block."""
+    """The voltage and current that the supply measured at a rail of the block."""
 
     voltage_v: float
     nominal_v: float
@@ -196,7 +196,7 @@ class RailPart(ResultModel):
 
 
 class ReadingPart(ResultModel):
-    """The measured values of a step that reads."""
+    """The measured values of a reading step."""
 
     installation: str
     series: int
@@ -225,7 +225,7 @@ class ReadingPart(ResultModel):
 
 
 class NowPart(ResultModel):
-    """The goal that is furthest from reached."""
+    """The goal that is furthest from being reached."""
 
     model_config = ConfigDict(extra="allow")
 
@@ -236,9 +236,9 @@ class NowPart(ResultModel):
 
 
 class EventLine(ResultModel):
-    """One event of a run's record, a line of events.jsonl; `prev` makes a chain of them.
+    """One event of a run's record, a line of events.jsonl; `prev` links the events to a chain of hashes.
 
-    What a step brought has further members by its kind, such as `angle_deg` of a turn.
+    Events of type step_done have further members by kind of step, such as `angle_deg` for a turn.
     """
 
     model_config = ConfigDict(extra="allow")
@@ -293,11 +293,11 @@ class EventLine(ResultModel):
     )
 
 
-# --- looked at --------------------------------------------------------------------------------------
+# --- instruments --------------------------------------------------------------------------------------
 
 
 class FailurePart(ResultModel):
-    """A fault of an instrument."""
+    """A fault of an instrument, with its remedy."""
 
     cause: str
     remedy: str
@@ -317,14 +317,14 @@ class InstrumentPart(ResultModel):
 
 
 class InstrumentsResult(ResultModel):
-    """Every instrument of a bench: who answers, what is wrong."""
+    """Every instrument of a bench: its identity, settings, self-test and faults."""
 
     bench: str
     passed: bool
     instruments: list[InstrumentPart]
 
     def print_on(self, out: Console) -> None:
-        """Print a line for each instrument, and how many of them respond without a fault."""
+        """Print a line for each instrument, and how many of them have no fault."""
         shown = table()
         for heading in ("instrument", "address", "identity", "settings", "self-test", "shows"):
             # an address is copied from the table, so it must not be broken
@@ -344,14 +344,14 @@ class InstrumentsResult(ResultModel):
         out.print(f"{well} of {len(self.instruments)} instruments are well")
 
 
-# --- commissioned -----------------------------------------------------------------------------------
+# --- commissioning ------------------------------------------------------------------------------------
 
 VERDICTS: Final = {
     0: ("passed", "✓ All that was tried works as expected"),
     1: ("none", "Something is slower or other than expected"),
     2: ("failed", "✗ Something could not be done"),
 }
-"""By exit status: how the page looks, and what it says."""
+"""The style of the page and its headline, by exit status."""
 
 
 class CommissionedPart(ResultModel):
@@ -384,7 +384,7 @@ class CommissionResult(ResultModel):
 
 
 def render_commissioning(result: Mapping[str, Any]) -> str:
-    """Return the page of a commissioning, from its result as JSON has it; the same result gives the same text."""
+    """Return the HTML page of a commissioning from its JSON result; the same result always gives the same text."""
     findings = result["findings"]
     look, word = VERDICTS[result["status"]]
     return page(
@@ -403,11 +403,11 @@ def _shown(figure: Mapping[str, Any]) -> str:
     return f"{figure['what']} {figure['value']:.4g} {figure['unit']}{held}"
 
 
-# --- simulated --------------------------------------------------------------------------------------
+# --- simulation ---------------------------------------------------------------------------------------
 
 
 class ServedPart(ResultModel):
-    """A simulated instrument that is served."""
+    """A simulated instrument, with the addresses at which it is served."""
 
     name: str
     model: str
@@ -416,7 +416,7 @@ class ServedPart(ResultModel):
 
 
 class ReadyResult(ResultModel):
-    """Where each simulated instrument listens: the file of bench simulate --ready-file."""
+    """The address of each simulated instrument: the file of `bench simulate --ready-file`."""
 
     instruments: list[ServedPart]
     control: str = Field("", description="host and port that take commands, such as 'turn 45 deg'")

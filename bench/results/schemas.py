@@ -1,4 +1,4 @@
-"""Which model each result is of, so that its JSON schema can be made."""
+"""The model of each result by schema name, from which its JSON schema is made."""
 
 from __future__ import annotations
 
@@ -46,11 +46,11 @@ RESULTS: Final = {
     "tumble": "tumble.TumbleResult",
     "verify": "verification.VerifyResult",
 }
-"""The model of each result, as module (of this room, or in full) and class, by the name of its schema."""
+"""The model of each result by schema name: module (in `bench.results`, or in full) and class."""
 
 
 def model_of(name: str) -> type[ResultModel]:
-    """Return the model of a result by name."""
+    """Return the model class of a result by its schema name. Raises `KeyError` for an unknown name."""
     module, _, model = RESULTS[name].rpartition(".")
     place = module if module.startswith("bench.") else f"bench.results.{module}"
     found: type[ResultModel] = getattr(import_module(place), model)

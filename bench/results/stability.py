@@ -1,4 +1,4 @@
-"""The result of `bench stability`: noise and drift of a record at rest, as JSON, as text and as a figure."""
+"""The result of `bench stability`: noise and drift of a record at rest; as JSON, as text and as a figure."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 class TermPart(ResultModel):
-    """A noise term, in the unit of the signal and seconds."""
+    """A noise term of the Allan deviation, in the unit of the signal and seconds."""
 
     value: Real = Field(description="null where it is not shown")
     u: Real = Field(description="standard uncertainty; null where it is not shown")
@@ -32,7 +32,7 @@ class TermPart(ResultModel):
 
 
 class AveragingPart(ResultModel):
-    """The averaging time that a channel deserves."""
+    """The recommended averaging time of a channel."""
 
     tau_s: float
     deviation: float = Field(description="Allan deviation then")
@@ -41,7 +41,7 @@ class AveragingPart(ResultModel):
 
 
 class ChannelPart(ResultModel):
-    """A channel of the record."""
+    """The stability of a channel."""
 
     mean: float
     drift_per_hour: float = Field(description="slope of the straight line through the signal")
@@ -56,7 +56,7 @@ class ChannelPart(ResultModel):
 
 
 class ReadingPart(ResultModel):
-    """The settings of a reading for a procedure file."""
+    """The recommended settings of a reading for a procedure file."""
 
     samples: int
     nplc: float
@@ -64,7 +64,7 @@ class ReadingPart(ResultModel):
 
 
 class StabilityResult(ResultModel):
-    """Allan deviation of a record at rest, and the reading that it deserves."""
+    """The Allan deviation of a record at rest, and the recommended reading."""
 
     source: str
     unit: str = Field(description="of the signals")
@@ -77,7 +77,7 @@ class StabilityResult(ResultModel):
 
 
 def stability_result(found: Stability, bench: BenchPart) -> StabilityResult:
-    """Return the noise and drift of a record, with the bench file that was used, as `--json` writes them."""
+    """Return the result of a stability analysis; `bench` is the bench file that was used."""
     record, advice = found.record, found.advice
     return StabilityResult.from_object(
         record,
@@ -118,7 +118,7 @@ def _channel(found: Stability, i: int) -> ChannelPart:
 
 
 def print_stability(found: Stability, out: Console) -> None:
-    """Print noise terms and averaging time of each channel, and the reading that follows."""
+    """Print the noise terms and averaging time of each channel, and the recommended reading."""
     record = found.record
     out.print(
         f"Static record {record.source}: {len(record.signal)} samples of {record.interval_s:.4g} s, "
@@ -145,7 +145,7 @@ def print_stability(found: Stability, out: Console) -> None:
 
 
 def _table(found: Stability) -> Table:
-    """A column for each channel: mean, drift, the noise terms with u or what they are below, the averaging."""
+    """Return a table with a column for each channel: mean, drift, noise terms (or upper limits), averaging."""
     record, unit = found.record, found.record.unit
     shown = table("", *(f">{channel}" for channel in CHANNELS))
     shown.add_row("mean", *(f"{mean:.7g} {unit}" for mean in record.mean))
@@ -169,7 +169,7 @@ def _term(terms: NoiseTerms, k: int, unit: str) -> str:
 
 
 def allan_figure(found: Stability) -> str:
-    """Return an SVG file: deviation with 95 % limits, the noise terms' sum, the averaging time chosen."""
+    """Return an SVG file: Allan deviation with 95 % limits, the fitted noise terms, the averaging time chosen."""
     curves, terms, tau_s = found.curves, found.terms, found.longest_s
     scale = scale_for(min(float(curve.deviation.min()) for curve in curves), found.record.unit)
 

@@ -1,4 +1,4 @@
-"""The tables of the report: numbers rounded and aligned, ready for the page."""
+"""The tables of the report: numbers rounded and aligned as text for the page."""
 
 from __future__ import annotations
 
@@ -40,14 +40,14 @@ MEANINGS: Final = {
     "mounting_roll": "mounting error, third angle",
 }
 HARDLY: Final = 0.01
-"""A contribution below this part of the unit of its table is none."""
+"""Contributions below this fraction of the table's unit are printed as a dash."""
 SHOWS: Final = 2.0
-"""A stand angle shows in the data when it is more than this many of its u away from nothing."""
+"""A stand angle shows in the data if it differs from zero by more than this many u."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """A line of a table: what it is about (may hold markup) and its cells; `bad` sets it apart."""
+    """A row of a table: its heading (may hold markup) and its cells; `bad` highlights it."""
 
     head: str
     cells: tuple[str, ...]
@@ -55,7 +55,7 @@ class Row:
 
 
 def symbol(name: str) -> Markup:
-    """Return a coefficient's name as the page sets it: K with its indices below."""
+    """Return a coefficient's name as HTML: "Kxy" -> K with the indices as subscripts."""
     if name.startswith("U0"):
         return Markup("<i>U</i><sub>0{}</sub>").format(name[2:])
     return Markup("<i>K</i><sub>{}</sub>").format(name[1:])
@@ -65,18 +65,21 @@ def symbol(name: str) -> Markup:
 
 
 def matrix(calibration: Calibration) -> list[list[str]]:
-    """Return K and, as a fourth column, U0 in concise notation."""
+    """Return the rows of K, with U0 as the fourth column, in concise notation: "1.2345(67)"."""
     pairs = zip(calibration.block.vector, calibration.u, strict=True)
     both = ["0" if v == u == 0.0 else concise(float(v), float(u)) for v, u in pairs]
     return [[*both[3 * i : 3 * i + 3], both[9 + i]] for i in range(3)]
 
 
 def coefficient_groups(calibration: Calibration) -> list[tuple[str, list[Row]]]:
-    """Return scale factors, cross-axis terms, biases: value, unit, u of the readings, u, U, unit, other terms."""
+    """Return the rows of scale factors, cross-axis terms and biases, each with the title of the group.
+
+    Cells: value, unit, u from the readings alone, u, U, unit of these, the value in other terms and its unit.
+    """
     vector, u = calibration.block.vector, calibration.u
     scale = scale_for(float(np.max(u)), calibration.unit)
     base = scale_for(1.0, calibration.unit)
-    # a coefficient without a value and an uncertainty is zero by convention: free positions alone
+    # with free positions alone some coefficients are zero by convention: value and u are 0
     values = aligned(
         ["0" if v == s == 0.0 else rounded(float(v), float(s)) for v, s in zip(vector, u, strict=True)]
     )
@@ -111,7 +114,7 @@ def coefficient_groups(calibration: Calibration) -> list[tuple[str, list[Row]]]:
 
 
 def _in_other_terms(calibration: Calibration, j: int) -> tuple[str, str]:
-    """Relative u of a scale factor, ppm; a cross-axis term as an angle, arcsec; a bias as acceleration."""
+    """Return a scale factor's relative u (ppm), a cross-axis term as an angle (″) or a bias in g, with its unit."""
     vector, u = calibration.block.vector, calibration.u
     own = 4 * (j // 3 if j < 9 else j - 9)
     if j == own:
@@ -126,7 +129,7 @@ def _in_other_terms(calibration: Calibration, j: int) -> tuple[str, str]:
 
 
 def _ratio(calibration: Calibration, j: int, own: int) -> tuple[float, float]:
-    """Ratio of two coefficients with its u, their covariance included."""
+    """Return the ratio of two coefficients and its u, including their covariance."""
     vector, covariance = calibration.block.vector, calibration.covariance
     ratio = vector[j] / vector[own]
     variance = covariance[j, j] + ratio**2 * covariance[own, own] - 2.0 * ratio * covariance[j, own]
@@ -134,7 +137,7 @@ def _ratio(calibration: Calibration, j: int, own: int) -> tuple[float, float]:
 
 
 def strongest_correlations(calibration: Calibration, count: int = 5) -> list[tuple[Markup, Markup, str]]:
-    """Return the pairs of coefficients that hang together most, with their correlation."""
+    """Return the `count` pairs of coefficients with the largest correlations, as names and text."""
     r = correlation_of(calibration.covariance)
     pairs = sorted(
         ((i, j) for i in range(12) for j in range(i)), key=lambda pair: (-abs(r[pair]), pair[1], pair[0])
@@ -146,7 +149,7 @@ def strongest_correlations(calibration: Calibration, count: int = 5) -> list[tup
 
 
 def comparison(calibration: Calibration, compared: Calibration) -> list[Row]:
-    """Return both estimates and their difference for each coefficient."""
+    """Return a row for each coefficient: both estimates, and their difference."""
     difference = compared.block.vector - calibration.block.vector
     scale = scale_for(float(np.max(np.abs(difference))), calibration.unit)
     shown = [
@@ -176,7 +179,7 @@ def comparison(calibration: Calibration, compared: Calibration) -> list[Row]:
 
 
 def stand(calibration: Calibration) -> list[Row]:
-    """Return the stand's angles: meaning, estimate, u, how many u from nothing, and that in words."""
+    """Return a row for each stand angle: its meaning, estimate, u, deviation from zero in u, and a remark."""
     estimates = list(calibration.stand.values())
     pulls = [e.value / e.u if e.u > 0 else float("nan") for e in estimates]
     columns = (
@@ -193,7 +196,7 @@ def stand(calibration: Calibration) -> list[Row]:
 
 
 def _stand_angle(name: str) -> Markup:
-    """Name a stand angle: "alpha3[2]" is α₃, the mounting error in installation 2."""
+    """Return the label of a stand angle: "alpha3[2]" -> "α₃ mounting error, installation 2"."""
     parts = re.fullmatch(r"(?P<symbol>\w+)\[(?P<mount>.*)\]", name)
     if parts is None:
         return Markup("{}").format(name)
@@ -214,7 +217,7 @@ def _in_words(pull: float, estimate: Estimate) -> str:
 
 
 def effects(calibration: Calibration) -> list[Row]:
-    """Return the fitted parameters of the model's effects: estimate, u, unit, what the effect is."""
+    """Return a row for each fitted parameter of the model's effects: estimate, u, unit, description."""
     rows = []
     for name, e in calibration.effects.items():
         known = CATALOGUE.get(name.replace(" ", ".").split(".")[0])
@@ -253,9 +256,9 @@ def verification(result: Verification) -> list[Row]:
 
 
 def free(calibration: Calibration) -> tuple[str, list[Row]] | None:
-    """Return the unit and a row for each reading that joined by its modulus: installation, pass, point, |a| - 1.
+    """Return the unit and a row for each free position in the fit: installation, pass, point, |a| - 1 g.
 
-    None where no reading did.
+    None if there was none.
     """
     of = calibration.free
     if of is None:
@@ -277,7 +280,7 @@ def free(calibration: Calibration) -> tuple[str, list[Row]] | None:
 
 
 def outliers(calibration: Calibration) -> list[Row]:
-    """Return the outliers: row of the table, place, channel, size, in standard uncertainties, weight."""
+    """Return a row for each outlier: reading, place, channel, size, unit, size in u, weight."""
     return [
         Row(
             str(o.row),
@@ -334,7 +337,7 @@ def readings(calibration: Calibration) -> tuple[str, list[Row]]:
 
 
 def _limits(noise: Noise) -> str:
-    """Between which values the setting error lies, where the data tell."""
+    """Return the limits of the setting error in words; "" if the data do not determine them."""
     if noise.setting_limits_rad is None:
         return ""
     low, high = (limit / ARCSEC for limit in noise.setting_limits_rad)
@@ -346,7 +349,10 @@ def _each(sizes: tuple[float, float, float], unit: str) -> str:
 
 
 def sources(calibration: Calibration) -> dict[str, Any]:
-    """Return the errors that the readings do not show: name, u, origin, what each adds at most; and gravity."""
+    """Return the table of error sources that the readings do not show, and the u of gravity; empty without sources.
+
+    Cells: u, the largest contribution to scale factors, cross-axis terms and biases, and origin.
+    """
     if not calibration.sources:
         return {}
     largest = max(float(u_of(s.covariance).max()) for s in calibration.sources)
@@ -363,7 +369,7 @@ def sources(calibration: Calibration) -> dict[str, Any]:
 
 
 def noise(calibration: Calibration) -> dict[str, str]:
-    """Return the noise sizes, where they come from, and the root mean square of the residuals."""
+    """Return the noise sizes with their origin, and the root mean square of the residuals, as text."""
     of = calibration.noise
     return {
         "reading": quantity(of.reading, calibration.unit),
@@ -377,16 +383,16 @@ def noise(calibration: Calibration) -> dict[str, str]:
 
 
 def page(name: str, **content: Any) -> str:
-    """Return the page that a template of this folder makes of its content.
+    """Render a template of the folder `templates` with `content`; return the HTML page.
 
-    What a page does not give to it is an error. All is escaped, and no character in it acts unseen.
+    Content is escaped, and control characters are made visible. A name missing from `content` is an error.
     """
     return visible(_templates().get_template(name).render(**content))
 
 
 @cache
 def _templates() -> Environment:
-    """Return the templates, which compiles each of them once a program."""
+    """Return the template environment, cached so that each template is compiled only once."""
     environment = Environment(
         loader=PackageLoader("bench.results", "templates"),
         autoescape=True,

@@ -18,11 +18,11 @@ from bench.calibration.tumble import K, TumbleView
 from bench.results.parts import BenchPart, CorrectionPart, ExpandedPart, FitPart, UnitPart, fit_in_words
 
 CLOSE: Final = 0.95
-"""Two terms with a correlation beyond it are hardly told apart."""
+"""Correlation above which two terms are reported as hard to separate."""
 
 
 class QuantityPart(ExpandedPart):
-    """An estimate of an axis; `u` is combined where the result says so."""
+    """An estimated term of an accelerometer; `u` is the combined one if the result is `combined`."""
 
     u_readings: float = Field(description="the part that the readings and the stand as it is stated show")
     contains: dict[str, float] = Field(
@@ -32,7 +32,7 @@ class QuantityPart(ExpandedPart):
 
 
 class AxisPart(ResultModel):
-    """The accelerometer of a channel."""
+    """The accelerometer of one channel."""
 
     quantities: dict[str, QuantityPart] = Field(
         description="K0 (bias), K1 (scale factor), the two misalignment angles with the paper's sign, and the "
@@ -49,7 +49,7 @@ class AxisPart(ResultModel):
 
 
 class TumbleNoisePart(ResultModel):
-    """Sizes of the noise, one standard deviation."""
+    """The noise, as standard deviations."""
 
     reading_v: float
     setting_arcsec: float
@@ -58,7 +58,10 @@ class TumbleNoisePart(ResultModel):
 
 
 class TumbleResult(ResultModel):
-    """Each accelerometer of a multi-point tumble by the terms of IEEE Std 1293; of several sources a list."""
+    """The accelerometers of a multi-point tumble by the terms of IEEE Std 1293.
+
+    For several sources, the output is a list of these.
+    """
 
     unit: str
     g_m_s2: float
@@ -86,7 +89,7 @@ class TumbleResult(ResultModel):
 
 
 def tumble_result(view: TumbleView, **made_from: Any) -> TumbleResult:
-    """Return the axes of a tumble as `--json` writes them; `made_from` are the members from `source` on."""
+    """Return the result of a tumble; `made_from` are the members from `source` on."""
     return TumbleResult.from_object(
         view,
         k=K,
@@ -115,7 +118,7 @@ def tumble_result(view: TumbleView, **made_from: Any) -> TumbleResult:
 
 
 def print_tumble(view: TumbleView, name: str, on: Console) -> None:
-    """Print the quantities of each axis, what the orientations tell apart, and the fit."""
+    """Print the terms of each accelerometer, what the orientations determine, and the lack of fit."""
     on.print(f"Tumble of {name}: {len(view.fitted)} readings, local g = {view.g_m_s2:.6g} m/s²")
     on.print(
         "E/K1 = K0 + a_i + cross-axis terms + K2 a_i² + K3 a_i³ + Koq a_i |a_i| + …, a in g, E in "
@@ -133,7 +136,7 @@ def print_tumble(view: TumbleView, name: str, on: Console) -> None:
 
 
 def _table(view: TumbleView) -> Table:
-    """Return the quantities, rounded to two digits of u; angles in arcsec, all else of a channel in µg."""
+    """Return a table of the terms, rounded to two digits of u; angles are in arcsec, terms in g in µg."""
     shown = table("", "", ">value", ">u", ">U (k=2)", ">u, readings", "")
     for channel, quantities in view.axes.items():
         for q in quantities:
@@ -149,7 +152,7 @@ def _table(view: TumbleView) -> Table:
 
 
 def _close(view: TumbleView) -> Iterator[tuple[str, str, float]]:
-    """Yield pairs of nonlinear terms of one channel that are hardly told apart, with their correlation."""
+    """Yield pairs of nonlinear terms of one channel that are hard to separate, with their correlation."""
     for channel, own in view.axes.items():
         terms = [f"{channel}.{q.name}" for q in own if "g/g^" in q.unit]
         for n, first in enumerate(terms):
@@ -160,7 +163,7 @@ def _close(view: TumbleView) -> Iterator[tuple[str, str, float]]:
 
 
 def _left_out(view: TumbleView) -> Iterator[str]:
-    """Yield the effect of each term that was left out on the other terms, a sentence each."""
+    """Yield a sentence on each term that was not fitted, with its effect on the other terms."""
     for channel, by_term in view.left_out.items():
         for term, moved in by_term.items():
             if moved:
@@ -169,5 +172,5 @@ def _left_out(view: TumbleView) -> Iterator[str]:
 
 
 def _moved(moved: Mapping[str, float]) -> str:
-    """Return the shifts of other terms by a term that was left out, in words: "K0 by +0.50"."""
+    """Return the shifts of other terms by an unfitted term, in words: "K0 by +0.50"."""
     return ", ".join(f"{name} by {fixed(by, 2, sign=True)}" for name, by in moved.items())

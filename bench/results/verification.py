@@ -42,14 +42,14 @@ class PointPart(ResultModel):
 
 
 class PopulationPart(ResultModel):
-    """Δg over many blocks as stated, g."""
+    """The stated distribution of Δg over many blocks, in g."""
 
     mean: float
     standard_deviation: float
 
 
 class GlobalRiskPart(ResultModel):
-    """The risks of the decision rule over all blocks of a population, at the point with the largest U."""
+    """The global risks of the decision rule for a population of blocks, at the point with the largest U."""
 
     false_accept: float = Field(description="part of all blocks that is accepted without conforming")
     false_reject: float = Field(description="part of all blocks that is not accepted and conforms")
@@ -57,7 +57,7 @@ class GlobalRiskPart(ResultModel):
 
 
 class VerdictPart(ResultModel):
-    """Δg at the verification points against the limit."""
+    """Δg at the verification points, and the verdict against the limit."""
 
     limit_g: float = Field(description="limit of |Δg|, local g")
     rule: Literal["simple acceptance", "guarded", "non-binary"] = Field(description="decision rule")
@@ -91,9 +91,10 @@ class VerdictPart(ResultModel):
 
 
 class VerifyResult(VerdictPart):
-    """Δg at the verification points against the limit.
+    """Δg at the verification points, and the verdict against the limit.
 
-    With several sources a list of these, and of `source-failed` where one could not be evaluated.
+    For several sources, the output is a list of these; a source that could not be evaluated has a `source-failed`
+    object in its place.
     """
 
     notes: list[str] = Field(description="what the statements mean and what can be done")
@@ -104,7 +105,7 @@ class VerifyResult(VerdictPart):
 
 
 class ReportResult(ResultModel):
-    """The path of the page of a calibration, and the verification in it."""
+    """The path of the calibration report, and the verification in the report."""
 
     report: str = Field(description="path of the page")
     bench: BenchPart
@@ -112,7 +113,7 @@ class ReportResult(ResultModel):
 
 
 def verdict_members(found: Verification) -> dict[str, Any]:
-    """Return the members of a verdict that are not attributes of the verification."""
+    """Return the members of `VerdictPart` that are not attributes of a verification."""
     risk, population, accepted = found.global_risk, found.population, found.passed or found.left_open
     return {
         **found.decision.to_json(),
@@ -125,7 +126,7 @@ def verdict_members(found: Verification) -> dict[str, Any]:
 
 
 def verify_result(found: Verification, **made_from: Any) -> VerifyResult:
-    """Return a verification as `--json` writes it; `made_from` are the members from `notes` on."""
+    """Return the result of a verification; `made_from` are the members from `notes` on."""
     return VerifyResult.from_object(found, **verdict_members(found), **made_from)
 
 
@@ -133,7 +134,7 @@ def verify_result(found: Verification, **made_from: Any) -> VerifyResult:
 
 
 def verification_table(found: Verification) -> Table:
-    """Return Δg at each verification point, the statement, and the risk that the decision is wrong."""
+    """Return a table of Δg at each verification point, with the statement and the risks."""
     guarded = found.rule != SIMPLE
     expanded = ">U (k=2)" if all(p.k == 2.0 for p in found.points) else ">U (95.45 %)"
     shown = table(
@@ -173,7 +174,7 @@ HEADLINES: Final = {
     Statement.NOT_COMPLETE: "not complete",
     Statement.FAIL: "failed",
 }
-"""Names of the verdicts on a whole verification."""
+"""The words for the overall verdict of a verification."""
 
 _LEAST_SHOWN: Final = 1e-4
 _MOST: Final = 2
@@ -181,7 +182,7 @@ _MOST: Final = 2
 
 
 def headline(result: Verification, *, upper: bool = False) -> str:
-    """Return the verdict in a word or two; of a conditional pass, whether the rule accepts it."""
+    """Return the verdict in a few words; for a conditional pass, also whether the rule accepts it."""
     word = HEADLINES[result.statement]
     word = word.upper() if upper else word
     if result.statement is Statement.CONDITIONAL_PASS:
@@ -191,7 +192,7 @@ def headline(result: Verification, *, upper: bool = False) -> str:
 
 
 def rule_in_words(rule: DecisionRule) -> str:
-    """Return what a decision rule accepts, with its source."""
+    """Return the acceptance criterion of a decision rule in words, with its source."""
     if rule.name == SIMPLE:
         return (
             "accepted when |Δg| ≤ limit at every verification point; no guard band is taken off the limit "
@@ -215,19 +216,19 @@ def rule_in_words(rule: DecisionRule) -> str:
 
 
 def probability_in_words(p: float) -> str:
-    """Return a probability with two digits: "0.012", "< 0.0001"."""
+    """Return a probability with two digits, such as "0.012", or a bound such as "< 0.0001"."""
     if p < _LEAST_SHOWN:
         return f"< {_LEAST_SHOWN:g}"
     return f"{p:.2g}" if p < 1.0 - _LEAST_SHOWN else f"> {1.0 - _LEAST_SHOWN:g}"
 
 
 def optional_probability(p: float | None) -> str:
-    """Return a probability with two digits, a dash where there is none."""
+    """Return a probability with two digits; a dash for None."""
     return "–" if p is None else probability_in_words(p)
 
 
 def risk_in_words(result: Verification) -> str:
-    """Return the specific risk of the decision, of all points together and of the worst; empty without one."""
+    """Return the specific risk of the decision, overall and at the worst point; "" if nothing was decided."""
     if result.passed or result.left_open:
         of_all, worst = (probability_in_words(p) for p in (result.p_outside, result.p_outside_worst))
         single = "" if of_all == worst else f" ({worst} at the worst point)"
@@ -239,7 +240,7 @@ def risk_in_words(result: Verification) -> str:
 
 
 def verdict_line(name: str, result: Verification) -> str:
-    """Return the verdict on what is called `name` in one line."""
+    """Return the verdict on a source called `name` in one line."""
     worst = result.worst
     facts = [
         f"worst |Δg| = {abs(worst.delta_g) * 1e6:.1f} µg ± {worst.U * 1e6:.1f} µg (U, k = {worst.k:.3g})",
@@ -253,7 +254,7 @@ def verdict_line(name: str, result: Verification) -> str:
 
 
 def advice(result: Verification) -> tuple[str, ...]:
-    """Return what the statements mean and what can be done, a sentence each."""
+    """Return a sentence on the meaning of each kind of statement given, and on possible remedies."""
     number = {s: sum(p.statement is s for p in result.points) for s in Statement}
     sentences = {
         Statement.FAIL: (
@@ -286,7 +287,7 @@ def advice(result: Verification) -> tuple[str, ...]:
 
 
 def _to_pass(result: Verification) -> Iterator[str]:
-    """Return what would make the verification pass, and the largest contributions to u at the worst point."""
+    """Yield a sentence on what would make the verification pass, with the largest contributions to u."""
     needed = result.to_pass
     if needed is None:
         return
@@ -308,7 +309,7 @@ def _to_pass(result: Verification) -> Iterator[str]:
 
 
 def global_risk_in_words(result: Verification) -> tuple[str, ...]:
-    """Return the risks of the rule over all blocks of the stated population; empty where none is stated."""
+    """Return a sentence on the global risks for the stated population; empty if no population is stated."""
     risk, population = result.global_risk, result.population
     if risk is None or population is None:
         return ()

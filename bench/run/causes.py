@@ -1,4 +1,4 @@
-"""The classic mistakes that explain a reading, and the decision whether one is sure enough to stop a run."""
+"""The classic mistakes that may explain a misfitting reading, and the decision whether to stop the run."""
 
 from __future__ import annotations
 
@@ -46,35 +46,35 @@ from bench.run.expectation import (
 from drivers.angles import format_dms
 
 TIE: Final = 6.0
-"""Two causes whose costs (-2 ln likelihood) differ by less are both named: the odds are below 20 : 1."""
+"""Causes whose costs (-2 ln likelihood) differ by less are all named: the odds are below 20 : 1 (2 ln 20 = 6)."""
 
 MOVED_RAD: Final = np.radians(1.0)
 CHANNEL_OFF_G: Final = 0.1
-"""Prior 1 σ of the angle by which a block slips (rad), and of the error of a single channel (g)."""
+"""Prior standard deviations of the slip angle of a block (rad), and of the error of a single channel (g)."""
 
 LARGE_RAD: Final = np.radians(0.25)
 LARGE_G: Final = 0.02
-"""Least slip (rad) and channel error (g) that stop a run: no effect of a block or a stand is as large."""
+"""Least slip (rad) and channel error (g) that stop a run; no genuine effect of a block or a stand is as large."""
 
 FEW: Final = 4
-"""Number of readings that show how a mounted block sits; later ones suppose no new orientation."""
+"""Number of readings that establish how a mounted block sits; later ones suppose no new orientation."""
 
 MOST_CANDIDATES: Final = 12
-"""Greatest number of earlier readings suspected at once; it bounds the time of a warning in a long run."""
+"""Greatest number of earlier readings suspected at once; it limits the computing time in a long run."""
 
 
 AS_RECORDED: Final = Member(Supposition("", Kind.EARLIER))
-"""The member that supposes no mistake."""
+"""The replay member that supposes no mistake."""
 
 
 @dataclass(frozen=True)
 class Inquiry:
     """The search for the mistakes that explain a reading.
 
-    Every supposition needs these fields. `model` has, beside its own installations, the other orientations on
-    the platform; `otherwise` names these orientations for each installation. `nominal` is the nominal block,
-    `prior` the expectation before the first reading, `stand_u` the standard uncertainties of the stand,
-    `noise` the noise sizes, `most` the largest chi2 that counts as a fit.
+    `model` contains the procedure's installations and also the other possible orientations on the platform;
+    `otherwise` lists the labels of these orientations for each installation. `nominal` is the nominal block,
+    `prior` the expectation before the first reading. `stand_u` are the standard uncertainties of the stand,
+    `noise` the noise sizes, and `most` is the largest chi2 that counts as a fit.
     """
 
     model: ForwardModel
@@ -88,9 +88,9 @@ class Inquiry:
     # --- mistakes of one reading ---------------------------------------------------------------------
 
     def of_reading(self, sighting: Sighting, state: Expectation, before: float) -> list[Suspect]:
-        """Return the mistakes in this reading alone that explain it.
+        """Return the suspected mistakes that affect this reading alone and explain it.
 
-        `state` has one member; `before` is the cost of the readings before.
+        `state` is the expectation with a single member; `before` is the cost of all earlier readings.
         """
         return [
             *self._cabling_now(sighting, state, before),
@@ -109,7 +109,7 @@ class Inquiry:
         return self._fitting(supposed, state.judge(signals, sighting.pose, self.noise), before)
 
     def _elsewhere(self, sighting: Sighting, state: Expectation, before: float) -> list[Suspect]:
-        """Return the suspects with the block in another installation, or the head at another angle."""
+        """Return the suspects that place the block in another installation, or the head at another angle."""
         label, angle = sighting.installation, sighting.angle_rad
         unlikely = 0.0 if sighting.pivot_rad is None else SAT_RIGHT
         supposed = [
@@ -124,7 +124,7 @@ class Inquiry:
         return self._fitting([one.supposed for one in supposed], judged, before)
 
     def _off_by_some(self, sighting: Sighting, state: Expectation, before: float) -> list[Suspect]:
-        """Return the suspects of any size: the block turned about the shaft or tilted, or one channel off."""
+        """Return the suspects of unknown size: the block turned about the shaft or tilted, or one channel off."""
         further = self._shifts(sighting, state)
         judged = state.judge(sighting.signal_v, sighting.pose, self.noise, further)
         weighed = np.linalg.solve(judged.covariance, further[..., None])[..., 0]
@@ -158,7 +158,7 @@ class Inquiry:
         ]
 
     def _others(self, sighting: Sighting, *, few: bool) -> dict[str, Supposition]:
-        """Return the other ways in which the block may sit, by label; with `few`, other orientations too."""
+        """Return suppositions on how the block may sit instead, by label; with `few`, other orientations, too."""
         label = sighting.installation
         otherwise = self.otherwise.get(label, ()) if few else ()
         known = {at: other_installation(at, label, sighting.sat_before) for at in self._installations(label)}
@@ -172,10 +172,10 @@ class Inquiry:
     # --- mistakes of the whole run so far ------------------------------------------------------------
 
     def of_run(self, history: Sequence[Sighting]) -> tuple[list[Suspect], ReplayedReadings]:
-        """Return the mistakes since the run or mounting began, or in one earlier reading; and their replay.
+        """Return the mistakes that began with the run or the mounting, or that affect one earlier reading.
 
-        The last sighting of `history` is the reading to be explained. Member 0 of the replay supposes no
-        mistake.
+        The last sighting of `history` is the reading to be explained; only mistakes that explain it are
+        returned. The second value is the replay of all readings, whose member 0 supposes no mistake.
         """
         mounted = max(i for i, s in enumerate(history) if s.new_mount)
         others = self._others(history[-1], few=len(history) - mounted <= FEW)
@@ -204,7 +204,7 @@ class Inquiry:
         ], replay
 
     def _wrong_before(self, sighting: Sighting, k: int) -> list[Member]:
-        """Return the members with a wrong reading `k`: left out, shifted, or taken at another setting."""
+        """Return the members in which reading `k` is wrong: left out, shifted, or taken at another setting."""
         unlikely, was_wrong = UNLIKELY[Kind.EARLIER], f"{sighting.place} was wrong"
         somehow = Supposition(was_wrong, Kind.EARLIER, unlikely)
         first = 2 + len(self._others(sighting, few=True))
@@ -218,15 +218,15 @@ class Inquiry:
         ]
 
     def without(self, history: Sequence[Sighting], k: int) -> ReplayedReadings:
-        """Replay all readings except the one with the index `k`."""
+        """Replay all readings except the reading with index `k`."""
         return self.replay(history, [Member(Supposition("", Kind.EARLIER), reading=k, shift=ABSENT)])
 
     def replay(
         self, history: Sequence[Sighting], members: Sequence[Member] = (AS_RECORDED,)
     ) -> ReplayedReadings:
-        """Replay all readings for each member; the default is one member that takes them as recorded.
+        """Replay all readings for each member; the default is one member that uses them as recorded.
 
-        A reading that is left out costs as much as one that does not fit.
+        A reading that a member leaves out costs as much as a reading that does not fit.
         """
         state = self.prior.repeated(len(members))
         cabling = np.stack([member.cabling for member in members])
@@ -262,7 +262,7 @@ class Inquiry:
         return sighting.poses
 
     def _shifts(self, sighting: Sighting, state: Expectation) -> Floats:
-        """Return the prior 1 σ (5, 3), V, of each shift: block turned, block tilted, channels x, y, z."""
+        """Return the prior standard deviations (5, 3), V: block turned, block tilted, channels x, y, z off."""
         scale = state.scale_factors[0]
         turn = self.model.installations[sighting.installation].block_from_platform
         return np.stack(
@@ -282,7 +282,7 @@ def _settings(sighting: Sighting) -> list[OtherPose]:
 
 
 def candidates(history: Sequence[Sighting]) -> list[int]:
-    """Return the indices of the latest readings that were taken when a mistake in them could not be seen."""
+    """Return the indices of the latest readings at which the model was too uncertain to reveal a mistake."""
     poor = [i for i, s in enumerate(history[:-1]) if s.taken and s.poorly_known and not s.struck]
     return poor[-MOST_CANDIDATES:]
 
@@ -290,7 +290,7 @@ def candidates(history: Sequence[Sighting]) -> list[int]:
 def likeliest(suspects: Sequence[Suspect]) -> list[Suspect]:
     """Return the suspects that the readings cannot distinguish from the likeliest one, each text once.
 
-    If the likeliest suspect has a certain size, shifts of any size are left out.
+    Suspects of unknown size are left out if the likeliest suspect has a definite size.
     """
     ranked = {s.text: s for s in sorted(suspects, key=lambda s: -s.cost)}
     best = min(ranked.values(), key=lambda s: s.cost, default=None)
@@ -305,14 +305,14 @@ def _chosen(pose: ExpectedPose, index: NDArray[np.int64]) -> ExpectedPose:
 
 
 STOP_ALARM: Final = 1e-6
-"""Probability that a reading is far enough beyond chance to stop a run, in a whole run on a good bench."""
+"""Probability that chance alone makes any reading of a run on a good bench misfit enough to stop the run."""
 
 CLEARLY: Final = 5.0
-"""A mistake stops the run only if it is this many times larger, in volts, than any unexplained misfit."""
+"""A mistake stops the run only if its misfit, in volts, is this many times the largest unexplained misfit."""
 
 
 class Confidence:
-    """Decides for each early sign whether it stops the run; remembers the mistakes that a person accepted."""
+    """The decision for each early sign whether it stops the run; remembers the mistakes that a person accepted."""
 
     def __init__(self, readings: int) -> None:
         self._sure = float(chdtri(3, STOP_ALARM / max(readings, 1)))
@@ -323,15 +323,15 @@ class Confidence:
         self._undecided: tuple[Sighting, list[Suspect]] | None = None
 
     def mounted(self) -> None:
-        """Note that the block was mounted anew: signs may stop the run again, and no reading is undecided."""
+        """Note that the block was mounted anew: early signs may stop the run again, no reading is undecided."""
         self._silent, self._undecided = False, None
 
     def forget(self) -> None:
-        """Note that readings are taken again: forget the undecided reading and the unexplained misfits."""
+        """Note that readings are repeated: forget the undecided reading and the unexplained misfits."""
         self._silent, self._undecided, self._unexplained_v = False, None, 0.0
 
     def went_on(self, sighting: Sighting) -> None:
-        """Note that a person goes on despite the mistakes named last; lasting ones stop the run no more."""
+        """Note that a person continued despite the mistakes named last; lasting ones no longer stop the run."""
         self._silent = True
         for kind in self._last:
             if kind in LASTING:
@@ -341,9 +341,9 @@ class Confidence:
     def misfits(
         self, sighting: Sighting, chi2: float, off_v: float, causes: Sequence[Suspect], in_a_row: int
     ) -> bool:
-        """Return whether to stop the run at a reading that does not fit.
+        """Return whether to stop the run at a reading that does not fit and is explained by `causes`.
 
-        `off_v` is the size of its misfit, V; `in_a_row` counts the readings in succession that did not fit.
+        `off_v` is the size of its misfit, V; `in_a_row` is the number of consecutive readings that did not fit.
         """
         self._undecided = None
         somehow = [cause for cause in causes if cause.kind is Kind.EARLIER and cause.free]
@@ -361,7 +361,7 @@ class Confidence:
         return self._stopped_for(causes) if stops else False
 
     def earlier(self, chi2: float, off_v: float, causes: Sequence[Suspect]) -> bool:
-        """Return whether to stop the run for a mistake in an earlier reading, explained by `causes`."""
+        """Return whether to stop the run because `causes` show a mistake in an earlier reading."""
         if not causes or not all(cause.stops for cause in causes):
             self._unexplained_v = max(self._unexplained_v, off_v)
             return False
@@ -370,9 +370,9 @@ class Confidence:
         return self._stopped_for(causes)
 
     def fits(self) -> tuple[Sighting, list[Suspect]] | None:
-        """Take note of a reading that fits.
+        """Note a reading that fits; return the undecided reading before it with its causes, or None.
 
-        Return the reading before it with its causes, if that one was left undecided: it was wrong.
+        That the present reading fits shows that the undecided reading was wrong.
         """
         self._silent = False
         before, self._undecided = self._undecided, None

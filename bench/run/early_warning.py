@@ -1,4 +1,4 @@
-"""Early warning: each reading is compared with what the readings before it predict."""
+"""Early warning: each reading is compared with the prediction from the earlier readings."""
 
 from __future__ import annotations
 
@@ -26,6 +26,7 @@ from bench.run.expectation import (
     SETTING,
     EarlySign,
     Expectation,
+    ExpectedSignals,
     NoiseSizes,
     ReadingJudgement,
     RepeatNoise,
@@ -43,53 +44,53 @@ from drivers.angles import format_dms
 SCALE_FACTOR_U: Final = 0.03
 CROSS_AXIS_U: Final = 0.03
 BIAS_U_G: Final = 0.3
-"""Prior 1 σ of the biases about the nominal block's: parts of the scale factor, and g."""
+"""Prior standard deviations about the nominal block: parts of the scale factor, and bias in g."""
 
 FALSE_ALARM: Final = 0.005
 """Probability that a whole run on a good bench raises any warning."""
 
 PAPER_READINGS: Final = 58
-"""Readings of the paper's procedure, verification included."""
+"""Number of readings in the paper's procedure, including verification."""
 
 BIAS_AT_REMOUNT_G: Final = 60e-6
 BIAS_PER_ROOT_HOUR_G: Final = 30e-6
 SCALE_PER_ROOT_HOUR: Final = 20e-6
 BIAS_PER_KELVIN_G: Final = 180e-6
 SCALE_PER_KELVIN: Final = 300e-6
-"""Plausible change of a good block, 1 σ; for the temperature, three times the plausible value."""
+"""Plausible changes of a good block, 1 σ; for the temperature, three times the plausible value."""
 
 TEMPERATURE_STEP_K: Final = 0.5
-"""Smaller changes of temperature are ignored: they are the thermometer's, or too small to matter."""
+"""Smaller changes of temperature are ignored: they are the thermometer's noise, or too small to matter."""
 
 GROWN: Final = 1.25
-"""If the noise turns out larger by this factor, all readings are learnt again with the larger noise."""
+"""If the noise turns out larger by this factor, the model relearns all readings with the larger noise."""
 
 NOISY: Final = 2.0
-"""If repeats scatter by this factor more than the bench file states, one sign says so."""
+"""If repeats scatter more than stated in the bench file by this factor, one early sign reports it."""
 
 LEAST_NOISE_G: Final = 10e-6
-"""Smallest noise (in g) that is assumed, also where the bench file states no voltmeter error."""
+"""Smallest noise assumed (in g), even if the bench file states no voltmeter error."""
 
 POORLY_KNOWN: Final = 3.0
-"""An expectation whose uncertainty is this many times a reading's cannot show a small mistake in it."""
+"""An expectation this many times less certain than a reading cannot reveal a small mistake in the reading."""
 
 Place = tuple[int, str, int, int]
 """The identity of a reading: series, installation, pass and point."""
 
 TOLD_SIGMA: Final = 3.0
-"""A warning names the channels that are off by more standard deviations than this."""
+"""A warning names the channels whose residuals exceed this number of standard deviations."""
 
 
 class EarlyWarning:
-    """Watches a run reading by reading, and observes its events; a resumed run is recalled first.
+    """The early warning of a run: judges each reading, and observes the run's events.
 
-    `nominal_v_g` are the block's nominal scale factors with their signs. `stand_u` are the standard
+    `nominal_v_g` are the block's nominal scale factors with their signs, V/g. `stand_u` are the standard
     uncertainties of the stand's angles (rad), of "setting_error" (rad) and "voltmeter_error" (V). `readings`
-    is the number of readings of the whole run. `following` is the angle (rad) to which the head goes after a
-    reading on the same mounting.
+    is the number of readings of the whole run. `following` maps the place of a reading to the head angle (rad)
+    of the next reading on the same mounting.
 
     The model learns nothing from a reading that does not fit. So one mistake does not spoil later
-    expectations, and a lasting mistake is reported at every reading.
+    expectations, and a lasting mistake is reported at every reading. Call `recall` first in a resumed run.
     """
 
     def __init__(
@@ -128,7 +129,7 @@ class EarlyWarning:
         self._in_a_row = 0
         self._moved: tuple[Sighting, Suspect] | None = None
         self.judged: ReadingJudgement | None = None
-        """The judgement of the last reading against those before it; None for one that was passed over."""
+        """The judgement of the last reading against the earlier ones; None if that reading was not judged."""
 
     @property
     def noise(self) -> NoiseSizes:
@@ -136,13 +137,13 @@ class EarlyWarning:
         return self._repeats.sizes
 
     def remounted(self) -> None:
-        """Note that the block was mounted anew, if the installation of the next reading does not show it."""
+        """Note that the block was mounted anew, in case the next reading has the same installation and series."""
         self._mounted_anew = True
         self._confidence.mounted()
-        self._visits.clear()  # what differs from now on is the mounting, no noise
+        self._visits.clear()  # later differences come from the remounting, not from noise
 
     def strike(self, places: Collection[Place]) -> None:
-        """Forget readings that are to be taken again."""
+        """Forget the readings at `places`, which are to be repeated, and relearn from the others."""
         found = [sighting for place in places if (sighting := self._places.pop(place, None)) is not None]
         for sighting in found:
             sighting.struck = True
@@ -152,12 +153,12 @@ class EarlyWarning:
             self._go_through_again()
 
     def went_on(self) -> None:
-        """Note that a person goes on in spite of the last sign that stopped the run."""
+        """Note that a person continued despite the last sign that stopped the run."""
         if self._history:
             self._confidence.went_on(self._history[-1])
 
     def foresee(self, reading: Reading) -> ReadingJudgement:
-        """Return the judgement of a reading without learning from it; it shows how well a mistake is seen."""
+        """Return the judgement of a possible reading without learning from it, to assess how a mistake shows."""
         ahead = copy.deepcopy(self)
         sighting = ahead._sight(reading)
         if sighting.new_mount:
@@ -165,11 +166,25 @@ class EarlyWarning:
         ahead._state.loosen(sighting.loosened)
         return ahead._state.judge(sighting.signal_v, sighting.pose, ahead.noise)
 
+    def expect(self, reading: Reading) -> ExpectedSignals | None:
+        """Return the signals expected of a reading that is not taken yet; None without a known orientation."""
+        if reading.angle_deg is None or reading.installation not in self._oriented:
+            return None
+        ahead = copy.deepcopy(self)
+        sighting = ahead._sight(reading)
+        if sighting.new_mount:
+            ahead._state.remount(ahead._stand_u)
+        ahead._state.loosen(sighting.loosened)
+        only_reading = replace(ahead.noise, setting_rad=0.0)
+        judged = ahead._state.judge(np.zeros(3), sighting.pose, only_reading)
+        slope = (ahead._state.scale_factors @ sighting.pose.slopes)[0, :, SETTING]
+        return ExpectedSignals(-judged.residual[0], slope, judged.covariance[0])
+
     def take(self, reading: Reading) -> list[EarlySign]:
-        """Judge a reading and learn from it; return the early sign, if there is one.
+        """Judge a reading and learn from it; return the early signs, usually none.
 
         Readings without a known orientation (free, shorted, reference; no angle; an installation that the
-        model lacks) are passed over. A repeated reading replaces the earlier one.
+        model lacks) are ignored. A repeated reading replaces the earlier one.
         """
         self.judged = None
         if reading.angle_deg is None or reading.installation not in self._oriented:
@@ -202,7 +217,7 @@ class EarlyWarning:
     # --- the reading ---------------------------------------------------------------------------------
 
     def _sight(self, reading: Reading) -> Sighting:
-        """Return the sighting of a reading, with the changes possible since the last one."""
+        """Return the `Sighting` of a reading, with what earlier readings and the plan say about its situation."""
         conditions = readings_of([reading], "").conditions()
         before = self._history[-1] if self._history else None
         new_mount = self._mounted_anew or before is None or before.row.mounts != conditions.mounts
@@ -229,7 +244,7 @@ class EarlyWarning:
         return sighting
 
     def _sat_before(self, label: str, new_mount: bool) -> str | None:
-        """Return the installation of the mounting before the present one."""
+        """Return the installation of the previous mounting, or None."""
         if not self._history:
             return None
         last = self._history[-1]
@@ -238,7 +253,7 @@ class EarlyWarning:
         return last.installation
 
     def _pivot_rad(self) -> float | None:
-        """Return the angle of the last reading that fitted on the present mounting."""
+        """Return the head angle of the last reading that fitted on the present mounting, rad, or None."""
         for sighting in reversed(self._history):
             if sighting.taken and not sighting.struck:
                 return sighting.angle_rad
@@ -261,13 +276,13 @@ class EarlyWarning:
         return np.concatenate([np.repeat(scale * variances, 3), bias * variances])
 
     def _replace_earlier(self, reading: Reading) -> None:
-        """Strike the earlier reading that this one repeats, and remove it from the model."""
+        """Strike the earlier reading that this one repeats, and relearn the model without it."""
         if (earlier := self._places.pop(reading.place, None)) is not None:
             earlier.struck = True
             self._go_through_again()
 
     def _go_through_again(self) -> None:
-        """Judge and learn all readings again, with the present knowledge of the noise and of mistakes."""
+        """Judge and learn all readings anew, with the present estimate of the noise and without struck readings."""
         replay = self._inquiry().replay(self._history)
         self._adopt(replay.taken[:, 0], replay.state)
 
@@ -277,10 +292,10 @@ class EarlyWarning:
         self._state = state
 
     def _learn_noise(self, now: Sighting) -> None:
-        """Widen the noise where repeats scatter more than stated.
+        """Increase the noise estimate if repeats scatter more than stated.
 
-        Only pairs count in which both readings fit or neither does: else the step of a slipped block would
-        pass for noise.
+        A pair of repeats counts only if both readings fit or neither does. Otherwise the jump of a slipped
+        block would be mistaken for noise.
         """
         row = now.row
         key = (row.mounts[0], int(row.point[0]), int(row.direction[0]))
@@ -304,7 +319,7 @@ class EarlyWarning:
         )
 
     def _suspect(self, sighting: Sighting, judged: ReadingJudgement) -> EarlySign:
-        """Return the sign with the mistakes that explain the reading."""
+        """Return the sign for a reading that does not fit, with the mistakes that explain it."""
         inquiry = self._inquiry()
         of_run, replay = inquiry.of_run(self._history)
         of_reading = inquiry.of_reading(sighting, self._state, replay.before)
@@ -329,7 +344,7 @@ class EarlyWarning:
         return self._sign(sighting, judged, channels, words, causes, at_fault, confident=confident)
 
     def _wrong_before(self, judged: ReadingJudgement) -> list[EarlySign]:
-        """Return the sign for the reading before, if only this one, which fits, shows its mistake."""
+        """Return the sign for the previous reading, if its mistake shows only now, because this one fits."""
         found = self._confidence.fits()
         if found is None:
             return []
@@ -342,7 +357,7 @@ class EarlyWarning:
         return why([cause.text for cause in causes], at_fault.place if at_fault else None)
 
     def _noisy(self, sighting: Sighting, judged: ReadingJudgement) -> EarlySign:
-        """Return the sign that the bench is noisier than its file states; a run has it once."""
+        """Return the sign that the bench is noisier than its file states; `take` raises it once in a run."""
         found, stated = self.noise.reading_v, self._repeats.stated.reading_v
         cause = "the bench is noisier than its file states"
         words = (
@@ -378,18 +393,18 @@ class EarlyWarning:
         )
 
     def _blame_earlier(self, index: int) -> list[Suspect]:
-        """Strike an earlier reading and go on from the model without it; return its likeliest mistakes."""
+        """Strike an earlier reading and relearn the model without it; return its likeliest mistakes."""
         wrong = self._history[index]
         replay = self._inquiry().without(self._history, index)
         self._adopt(replay.taken[:, 0], replay.state)
         wrong.struck = True
         self._in_a_row = 0
         if wrong.row.mounts != self._history[-1].row.mounts:
-            return []  # the stand's angles of its mounting are forgotten by now
+            return []  # the state no longer holds the stand's angles of that mounting
         return likeliest(self._inquiry().of_reading(wrong, self._state, 0.0))
 
     def _lasting(self, sighting: Sighting, suspects: Sequence[Suspect]) -> list[Suspect]:
-        """Return the lasting slip, if the reading before was off by the same angle; else an empty list."""
+        """Return a lasting slip as the only cause if the previous reading was off by the same angle, else []."""
         now = next((s for s in suspects if s.moved_rad is not None), None)
         before, self._moved = self._moved, None
         if now is None or now.moved_rad is None:
@@ -407,7 +422,7 @@ class EarlyWarning:
     # --- the run ---------------------------------------------------------------------------------------
 
     def observe(self, event: Event) -> None:
-        """Take note of an event of the run."""
+        """Update the model with an event of the run."""
         match event.type:
             case EventType.STEP_DONE:
                 if isinstance(result := event.result, Reading):
@@ -423,10 +438,9 @@ class EarlyWarning:
                 self.went_on()
 
     def recall(self, taken: Sequence[tuple[int, Reading] | None], progress: PlanProgress) -> None:
-        """Take the recorded readings of a run that is resumed.
+        """Learn from the recorded readings of a resumed run; `taken` holds (step, reading) in order.
 
-        None in `taken` marks a new mounting of the block. Readings that were repeated, or will be, are passed
-        over.
+        None in `taken` marks a remounting of the block. Readings that were repeated, or will be, are ignored.
         """
         last = {one[0]: number for number, one in enumerate(taken) if one is not None}
         for number, one in enumerate(taken):
@@ -443,7 +457,7 @@ class EarlyWarning:
 
 
 def watcher_of(plan: Plan, bench: BenchFile) -> EarlyWarning:
-    """Return the early warning of a plan: it compares each reading with the expectation from earlier readings."""
+    """Return the early warning for the readings of a plan on a bench."""
     reads = [step for step in plan.steps if isinstance(step, Read)]
     following = {
         (read.series, read.installation, read.pass_number, read.point): after.target_rad

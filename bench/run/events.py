@@ -1,4 +1,4 @@
-"""The content of a run's record: the manifest, the events, the results of steps, and the states of a run."""
+"""The content of a run's record: manifest, events, results of steps, and the states of a run."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class UnitUnderTest(TypedDict):
 
 
 class VerdictAsked(TypedDict, total=False):
-    """The way to the run's verdict, where the command asked for another than the bench file's."""
+    """The decision settings given on the command line, which override those of the bench file."""
 
     limit_g: float
     rule: str
@@ -36,25 +36,25 @@ class VerdictAsked(TypedDict, total=False):
 
 
 class DefaultRule(TypedDict):
-    """The decision rule of a run where nobody states one, with the probability that sets its guard band."""
+    """The decision rule used if none is stated, with the false-acceptance probability that sets its guard band."""
 
     rule: str
     false_acceptance: float
 
 
 DEFAULT_RULE: Final[DefaultRule] = {"rule": "non-binary", "false_acceptance": 0.05}
-"""The default, as each new record keeps it.
+"""The default decision rule, copied into each new record.
 
-A record without one was begun when simple acceptance was the default.
+A record without a default was begun when simple acceptance was the default.
 """
 
 
 class CheckedBefore(TypedDict, total=False):
     """The state of the check block at the start of the run.
 
-    `run` is the run of the check block; its age and the `rule` are recorded with it. `state` is in control,
-    out of control, too old or missing; `said` is the same in words. `despite` is the reason for beginning the
-    run where the state spoke against it.
+    `run` is the check block's latest run and `age_h` its age, h. `rule` is the bench file's: refuse or warn.
+    `state` is in control, out of control, too old or missing; `said` puts the state in words. `despite` is the
+    operator's reason for starting although the state was not good.
     """
 
     rule: str
@@ -68,12 +68,12 @@ class CheckedBefore(TypedDict, total=False):
 class Manifest(TypedDict, total=False):
     """The inputs and settings with which a run was begun (`run.json`), in this order.
 
-    `files` are the SHA-256 of the inputs by name. `seed` is None for a run on real instruments. A run of a
-    readings file (`imported`) has the number of its `readings`, and no procedure. `living` marks a dry run
-    whose questions a person answers. `bench_why` is the reason for the choice of the bench file. `devices` is
-    the origin of drivers that are not the bench's own. `verdict` replaces the bench file's way to a verdict;
-    `default_rule` is used where neither states one. `until` are the goals at which the run ends.
-    `check_block` is the state of the check block. Fields without content are left out.
+    `files` holds the SHA-256 of each input by name. `seed` is None for a run on real instruments. A run imported
+    from a readings file (`imported`) states the number of `readings` and has no procedure. `living` marks a dry
+    run whose questions a person answers. `bench_why` is the reason for the choice of the bench file. `devices`
+    is the origin of drivers from outside the bench software. `verdict` overrides the bench file's decision
+    settings; `default_rule` applies where neither states a rule. `until` lists the goals at which the run ends.
+    `check_block` is the state of the check block. Empty fields are omitted.
     """
 
     format: int
@@ -100,16 +100,16 @@ class Manifest(TypedDict, total=False):
 
 
 class RecordError(Exception):
-    """A run folder cannot be written, or its content is invalid; the text says where, why and what to do."""
+    """A run folder cannot be written or holds invalid data; the text says where, why and how to correct it."""
 
 
 def sha256(data: bytes) -> str:
-    """Return the SHA-256 of bytes in hexadecimal."""
+    """Return the SHA-256 digest of `data` in hexadecimal."""
     return hashlib.sha256(data).hexdigest()
 
 
 def read_manifest(folder: Path) -> Manifest:
-    """Return the manifest of a run. Raises `RecordError` when there is none."""
+    """Return the manifest of a run. Raises `RecordError` if the manifest is missing or damaged."""
     try:
         manifest = json.loads(read_regular(folder / MANIFEST).decode())
     except (FileNotFoundError, NotADirectoryError):
@@ -124,7 +124,7 @@ def read_manifest(folder: Path) -> Manifest:
 
 
 def changed_inputs(folder: Path) -> list[str]:
-    """Return the inputs of a run that differ from its manifest. Raises `RecordError` without a manifest."""
+    """Return a sentence for each input that differs from the manifest. Raises `RecordError` without a manifest."""
     return [
         f"{name} was changed since the run began"
         for name, digest in read_manifest(folder).get("files", {}).items()
@@ -137,14 +137,14 @@ def changed_inputs(folder: Path) -> list[str]:
 
 @dataclass(frozen=True)
 class Mounted:
-    """The block is mounted; `temperature_c` was given by a person, None where nobody was asked."""
+    """The block is mounted; `temperature_c` was entered by a person, or is None if nobody was asked."""
 
     temperature_c: float | None
 
 
 @dataclass(frozen=True)
 class Turned:
-    """The head was turned: the angle read back, and the target."""
+    """The head was turned to the read-back angle `angle_deg`; `target_deg` was the target."""
 
     angle_deg: float
     target_deg: float
@@ -152,14 +152,14 @@ class Turned:
 
 @dataclass(frozen=True)
 class TemperatureSet:
-    """The chamber was set."""
+    """The chamber received the set point `target_c`, °C."""
 
     target_c: float
 
 
 @dataclass(frozen=True)
 class CameToRest:
-    """The quantity has settled: after which time, s, and at which values, V or °C."""
+    """A quantity settled after `settled_s` seconds at the values `settled_at`, in V (signals) or °C (chamber)."""
 
     settled_s: float
     settled_at: tuple[float, ...]
@@ -167,7 +167,7 @@ class CameToRest:
 
 @dataclass(frozen=True)
 class InputSelected:
-    """The inputs were switched; `reference_v` is the voltage of a reference, V."""
+    """The voltmeter inputs were switched to `source`; `reference_v` is the voltage of a reference source."""
 
     source: str
     reference_v: float | None
@@ -182,7 +182,7 @@ class Answered:
 
 @dataclass(frozen=True)
 class Powered:
-    """The block was switched "on", "off" or "cycle"; the time of its warm-up, s, and the signals then, V."""
+    """The block was switched "on", "off" or "cycle"; duration of the warm-up, s, and the signals after it, V."""
 
     switched: str
     warmed_up_s: float | None
@@ -191,12 +191,12 @@ class Powered:
 
 @dataclass(frozen=True)
 class Levelled:
-    """The tilt of the platform by the level, with the head at 0°: α1 and α2 with standard uncertainties.
+    """The tilt of the platform measured with the level, head at 0°: α1 along the shaft, α2 across it.
 
-    `level_of` and `level_series` state the mounting. `adjusted` says whether the platform was levelled
-    before; else it was left as found. `level_zero_arcsec` is the level's own zero along the shaft and across.
-    `level_readings` holds for each setting the head's angle, then along and across in the first and in the
-    turned position, arcsec.
+    `level_of` (installation) and `level_series` identify the mounting. `adjusted` says whether the platform was
+    levelled first or left as found. `level_zero_arcsec` is the level's own zero along and across the shaft. Each
+    row of `level_readings` holds the head angle, along and across in the first position, and along and across
+    in the turned position, arcsec.
     """
 
     level_of: str
@@ -213,37 +213,37 @@ class Levelled:
 Result = (
     Reading | Mounted | Turned | TemperatureSet | CameToRest | InputSelected | Answered | Levelled | Powered
 )
-"""The result of a step; a wait has none."""
+"""The result of a step; a `Wait` step has none."""
 
 _KINDS: Final = (Mounted, Turned, TemperatureSet, CameToRest, InputSelected, Answered, Levelled, Powered)
-"""The kinds of results; a record distinguishes them by their fields."""
+"""The result types, which the record distinguishes by their field names."""
 
 
 @cache
 def _fields() -> Mapping[Callable[..., Result], tuple[str, ...]]:
-    """Return the fields of each kind of result, also for kinds of step that other modules define."""
-    from bench.config.procedure.plan import KINDS  # takes long to import
+    """Return the field names of each result type, including results of step types defined in other modules."""
+    from bench.config.procedure.plan import KINDS  # imported here because it is slow
 
     further = (kind.BRINGS for kind in KINDS if kind.BRINGS is not None)
     return {kind: tuple(of.name for of in fields(kind)) for kind in (*_KINDS, *further)}
 
 
 def result_to_json(result: Result | None) -> dict[str, Any]:
-    """Return the record of a step's result."""
+    """Return a step's result as the record stores it; an empty dict for None."""
     if result is None:
         return {}
     return {"reading": result.to_json()} if isinstance(result, Reading) else asdict(result)
 
 
 def result_from_json(data: Mapping[str, Any]) -> Result | None:
-    """Return the result of a step from its record; of a reading all but its samples.
+    """Return a step's result from recorded event data, or None; a reading is returned without its samples.
 
-    Raises `KeyError`, `TypeError`, `ValueError` for data that no step records.
+    Raises `KeyError`, `TypeError` or `ValueError` for data that no step records.
     """
     if "reading" in data:
         return Reading.from_json(data["reading"] | {"samples": {}})
     brought = {kind: {n: data[n] for n in names if n in data} for kind, names in _fields().items()}
-    # kinds may have a field in common: the one that accounts for the most is meant
+    # result types may share a field name: choose the type with the most fields present
     kind, values = max(brought.items(), key=lambda one: len(one[1]))
     return kind(**values) if values else None
 
@@ -252,16 +252,15 @@ def result_from_json(data: Mapping[str, Any]) -> Result | None:
 
 
 class EventType(StrEnum):
-    """The types of events, each with the names of its data.
+    """The types of events, each with the names of its data fields.
 
-    An event from a wish states its author in `by`, `role` and `where`, as far as known.
+    An event caused by a wish states the author in `by`, `role` and `where`, as far as known.
     """
 
     RUN_STARTED = "run_started"
-    """`step`, the first one; `instruments`, their identities by name; `serials`, in a dry run only where it has
-    certificates."""
+    """`step`, the first one; `instruments`, their identities by name; `serials`, if certificates are checked."""
     RUN_RESUMED = "run_resumed"
-    """The data of `run_started`."""
+    """The same data as `run_started`."""
     RUN_PAUSED = "run_paused"
     """`reason`."""
     RUN_CONTINUED = "run_continued"
@@ -274,72 +273,70 @@ class EventType(StrEnum):
     LEFT_SAFE = "left_safe"
     """`to_do`, the tasks left for a person, by instrument."""
     STEP_STARTED = "step_started"
-    """`step`, its place in the plan from 0; `key`; `attempt`, from 1."""
+    """`step`, its index in the plan from 0; `key`; `attempt`, from 1."""
     STEP_DONE = "step_done"
-    """The data of `step_started`, and the result of the step."""
+    """The data of `step_started` and the step's result."""
     STEP_FAILED = "step_failed"
     """`step`, `key`; `error`, a sentence."""
     SKIPPED = "skipped"
-    """`first` and `last` of the steps; `reason`."""
+    """`first` and `last`, the range of steps; `reason`."""
     REDO = "redo"
-    """`first` and `last` of the steps; `wish`."""
+    """`first` and `last`, the range of steps; `wish`."""
     REMOUNTED = "remounted"
-    """`installation`, `series`, and `now_series`, the series of its further readings.
+    """`installation`, `series`, and `now_series`, the series number of the further readings.
 
-    With `why` the block stayed mounted, but was without power in the meantime: that is another visit, too.
+    With `why`, the block stayed mounted but lost power in between, which also begins a new visit.
     """
     POWER = "power"
     """`power`: the block was switched "on" or "off", was "found on", or a check found a "fault".
 
-    `rails` are the supply's measurements at each rail; with a fault, phrases in `wrong` replace them.
+    `rails` are the supply's measurements at each rail; a fault has phrases in `wrong` instead.
     """
     WARMED_UP = "warmed_up"
-    """`after_s`, from switching on; `at`, V, the settled signals where the warm-up waited for them."""
+    """`after_s`, s since switching on; `at`, the settled signals, V, if the warm-up waited for settling."""
     EARLY_SIGN = "early_sign"
-    """`step`, and an early sign."""
+    """`step` and the fields of an early sign."""
     SAME_SERIAL = "same_serial"
-    """`words`, a sentence: instruments that state one serial number."""
+    """`words`, a sentence: several instruments report the same serial number."""
     CERTIFICATE = "certificate"
-    """`words`, a sentence: a certificate has expired, or is of another instrument than the one that answered."""
+    """`words`, a sentence: a certificate has expired, or belongs to another instrument than the connected one."""
     WENT_ON = "went_on"
-    """`step` and `causes` of an early sign that stopped the run; `reason` for going on."""
+    """`step` and `causes` of the early sign that stopped the run; `reason` for continuing."""
     WISH_REFUSED = "wish_refused"
     """`wish`; `why`, a sentence."""
     ASKED = "asked"
-    """A prompt that may be answered from more than one place: its `id`, unique in the record, and its fields.
+    """A prompt that can be answered from several places: its `id`, unique in the record, and its fields.
 
     The fields are `kind`, `text`, `default`, `unit`, `choices`, `minimum`, `maximum`, `action`, `picture`.
-    The question is open until it is answered, or until the run continues or stops without an answer.
+    The question stays open until it is answered, or until the run continues or stops without an answer.
     """
     ANSWERED = "answered"
-    """`id` of the prompt; `answer`, the one that counts; `by`, `role` and `where`; `line`, from 1.
+    """`id` of the prompt; `answer`, the accepted one; `by`, `role` and `where`; `line`, from 1.
 
-    `line` is the number of the line in the file of answers in the run's folder.
-
-    An answer that does not come from this file has no `line`.
+    `line` is the line number in the run folder's file of answers; other answers have none.
     """
     ANSWER_REFUSED = "answer_refused"
-    """The data of `answered`, with `answer` as given; `why`, a sentence."""
+    """The data of `answered`, with `answer` as entered; `why`, a sentence."""
     CHAMBER_SLOW = "chamber_slow"
-    """`chamber`, its name; its air `start_c` then, `air_c` now, `target_c` as demanded; `after_s`."""
+    """`chamber`, its name; air temperature `start_c` at the start and `air_c` now; `target_c`; `after_s`."""
     CLOCK_JUMPED = "clock_jumped"
-    """`ahead_s`, the lead that civil time gained over bench time since the event before."""
+    """`ahead_s`: by how many seconds civil time has gained on bench time since the previous event."""
     CHOSEN = "chosen"
-    """The choice of the next points, in a run that goes on until its goals are reached.
+    """The choice of the next points, in a run that continues until its goals are reached.
 
-    `visit` is the number of the mounting. `left_out` are ranges [first, last] of steps that are not needed,
-    `taken_up` ranges of earlier such steps that are needed again. `now` is the state of the goal furthest
-    from being reached (None before the readings determine the coefficients). `settings` and `repeats` are the
-    numbers so far. `next` are the points, their time and their gain; `in_all` is what is expected until the
-    end. `undecided` are the steps that later choices concern, with their expected time. `stop` is the reason
-    for measuring nothing more.
+    `visit` is the number of the mounting. `left_out` lists ranges [first, last] of steps that are not needed;
+    `taken_up` lists ranges dropped earlier that are needed after all. `now` is the state of the goal furthest
+    from being reached (None until the readings determine the coefficients). `settings` and `repeats` are the
+    counts so far. `next` holds the next points, their time and their gain; `in_all` is what remains until
+    the end. `undecided` are the steps left to later choices, with their expected time. `stop` is the reason
+    for ending the measurement.
     """
     IMPORTED = "imported"
-    """`file`; `readings`, how many."""
+    """`file`; `readings`, their number."""
 
 
 MOST: Final = 1_000_000
-"""Limit on the steps of a plan and the mountings of a run; a record that counts more is invalid."""
+"""Upper limit of the steps of a plan and the mountings of a run; a record with greater numbers is invalid."""
 
 _Told = tuple[tuple[str, type[object]], ...]
 _STEP: Final[_Told] = (("step", int),)
@@ -362,16 +359,16 @@ _TOLD: Final[Mapping[str, _Told]] = {
     EventType.ANSWERED: (("id", str), ("answer", str)),
     EventType.ANSWER_REFUSED: (("id", str), ("answer", str), ("why", str)),
 }
-"""The data that an event of each type must have, with their types; readers of records rely on them."""
+"""The data that an event of each type must have, with their types; readers of records rely on these fields."""
 
 _NUMBERS: Final = frozenset({int, float})
 
 
 @dataclass(frozen=True)
 class Event:
-    """One line of the record: its number, civil time, bench time in s since the run began, type, contents.
+    """One line of the record: number, civil time, bench time since the run began in s, type, and data.
 
-    The type is an `EventType`, or a type of a later version.
+    `type` is an `EventType`, or an unknown type written by a later version.
     """
 
     number: int
@@ -381,7 +378,7 @@ class Event:
     data: dict[str, Any]
 
     def to_json(self) -> dict[str, Any]:
-        """Return the event as the record holds it, without the hash of the line before."""
+        """Return the event as recorded, without the hash of the previous line."""
         return {
             "n": self.number,
             "time": self.time,
@@ -392,9 +389,9 @@ class Event:
 
     @classmethod
     def from_json(cls, data: dict[str, Any]) -> Event:
-        """Return a recorded event, which keeps `data`.
+        """Return the event recorded as `data`; the dict loses the common fields and becomes `Event.data`.
 
-        Raises `KeyError`, `TypeError`, `ValueError` for data that are no event.
+        Raises `KeyError`, `TypeError` or `ValueError` for data that are not an event.
         """
         number, time, bench_s, kind = data.pop("n"), data.pop("time"), data.pop("bench_s"), data.pop("type")
         if type(number) is not int or type(time) is not str or type(kind) is not str:
@@ -409,22 +406,22 @@ class Event:
 
     @property
     def step(self) -> int:
-        """The step to which the event belongs."""
+        """The index of the step to which the event belongs."""
         return int(self.data["step"])
 
     @property
     def steps(self) -> range:
-        """The steps that are skipped or redone."""
+        """The indices of the steps that were skipped or are to be repeated."""
         return range(int(self.data["first"]), int(self.data["last"]) + 1)
 
     @cached_property
     def result(self) -> Result | None:
-        """The result of a step; None for an event that ends no step, and for a step without a result."""
+        """The step's result; None for a step without a result and for events other than `step_done`."""
         return result_from_json(self.data) if self.type == EventType.STEP_DONE else None
 
     @property
     def reading(self) -> Reading | None:
-        """The reading of a step, if it has one."""
+        """The reading that the step returned, or None."""
         return result if isinstance(result := self.result, Reading) else None
 
 
@@ -446,11 +443,11 @@ _OPEN: Final[Mapping[str, RunState]] = {
     EventType.RUN_INTERRUPTED: RunState.INTERRUPTED,
     EventType.RUN_ABORTED: RunState.ABORTED,
 }
-"""Events possible in every run that has not ended, in whatever state its last program left it."""
+"""Events possible in every run that has not ended, whatever state the last program left it in."""
 
 
 def _stopped(state: RunState) -> Mapping[str, RunState]:
-    """Return the row of a stopped run: another attempt that fails leaves its state unchanged."""
+    """Return the transitions of a stopped run; a failed attempt to resume leaves `state` unchanged."""
     return {**_OPEN, EventType.RUN_FAILED: state, EventType.RUN_INTERRUPTED: state}
 
 
@@ -467,14 +464,14 @@ TRANSITIONS: Final[Mapping[RunState, Mapping[str, RunState]]] = {
     RunState.FINISHED: {},
     RunState.ABORTED: {},
 }
-"""The state after each event, by the state before it; writers and readers of records allow no others."""
+"""The state after each event, by the state before it; no other transitions are valid in a record."""
 
 ENDED: Final = frozenset({RunState.FINISHED, RunState.ABORTED})
-"""States in which nothing more happens to a run."""
+"""Final states, after which a run cannot continue."""
 
 
 class Wish(StrEnum):
-    """The wishes that a person may have during a run."""
+    """The commands that a person may give during a run."""
 
     PAUSE = "pause"
     CONTINUE = "continue"
@@ -490,14 +487,14 @@ HEARD: Final[Mapping[RunState, frozenset[Wish]]] = {
     RunState.RUNNING: frozenset(Wish) - {Wish.CONTINUE},
     RunState.PAUSED: frozenset(Wish) - {Wish.PAUSE},
 }
-"""The wishes that are heard in each state."""
+"""The wishes obeyed in each state; all others are refused."""
 
 
 _CHANGING: Final = frozenset(event for row in TRANSITIONS.values() for event in row)
 
 
 def state_after_one(state: RunState, event: str) -> RunState:
-    """Return the state after a recorded event. Raises `ValueError` where the table does not allow it."""
+    """Return the state that follows `state` after an event. Raises `ValueError` for an invalid transition."""
     if event not in _CHANGING:
         return state
     if event not in TRANSITIONS[state]:

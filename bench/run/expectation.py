@@ -1,4 +1,4 @@
-"""The model's expectation of the next reading, the sign when it does not fit, and the mistakes behind it."""
+"""The expectation of the next reading, the early sign of a misfit, and the mistakes that may cause one."""
 
 from __future__ import annotations
 
@@ -27,16 +27,17 @@ SETTING: Final = len(STAND_ANGLES)
 STATE: Final = COEFFICIENT_COUNT + len(STAND_ANGLES)
 
 STATED_WORTH: Final = 12.0
-"""Weight of the stated noise sizes, as degrees of freedom of repeats."""
+"""Weight of the stated noise sizes, in degrees of freedom of repeats."""
 
 _STEP_RAD: Final = 1e-5
 
 
 class ExpectedPose(NamedTuple):
-    """The action of gravity on the block at a reading.
+    """The effect of gravity on the block at one reading.
 
-    `force` (…, 3) is its components in g on a stand without errors, `slopes` (…, 3, 6) their derivatives by
-    the stand's angles and the setting error, g/rad. `addition` (…, 3) is the sum of the model's effects, V.
+    `force` (…, 3) is the specific force in g on a stand without errors. `slopes` (…, 3, 6) are its derivatives
+    with respect to the stand's angles and the setting error, g/rad. `addition` (…, 3) is the sum of the
+    model's further effects, V.
     """
 
     force: Floats
@@ -47,10 +48,10 @@ class ExpectedPose(NamedTuple):
 def poses(
     model: ForwardModel, block: Block, row: Conditions, installations: Sequence[str], angle_rad: Floats
 ) -> ExpectedPose:
-    """Return the poses (v, …) of one reading for v variants of installation and head angle.
+    """Return the poses of one reading for v combinations of installation and head angle (first axis v).
 
-    `row` has the conditions of the one reading. Effects that depend on the block are evaluated at `block`.
-    Raises `KeyError` for an installation that the model lacks.
+    `row` has the conditions of the reading. Effects that depend on the block are evaluated at `block`. Raises
+    `KeyError` for an installation that the model lacks.
     """
     variants, columns = len(angle_rad), SETTING + 2
     series = row.mounts[0].series
@@ -82,9 +83,9 @@ class NoiseSizes:
 
 
 class RepeatNoise:
-    """The noise sizes as repeats show them, never below the sizes that the bench file states.
+    """The noise sizes estimated from repeats, never below the sizes stated in the bench file.
 
-    The stated sizes cover errors that repeats do not show (the meters' gain, the head's graduation). They
+    The stated sizes include errors that repeats do not reveal (the meters' gain, the head's graduation). They
     count as much as `STATED_WORTH` degrees of freedom of repeats.
     """
 
@@ -94,9 +95,10 @@ class RepeatNoise:
         self._across_v2, self._along_rad2, self._repeats = 0.0, 0.0, 0
 
     def add(self, difference_v: Floats, slope: Floats) -> None:
-        """Add a repeat's difference (3,) from the visit before; `slope` (3,) is du/dphi, V/rad.
+        """Add the difference (3,) of a repeat from the previous visit, V; `slope` (3,) is du/dphi, V/rad.
 
-        Both noise sizes act along the slope. In the two directions across it only the signals' noise acts.
+        Along the slope, both noise sizes contribute. In the two perpendicular directions, only the signals' noise
+        does.
         """
         length = float(np.linalg.norm(slope))
         along2 = (float(difference_v @ slope) / length) ** 2 / 2
@@ -113,11 +115,11 @@ class RepeatNoise:
 
 
 class ReadingJudgement(NamedTuple):
-    """The comparison of a reading with its expectation, for each member.
+    """The comparison of a reading with its expectation, for each of m members.
 
     `residual` (m, 3) is in V, `covariance` (m, 3, 3) is its covariance. `chi2` (m,) has three degrees of
-    freedom. `log_det` (m,) is the logarithm of the covariance's determinant, `design` (m, 3, 17) the
-    derivatives by the state.
+    freedom. `log_det` (m,) is the logarithm of the covariance's determinant. `design` (m, 3, 17) holds the
+    derivatives of the signals with respect to the state.
     """
 
     residual: Floats
@@ -133,16 +135,16 @@ class ReadingJudgement(NamedTuple):
 
     @property
     def p(self) -> float:
-        """The probability that chance alone makes the first member's misfit at least this large."""
+        """The probability that chance alone causes a misfit at least as large as the first member's."""
         return float(chdtrc(3, self.chi2[0]))
 
     def cost(self, most: float) -> Floats:
-        """Minus twice the log likelihood up to a constant, shape (m,); a misfit costs no more than `most`."""
+        """Minus twice the log likelihood up to a constant, shape (m,); chi2 counts at most as `most`."""
         return np.minimum(self.chi2, most) + self.log_det
 
 
 class Expectation:
-    """The state of `members` suppositions: mean (m, 17) and covariance (m, 17, 17), in V/g, V and rad."""
+    """Kalman-filter states of m members, one per supposition: `mean` (m, 17), `covariance`; V/g, V and rad."""
 
     def __init__(self, mean: Floats, covariance: Floats) -> None:
         self.mean = mean
@@ -150,19 +152,19 @@ class Expectation:
 
     @classmethod
     def about(cls, block: Block, u: Floats) -> Expectation:
-        """Return one member about a nominal block, with the standard uncertainties `u` (12,)."""
+        """Return an expectation of one member about a nominal block, with standard uncertainties `u` (12,)."""
         mean, variance = np.zeros(STATE), np.zeros(STATE)
         mean[:COEFFICIENT_COUNT], variance[:COEFFICIENT_COUNT] = block.vector, u**2
         return cls(mean[None], np.diag(variance)[None])
 
     def repeated(self, members: int) -> Expectation:
-        """Return the first member, repeated `members` times."""
+        """Return an expectation that holds the first member `members` times."""
         return Expectation(
             np.repeat(self.mean[:1], members, axis=0), np.repeat(self.covariance[:1], members, axis=0)
         )
 
     def member(self, index: int) -> Expectation:
-        """Return the member with this index alone."""
+        """Return an expectation with only the member of this index."""
         return Expectation(self.mean[index : index + 1].copy(), self.covariance[index : index + 1].copy())
 
     @property
@@ -171,7 +173,7 @@ class Expectation:
         return self.mean[:, :9].reshape(-1, 3, 3)
 
     def remount(self, stand_u: Mapping[str, float]) -> None:
-        """Forget the stand's angles of the last mounting; the new ones have the uncertainties `stand_u`."""
+        """Reset the stand's angles for a new mounting; their standard uncertainties become `stand_u`."""
         self.mean[:, COEFFICIENT_COUNT:] = 0.0
         self.covariance[:, COEFFICIENT_COUNT:, :] = 0.0
         self.covariance[:, :, COEFFICIENT_COUNT:] = 0.0
@@ -179,7 +181,7 @@ class Expectation:
             self.covariance[:, column, column] = stand_u.get(name, 0.0) ** 2
 
     def loosen(self, variance: Floats) -> None:
-        """Add `variance` (12,) to the coefficients: they may have changed since the last reading."""
+        """Add `variance` (12,) to the coefficients, which may have changed since the last reading."""
         index = np.arange(COEFFICIENT_COUNT)
         self.covariance[:, index, index] += variance
 
@@ -192,9 +194,9 @@ class Expectation:
     def judge(
         self, signal_v: Floats, pose: ExpectedPose, noise: NoiseSizes, further: Floats | None = None
     ) -> ReadingJudgement:
-        """Judge a reading (m, 3) against its expectation.
+        """Compare a reading, signals (3,) or (m, 3) in V, with its expectation.
 
-        `further` (m, 3) is the standard deviation of one more error that the reading may have, V.
+        `further` (m, 3) is the standard deviation of one additional error that the reading may have, V.
         """
         angles = self.mean[:, COEFFICIENT_COUNT:, None]
         force = pose.force + (pose.slopes[..., :SETTING] @ angles)[..., 0]
@@ -215,7 +217,7 @@ class Expectation:
         return ReadingJudgement(residual, covariance, chi2, np.linalg.slogdet(covariance)[1], design)
 
     def take(self, judged: ReadingJudgement, members: Mask | None = None) -> None:
-        """Update the state with a judged reading; the mask `members` (m,) restricts this to some members."""
+        """Update the state with a judged reading (Kalman gain); the mask `members` (m,) selects the members."""
         across = self.covariance @ np.swapaxes(judged.design, 1, 2)
         gain = np.swapaxes(np.linalg.solve(judged.covariance, np.swapaxes(across, 1, 2)), 1, 2)
         if members is not None:
@@ -225,21 +227,38 @@ class Expectation:
         self.covariance = 0.5 * (lessened + np.swapaxes(lessened, 1, 2))
 
 
+@dataclass(frozen=True)
+class ExpectedSignals:
+    """The expected `signals` (3,), V, of a reading, their `slope` (3,) by the angle, V/rad, and covariance."""
+
+    signals: Floats
+    slope: Floats
+    covariance: Floats
+
+    def deviation_rad(self, signals: Floats) -> tuple[float, float]:
+        """Return by how much the head is beyond the commanded angle, and the standard uncertainty (GLS), rad."""
+        weighted = np.linalg.solve(self.covariance, self.slope)
+        information = float(self.slope @ weighted)
+        if information <= 0.0:
+            return 0.0, math.inf
+        return float(weighted @ (signals - self.signals)) / information, 1.0 / math.sqrt(information)
+
+
 MOST_TOLD: Final = 3
-"""Greatest number of causes that a sign names; of more, it gives the number and names the likeliest."""
+"""Greatest number of causes named in a sign; if there are more, the sign states their number as well."""
 
 
 @dataclass(frozen=True)
 class EarlySign:
-    """A reading that does not fit those before it.
+    """A warning that a reading does not fit the earlier ones.
 
-    `sentence` is the whole message. `sigma` are the residuals of x, y, z in standard deviations of the
-    expectation, `channels` those that stand out, `p` is the probability of so large a misfit by chance.
-    `causes` are the mistakes that explain it equally well, likeliest first, empty when none does; `kinds` are
-    their kinds. `in_a_row` counts readings in succession that did not fit. `at_fault` is the place of an
-    earlier reading if that one was wrong: this one fits without it, and `in_a_row` is 0. If `confident`, the
-    run is to stop and ask (`bench.run.causes`); `wrong` is then the reading at fault (series, installation,
-    pass, point).
+    `sentence` is the complete message. `sigma` are the residuals of x, y, z in standard deviations of the
+    expectation; `channels` are the conspicuous ones. `p` is the probability of so large a misfit by chance.
+    `causes` are the mistakes that explain it equally well, likeliest first, empty if none does; `kinds` are
+    their kinds. `in_a_row` counts consecutive readings that did not fit. `at_fault` is the place of an earlier
+    reading found to be wrong; the present reading fits without it, and `in_a_row` is 0. If `confident`, the
+    run has to stop and ask (`bench.run.causes`); `wrong` then identifies the reading at fault (series,
+    installation, pass, point).
     """
 
     sentence: str
@@ -260,7 +279,7 @@ class EarlySign:
 
 
 def misfit(judged: ReadingJudgement, channels: Sequence[str]) -> str:
-    """Return the phrase on the deviations of a reading's channels from their expectation."""
+    """Return a phrase on the deviations of the reading from the expectation, for the given channels."""
     parts = []
     for channel in channels:
         i = CHANNELS.index(channel)
@@ -273,7 +292,7 @@ def misfit(judged: ReadingJudgement, channels: Sequence[str]) -> str:
 
 
 def why(causes: Sequence[str], at_fault: str | None) -> str:
-    """Return the sentence on the causes; `at_fault` is the place of an earlier reading that was wrong."""
+    """Return a phrase on the causes; `at_fault` is the place of an earlier reading that was wrong, if any."""
     if at_fault:
         mistake = f"the mistake is at {at_fault}, which does not fit the other readings"
         return f"{mistake}: {' or '.join(causes)}" if causes else mistake
@@ -286,7 +305,7 @@ def why(causes: Sequence[str], at_fault: str | None) -> str:
 
 
 def millivolts(value_v: float, sign: str = "") -> str:
-    """Return a voltage with three digits, in millivolts without an exponent."""
+    """Return a voltage in millivolts with its unit, to about three digits: 0.01234 -> "12.3 mV"."""
     digits = 0 if abs(value_v) >= 0.1 else 1 if abs(value_v) >= 0.01 else 2
     return f"{value_v * 1e3:{sign}.{digits}f} mV"
 
@@ -309,31 +328,31 @@ class Kind(StrEnum):
 
 
 LASTING: Final = frozenset({Kind.CABLING, Kind.ROTATION, Kind.INSTALLATION, Kind.ORIENTATION})
-"""Mistakes that last until somebody corrects them; the others affect one reading."""
+"""Mistakes that persist until somebody corrects them; the others affect a single reading."""
 
 FREE: Final = frozenset({Kind.MOVED, Kind.TILTED, Kind.CHANNEL})
-"""Shifts of any size; they do not compete with a mistake of one certain size that fits better."""
+"""Shifts of unknown size; they are dropped if a mistake of definite size is the likeliest."""
 
 UNLIKELY: Final[Mapping[str, float]] = {Kind.ORIENTATION: 5.0, Kind.SLIP: 1.0, Kind.EARLIER: 2.0}
-"""Prior cost of each kind: -2 ln of its odds against the most common mistakes."""
+"""Prior cost of each kind: -2 ln of the odds relative to the most common mistakes."""
 
 FIRST_ORIENTATION: Final = 3.0
-"""Added prior cost in the first mounting, where no earlier reading tells an orientation from wrong cables."""
+"""Additional prior cost in the first mounting, where no earlier reading separates orientation from wrong cables."""
 
 OTHER_INSTALLATION: Final = 4.0
-"""Prior cost of an installation other than that of the mounting before."""
+"""Prior cost of an installation other than that of the previous mounting."""
 
 REVERSED_MEANWHILE: Final = 7.0
-"""Prior cost of reversed wires of one channel after readings of the mounting had fitted.
+"""Prior cost of reversed wires of one channel after other readings of the mounting have fitted.
 
-Where only the sign of a channel's signal changes, a head that was not turned is the more common cause.
+If only the sign of one channel's signal changes, a head that was not turned is the more common cause.
 """
 
 SAT_RIGHT: Final = 12.0
-"""Prior cost of a block that sits otherwise for one reading, after others of its mounting fitted."""
+"""Prior cost of a block sitting differently for one reading, after others of its mounting have fitted."""
 
 SAME_RAD: Final = float(np.radians(0.5))
-"""Angles that differ by less than this are one supposition."""
+"""Angles that differ by less than this count as the same supposition."""
 
 
 @dataclass(frozen=True)
@@ -347,7 +366,7 @@ class Supposition:
 
 @dataclass(frozen=True)
 class OtherPose:
-    """The supposition that the block sat in installation `label`, the head `off_rad` from its reading."""
+    """The supposition that the block sat in installation `label`, with the head `off_rad` from its read angle."""
 
     supposed: Supposition
     label: str
@@ -355,7 +374,7 @@ class OtherPose:
 
 
 def _said(wiring: Wiring) -> str:
-    """Return the sentence on a cable mistake."""
+    """Return a phrase on a wiring mistake, such as "channel x is reversed"."""
     match wiring.channels:
         case (one,):
             return f"channel {one} is reversed"
@@ -365,13 +384,13 @@ def _said(wiring: Wiring) -> str:
 
 
 CABLINGS: Final[Mapping[str, Floats]] = {_said(wiring): wiring.matrix for wiring in (*EXCHANGED, *REVERSED)}
-"""Possible mistakes in the cables, each with the matrix (3, 3) that corrects the signals."""
+"""Possible wiring mistakes, each with the matrix (3, 3) that corrects the signals."""
 
 REVERSALS: Final = frozenset(_said(wiring) for wiring in REVERSED)
-"""The sentences of `CABLINGS` in which the wires of one channel are reversed."""
+"""The phrases of `CABLINGS` in which the wires of one channel are reversed."""
 
 EXCHANGED_IN_TURN: Final = 4.0
-"""Prior cost of three wrong cables, which look like a block that sits otherwise."""
+"""Prior cost of three exchanged cables, which resemble a block in another orientation."""
 
 CABLED: Final = tuple(
     Supposition(_said(wiring), Kind.CABLING, EXCHANGED_IN_TURN if len(wiring.channels) == 3 else 0.0)
@@ -380,9 +399,9 @@ CABLED: Final = tuple(
 
 
 def other_installation(actual: str, stated: str, before: str | None) -> Supposition:
-    """Return the supposition that the block sits in another installation than the stated one.
+    """Return the supposition that the block sits in installation `actual` instead of `stated`.
 
-    `before` is the installation of the mounting before.
+    `before` is the installation of the previous mounting; it is the most likely one.
     """
     text = f"the block sits in installation {actual}, not in {stated}"
     return Supposition(text, Kind.INSTALLATION, 0.0 if actual == before else OTHER_INSTALLATION)
@@ -395,13 +414,13 @@ def _quarter_turns() -> tuple[tuple[tuple[int, ...], tuple[float, ...], Floats],
 
 
 QUARTER_TURNS: Final = _quarter_turns()
-"""The 24 rotations that map axes to axes: order and signs of the channels, and the matrix (3, 3)."""
+"""The 24 rotations that map axes to axes: order of the channels, their signs, and the matrix (3, 3)."""
 
 
 def orientations(installations: Mapping[str, Installation], label: str) -> dict[str, Installation]:
-    """Return the other orientations in which a block may sit on the platform, by the sentence on each.
+    """Return the other orientations in which a block may sit on the platform, by a sentence about each.
 
-    They are the quarter turns of installation `label`, without those that equal another installation.
+    They are the quarter turns of installation `label`, without those that equal a known installation.
     """
     own = installations[label].block_from_platform
     known = np.array([other.block_from_platform for other in installations.values()])
@@ -422,10 +441,10 @@ def orientations(installations: Mapping[str, Installation], label: str) -> dict[
 def head_elsewhere(
     label: str, angle_rad: float, last_rad: float | None, next_rad: float | None, pivot_rad: float | None
 ) -> list[OtherPose]:
-    """Return the suppositions that the head stood elsewhere than its scale was read.
+    """Return the suppositions that the head was at another angle than recorded.
 
-    `last_rad` is the angle at the point before on the same mounting, `next_rad` the angle of the next point.
-    `pivot_rad` is the angle of the last point that fitted: from there the head may have been turned the wrong
+    `last_rad` is the angle of the previous point on the same mounting, `next_rad` that of the next point.
+    `pivot_rad` is the angle of the last point that fitted, from which the head may have been turned the wrong
     way.
     """
     found: list[OtherPose] = []
@@ -473,25 +492,25 @@ def head_elsewhere(
 
 
 SHIFTS: Final = 5
-"""Number of shifts of any size: the block about the shaft, the block tilted, and each channel."""
+"""Number of shifts of unknown size: block turned about the shaft, block tilted, and each of three channels off."""
 
 AS_IT_IS, ABSENT = SHIFTS, SHIFTS + 1
-"""Values in the place of a shift's number: the reading as it was recorded, and the reading left out."""
+"""Special shift numbers: the reading as recorded, and the reading left out."""
 
 
 @dataclass
 class Sighting:
-    """A reading with all that the early warning keeps of it.
+    """A reading as the early warning keeps it.
 
-    `new_mount` says that the block was mounted before it. `loosened` (12,) are the variances by which the
-    coefficients may have changed since the reading before. `taken`: the model has learnt from the reading.
-    `poorly_known`: the model could not yet have seen a mistake in it. `struck`: it is known to be wrong, or
-    was taken again.
+    `new_mount` says that the block was mounted just before it. `loosened` (12,) are the variances by which the
+    coefficients may have changed since the previous reading. `taken` means that the model has learnt from the
+    reading; `poorly_known`, that the model was too uncertain to reveal a mistake in it; `struck`, that it is
+    known to be wrong or was repeated.
 
     `poses` are, in this order: as recorded, with the head's sense reversed, in each other installation or
-    orientation, and at each other setting of the head. `sat_before` is the installation of the mounting
-    before. `last_rad` is the head's angle at the reading before on this mounting, `pivot_rad` at the last one
-    that fitted, `next_rad` at the next one; each is None where there is no such reading.
+    orientation, and at each other setting of the head. `sat_before` is the installation of the previous
+    mounting. `last_rad` is the head angle at the previous reading on this mounting, `pivot_rad` at the last
+    reading that fitted, `next_rad` at the next reading; each is None if there is no such reading.
     """
 
     place: str
@@ -512,22 +531,22 @@ class Sighting:
 
     @property
     def installation(self) -> str:
-        """The installation that the record states."""
+        """The installation stated in the record."""
         return self.row.mounts[0].installation
 
     @property
     def angle_rad(self) -> float:
-        """The angle that was read back."""
+        """The head angle read back, rad."""
         return float(self.row.angle_rad[0])
 
 
 @dataclass(frozen=True)
 class Suspect:
-    """A supposition that explains a reading, and its cost.
+    """A supposed mistake that explains a reading, and its cost (-2 ln likelihood plus prior cost).
 
-    `earlier` is the index of the earlier reading at fault, if any. `moved_rad` and its uncertainty are set
-    where the head or the block is supposed to be off by an angle. `stops`: no effect looks like this mistake,
-    so that it stops the run. `free`: it is a shift of any size.
+    `earlier` is the index of the earlier reading at fault, if any. `moved_rad` and its standard uncertainty
+    `u_rad` are set if the mistake is that head or block is off by an angle. `stops` means that no genuine
+    effect resembles this mistake, so that it may stop the run; `free`, that it is a shift of unknown size.
     """
 
     text: str
@@ -542,10 +561,10 @@ class Suspect:
 
 @dataclass(frozen=True)
 class Member:
-    """A supposition that a replay follows, for all readings from one on or for one `reading` alone.
+    """A supposed mistake as followed in a replay, from reading `since` on or at one `reading` alone.
 
-    `cabling` (3, 3) corrects the signals. `pose` is the index among the poses of a sighting. `shift` is the
-    number of a shift of any size, `AS_IT_IS`, or `ABSENT`.
+    `cabling` (3, 3) corrects the signals. `pose` is an index into the sighting's `poses`. `shift` is the number
+    of a shift of unknown size, `AS_IT_IS`, or `ABSENT`.
     """
 
     supposed: Supposition
@@ -556,20 +575,20 @@ class Member:
     shift: int = AS_IT_IS
 
     def pose_at(self, i: int) -> int:
-        """Return the index of the pose at the reading `i`."""
+        """Return the index of the pose that applies at reading `i`."""
         return self.pose if i >= self.since and self.reading in (None, i) else 0
 
     def shift_at(self, i: int) -> int:
-        """Return the number of the shift at the reading `i`."""
+        """Return the number of the shift that applies at reading `i`."""
         return self.shift if self.reading == i else AS_IT_IS
 
 
 @dataclass(frozen=True)
 class ReplayedReadings:
-    """The result of a replay of all readings: the last state of each member and the readings it learnt from.
+    """The result of a replay of all n readings for m members.
 
-    `cost` (m,) is the cost of all readings, `before` the cost of the base member without the last one.
-    `taken` (n, m) says which of n readings each member learnt from.
+    `state` is the final state of the members. `cost` (m,) is the cost of all readings; `before` is the cost
+    for member 0 without the last reading. `taken` (n, m) says which readings each member learnt from.
     """
 
     state: Expectation

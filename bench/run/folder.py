@@ -1,4 +1,4 @@
-"""Run folders as analyses see them: inputs, history, readings; and cached digests of many runs."""
+"""Run folders as read by analyses: inputs, history, readings; and cached summaries of many runs."""
 
 from __future__ import annotations
 
@@ -32,19 +32,19 @@ LEARNED = "learned.yaml"
 IMPORTED = "readings.csv"
 VERIFY = "verify"
 RESULTS = "results.json"
-"""Name of the file that lists the results of a finished run: `made` is null until all of them are there."""
+"""Name of the file that lists the results of a finished run; `made` is null until all results are written."""
 REPORT = "report.html"
 
 
 @dataclass(frozen=True)
 class Run:
-    """A run folder, read on demand. Raises `RecordError` where a file in it cannot be read."""
+    """A run folder, read on demand. Raises `RecordError` for a file that cannot be read."""
 
     folder: Path
 
     @property
     def name(self) -> str:
-        """Name of the run: its folder's."""
+        """Name of the run, which is the name of its folder."""
         return self.folder.name
 
     @cached_property
@@ -59,7 +59,7 @@ class Run:
 
     @cached_property
     def plan(self) -> Plan:
-        """The plan of the run."""
+        """The plan of the run. Raises `RecordError` if it cannot be read."""
         try:
             with uncollected():
                 return Plan.from_json(read_json(read_regular(self.folder / PLAN)))
@@ -70,7 +70,7 @@ class Run:
 
     @property
     def created(self) -> str:
-        """Civil time at which the run was begun, empty where its manifest cannot be read."""
+        """Civil time at which the run was begun; empty if the manifest cannot be read."""
         try:
             return str(self.manifest.get("created", ""))
         except RecordError:
@@ -78,7 +78,7 @@ class Run:
 
     @property
     def imported(self) -> bool:
-        """Whether the run was made of a readings file."""
+        """Whether the run was imported from a readings file."""
         return "imported" in self.manifest
 
     @property
@@ -88,31 +88,31 @@ class Run:
 
     @property
     def asks_somebody(self) -> bool:
-        """Whether a living person, not a scripted one, answers the questions of the run."""
+        """Whether a real person, not a script, answers the prompts of the run."""
         return not self.simulated or bool(self.manifest.get("living"))
 
     @property
     def results_missing(self) -> bool:
-        """Whether some of the results of the finished run are missing."""
+        """Whether some of the results of the finished run are missing or the list of results is damaged."""
         try:
             made = read_json((self.folder / RESULTS).read_bytes())["made"]
             return made is None or not all((self.folder / Path(name).name).is_file() for name in made)
-        except FileNotFoundError:  # a version before wrote the page and no such list
+        except FileNotFoundError:  # an earlier version wrote the report without this list
             return not (self.folder / REPORT).is_file()
         except (OSError, ValueError, KeyError, TypeError, RecursionError):
             return True
 
     @property
     def record_head(self) -> dict[str, str | int]:
-        """The number of events of the record, and the head of their chain, which identify the record.
+        """Identification of the record: the number of `events` and the `head` of their hash chain.
 
-        The head is the SHA-256 of the last line, which contains the hash of the line before, and so on. A head
-        kept elsewhere, as in a result, shows whether any line was changed, removed or added since.
+        The head is the SHA-256 of the last line; each line contains the hash of the previous one. A copy of the
+        head kept elsewhere, as in a result, therefore reveals any line changed, removed or added since.
         """
         return {"events": len(self.history.events), "head": self.history.head}
 
     def trusted_history(self) -> History:
-        """Return the history. Raises `RecordError` when a line or an input was changed."""
+        """Return the history. Raises `RecordError` if a line of the record or an input was changed."""
         if self.history.problems:
             raise RecordError(
                 f"{self.folder}: the record cannot be trusted: {'; '.join(self.history.problems)}"
@@ -120,9 +120,9 @@ class Run:
         return self.history
 
     def readings(self) -> Readings:
-        """Return the readings on record, in the order of measurement; of a repeated step the last counts.
+        """Return the recorded readings in the order of measurement; of a repeated step, only the last one.
 
-        Raises `RecordError` when the record was changed, or holds no reading.
+        Raises `RecordError` if the record was changed or holds no reading.
         """
         taken = list(self.trusted_history().readings.values())
         if not taken:
@@ -149,7 +149,7 @@ class Run:
         ]
 
     def _unfinished_note(self, taken: int) -> tuple[str, ...]:
-        """Return notes on how much of the plan was measured; empty where all was."""
+        """Return notes on planned readings that are missing; `taken` is the number of readings on record."""
         history = self.trusted_history()
         out = history.progress.left_out
         planned = [i for i, step in enumerate(self.plan.steps) if isinstance(step, Read)]
@@ -166,9 +166,9 @@ class Run:
 
 
 def checked_name(name: str) -> str:
-    """Return the name of a run; it is the name of its folder and an argument of commands.
+    """Return `name` if it is valid both as a folder name and as a command-line argument.
 
-    Raises `RecordError` for a name that cannot be typed, or would lead to another folder.
+    Raises `RecordError` for a name that is hard to type or would lead to another folder.
     """
     if re.fullmatch(r"\w[\w.+-]{0,99}", name) is None:
         raise RecordError(
@@ -178,9 +178,9 @@ def checked_name(name: str) -> str:
 
 
 def find_run(name: str, runs: Path) -> Run:
-    """Return the run with a name in the folder of runs, or with a path.
+    """Return the run called `name` in the folder `runs`, or the run at the path `name`.
 
-    Raises `RecordError` with the latest runs in the folder.
+    Raises `RecordError`, listing the latest runs, if there is no such run.
     """
     for folder in (runs / name, Path(name)):
         if (folder / MANIFEST).is_file():
@@ -198,24 +198,24 @@ def all_runs(runs: Path) -> list[Run]:
 
 
 FORMAT: Final = 2
-"""Format of the cache; it grows with every change in its content or in the rules for a damaged record."""
+"""Format of the cache; increase it with every change of its content or of the rules for damaged records."""
 
 SETTLED_S: Final = 2.0
-"""Least age of the last change in a run's files for its digest to be cached, s.
+"""Least age of a run's newest file for its digest to be cached, s.
 
-A file changed later than this may change again without a new time stamp.
+A file changed more recently may change again without a new time stamp.
 """
 
 Stamp = list[list[Any]]
-"""The state of a run's files.
+"""The state of a run's files: one row per file.
 
-For each file: name, size, times of its contents and of its entry (ns), device and inode.
+A row holds the file's name, size, times of its contents and of its entry (ns), device and inode.
 """
 
 
 @dataclass(frozen=True)
 class Digest:
-    """A summary of a run: its state, the number of recorded readings, and the problems (sentences)."""
+    """A summary of a run: its state, the number of recorded readings, and the problems as sentences."""
 
     state: RunState
     readings: int
@@ -223,13 +223,13 @@ class Digest:
 
     @classmethod
     def of(cls, run: Run) -> Digest:
-        """Return the digest of a run. Raises `RecordError` where the run cannot be read."""
+        """Return the digest of a run. Raises `RecordError` if the run cannot be read."""
         history = run.history
         return cls(history.state, len(history.readings), history.problems)
 
 
 class Digests:
-    """The digests of the runs in a folder; `save` caches those that were read anew, where it can."""
+    """The digests of the runs in a folder, read from a cache; `save` adds the new digests to the cache."""
 
     def __init__(self, runs: Path, cache: Path | None = None, now: Callable[[], datetime] = utc_now) -> None:
         self._file = (cache or cache_folder("runs")) / f"{sha256(os.fsencode(runs.absolute()))[:32]}.json"
@@ -238,7 +238,7 @@ class Digests:
         self._changed = False
 
     def of(self, run: Run) -> Digest:
-        """Return the cached or new digest of a run. Raises `RecordError` where the run cannot be read."""
+        """Return the digest of a run, cached or newly computed. Raises `RecordError` if it cannot be read."""
         try:
             kept = self._kept[run.name]
             names = [row[0] for row in kept["stamp"]]
@@ -265,7 +265,7 @@ class Digests:
         return digest
 
     def save(self) -> None:
-        """Save the new digests, where the cache folder can be written."""
+        """Write the new digests to the cache; do nothing if the cache folder is not writable."""
         if not self._changed:
             return
         text = json.dumps(self._kept)
@@ -276,7 +276,7 @@ class Digests:
 
 
 def _kept_in(file: Path) -> dict[str, dict[str, Any]]:
-    """Return the content of a cache file; empty if another program wrote it, or it was changed."""
+    """Return the digests in a cache file; empty if the file is damaged or of another format."""
     try:
         head, _, text = file.read_text(encoding="utf-8").partition("\n")
         if json.loads(head) == {"format": FORMAT, "sha256": sha256(text.encode())}:
@@ -288,7 +288,7 @@ def _kept_in(file: Path) -> dict[str, dict[str, Any]]:
 
 
 def _stamp(folder: Path, names: list[str]) -> Stamp:
-    """Return the stamp of files; for a missing file it holds the name alone."""
+    """Return the stamp of the files `names`; the row of a missing file holds only its name."""
     rows: Stamp = []
     for name in names:
         try:

@@ -1,4 +1,4 @@
-"""The instruments of a bench: opened, told apart, asked for the block's temperature, left safe."""
+"""The instruments of a bench: opening, identities, the block's temperature, and the safe state at the end."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ from drivers.person import Person, Prompt, PromptKind
 
 @dataclass(frozen=True)
 class Instruments:
-    """The instruments of a bench as the runner sees them. Together the voltmeters carry x, y, z once each.
+    """The instruments of a bench as the runner uses them. Each of x, y, z is measured by exactly one voltmeter.
 
-    `opened` are the names of the instruments that were opened: another program may be using the others.
+    `opened` holds the names of the instruments opened so far; another program may be using the others.
     """
 
     voltmeters: Sequence[Voltmeter]
@@ -42,12 +42,15 @@ class Instruments:
     opened: set[str] = field(default_factory=set)
 
     def all(self) -> list[Instrument]:
-        """Every instrument, in the order in which they are opened."""
+        """Return every instrument, in the order of opening."""
         further = (self.chamber, self.level, self.thermometer, self.power_supply)
         return [*self.voltmeters, self.head, *(one for one in further if one is not None)]
 
     def open(self) -> dict[str, Identity]:
-        """Open all instruments; return the identities by name. Raises the errors of all failures together."""
+        """Open all instruments; return their identities by name.
+
+        Raises the `BenchError` of a failing instrument, or `NotConnected` with the errors of several.
+        """
         identities: dict[str, Identity] = {}
         failures: list[BenchError] = []
         for instrument in self.all():
@@ -62,9 +65,9 @@ class Instruments:
 
 
 def same_serials(identities: Mapping[str, Identity]) -> list[str]:
-    """Return a sentence for each serial number that several instruments of one model state.
+    """Return a sentence for each serial number reported by several instruments of the same model.
 
-    `identities` are by name.
+    `identities` maps instrument names to identities.
     """
     names: defaultdict[tuple[str, str], list[str]] = defaultdict(list)
     for name, identity in identities.items():
@@ -79,7 +82,10 @@ def same_serials(identities: Mapping[str, Identity]) -> list[str]:
 
 
 def agree_to_others(person: Person, before: Mapping[str, str], now: Mapping[str, str]) -> None:
-    """Ask before going on with other instruments than those at the start; identities are by name."""
+    """Ask before continuing if the identities (by instrument name) differ from those at the start of the run.
+
+    Raises `BenchError` if the person disagrees.
+    """
     changed = [
         f"{name} was {identity} and is now {now.get(name, 'gone')}"
         for name, identity in before.items()
@@ -91,7 +97,7 @@ def agree_to_others(person: Person, before: Mapping[str, str], now: Mapping[str,
 
 
 def told_at_mounting(instruments: Instruments, key: str) -> float | None:
-    """Return the temperature that a person gives, °C; None where nobody is asked. Raises `BenchError`."""
+    """Return the block's temperature entered by a person, °C; None if no person is asked. Raises `BenchError`."""
     chamber, thermometer = instruments.chamber, instruments.thermometer
     if thermometer is not None:
         return thermometer.block_c(key) if thermometer.asks_person else None
@@ -101,10 +107,9 @@ def told_at_mounting(instruments: Instruments, key: str) -> float | None:
 def told_at_reading(
     instruments: Instruments, known_c: float | None, key: str
 ) -> tuple[float | None, float | None]:
-    """Return the temperatures of the block and, if it has its own thermometer, of the chamber's air, °C.
+    """Return the temperatures of the block and of the chamber's air, °C; the latter only beside a thermometer.
 
-    A person is asked once after each mounting and each new temperature; later the block's is `known_c`.
-    Raises `BenchError`.
+    `known_c` is the block's temperature, if known; it spares a person the question. Raises `BenchError`.
     """
     chamber, thermometer = instruments.chamber, instruments.thermometer
     by_controller = chamber is not None and not chamber.asks_person
@@ -120,11 +125,11 @@ def told_at_reading(
 def leave_safe(
     instruments: Instruments, demanded_c: float | None, power: UnitPower | None = None
 ) -> dict[str, str]:
-    """Leave the block in its safe state, set the chamber to its safe setting, close all instruments.
+    """Leave the block in its safe state, set the chamber to its safe setting, and close all instruments.
 
-    A head then stops, and a meter returns to local operation. A chamber that was not opened is left as it is,
-    because another program may use it; so is a block that this run has not switched. `demanded_c` is the
-    chamber's last set point, None where there was none. Returns the tasks left for a person, by instrument.
+    Closing stops the head and returns meters to local operation. A chamber that was not opened is left alone,
+    because another program may be using it; so is a block that this run has not switched. `demanded_c` is the
+    chamber's last set point, or None. Returns the tasks left for a person, by instrument name.
     """
     to_do = {}
     if power is not None and (note := power.leave()):
@@ -151,12 +156,12 @@ def _standby(chamber: ThermalChamber, demanded_c: float | None) -> str:
 
 
 def with_notes(error: BaseException) -> str:
-    """Return the sentence of an error, with the notes added to it on the way out."""
+    """Return the message of an error together with the notes added to it during shutdown."""
     return "; ".join(filter(None, (str(error), *getattr(error, "__notes__", ()))))
 
 
 def how_it_stopped(cause: BaseException, wish: RunControl | None) -> tuple[EventType, dict[str, str]]:
-    """Return the event for the stop of a run; `wish` is the wish to stop that interrupted it, if any."""
+    """Return type and data of the event for a stopped run; `wish` is the wish that interrupted it, if any."""
     if isinstance(cause, Exception):
         instrument = cause.instrument if isinstance(cause, BenchError) else ""
         return EventType.RUN_FAILED, {"error": with_notes(cause), "instrument": instrument}

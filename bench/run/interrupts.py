@@ -1,4 +1,4 @@
-"""Ctrl-C, SIGTERM and SIGHUP, heard where they do no harm. Imported first, so it imports nothing heavy."""
+"""Ctrl-C, SIGTERM and SIGHUP, handled where they do no harm. Imported first, so it imports nothing heavy."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from typing import Any, ClassVar, Final
 
 from drivers.clock import Haste, SystemClock
 
-# the terminal's window closed counts as well, where the system has that signal
+# closing the terminal's window sends SIGHUP, where the system has that signal
 SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 NOT_DONE: Final = 2
-"""Exit status of a program that was stopped."""
+"""Exit status of a program stopped by a signal."""
 _OUTSIDE_S: Final = 0.01
-"""Delay after which a callback whose exceptions are dropped has ended."""
+"""Delay after which a callback that drops exceptions has certainly returned, s."""
 
 Handler = Callable[[int, FrameType | None], Any] | int | None
 
 
 def interrupt_main() -> None:
-    """Interrupt the main thread as Ctrl-C does, also while it waits for the system."""
+    """Interrupt the main thread as Ctrl-C does, even during a blocking system call."""
     main = threading.main_thread().ident
     if hasattr(signal, "pthread_kill") and main is not None:
         signal.pthread_kill(main, signal.SIGINT)
@@ -34,12 +34,13 @@ def interrupt_main() -> None:
 
 
 class Interrupts:
-    """A context within which signals (`numbers`) raise `KeyboardInterrupt` where the table above says so.
+    """A context in which the signals `numbers` raise `KeyboardInterrupt`, unless shielded or held.
 
-    Python drops an exception raised in a weak reference's callback or in a `__del__`; it is raised again
-    afterwards. `haste` is the request to the instruments that a further signal makes. `end` ends the program
-    with a status. `any_heard` says whether any of these contexts heard a signal. An error that leaves a
-    context within that of the whole program ends the program: until it is reported, no signal is heard.
+    A further signal, or one after `hold`, only asks the instruments to hurry (`haste`). After `release`, a
+    signal raises again, and the second signal ends the program by `end(status)`. A `KeyboardInterrupt` that
+    Python drops in a weak reference's callback or in `__del__` is raised again afterwards. `any_heard` says
+    whether any instance received a signal. After an `Exception` leaves a nested context, signals are ignored
+    until the outer context ends, so that the error is reported.
     """
 
     any_heard: ClassVar[bool] = False
@@ -66,7 +67,7 @@ class Interrupts:
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         Interrupts._entered -= 1
-        # an error that ends the program is told: no further signal takes its place
+        # an error that ends the program must be reported, so later signals are ignored
         ending = Interrupts._entered > 0 and isinstance(error, Exception)
         for number, handler in self._before.items():
             signal.signal(number, _unheard if ending else handler)
@@ -74,26 +75,26 @@ class Interrupts:
 
     @contextmanager
     def shield(self) -> Iterator[None]:
-        """Delay a signal until the end of this context."""
+        """Return a context that delays signals until its end."""
         self._shielded += 1
         try:
             yield
         finally:
             self._shielded -= 1
-        # not where something failed: that stops the run as well, and is the cause
+        # not reached after an exception: it stops the run as well, and must remain the reported cause
         if self._pending and not self._shielded and not self._held:
             self._pending = False
             raise KeyboardInterrupt
 
     def hold(self) -> None:
-        """Begin the way out: from now on no signal raises an exception."""
+        """Begin the shutdown: from now on no signal raises an exception."""
         self._held = True
 
     def release(self, last_words: str) -> None:
-        """End the way out: the bench is safe, and the remaining work can be done at another time.
+        """End the shutdown: the bench is safe, and the remaining work can be done at another time.
 
-        `last_words` are printed if a second signal ends the program. Raises `KeyboardInterrupt` where a
-        signal was heard.
+        `last_words` are printed if a second signal ends the program. Raises `KeyboardInterrupt` if a signal was
+        received before.
         """
         self._last_words, self._held = last_words, False
         if self._heard:
@@ -108,7 +109,7 @@ class Interrupts:
             raise KeyboardInterrupt
         if again or self._held:
             self.haste.asked = True
-            with suppress(Exception):  # the terminal may be what went, or be written to just now
+            with suppress(Exception):  # the terminal may be closed, or in the middle of a print
                 print("stopping: the bench is being left safe, a moment", file=sys.stderr)
         elif self._shielded:
             self._pending = True
@@ -116,13 +117,13 @@ class Interrupts:
             raise KeyboardInterrupt
 
     def _end_at_once(self, last_words: str) -> None:
-        with suppress(Exception):  # as above
+        with suppress(Exception):  # the terminal may be closed
             sys.stdout.flush()
             print(f"bench: {last_words}", file=sys.stderr, flush=True)
         self._end(NOT_DONE)
 
     def _dropped(self, dropped: sys.UnraisableHookArgs) -> None:
-        """Raise a signal's exception again if Python had to drop it."""
+        """Raise `KeyboardInterrupt` again if Python had to drop it (see `sys.unraisablehook`)."""
         if not issubclass(dropped.exc_type, KeyboardInterrupt):
             self._told_before(dropped)
             return
@@ -131,7 +132,7 @@ class Interrupts:
 
 
 def _unheard(number: int, frame: FrameType | None) -> None:
-    """Ignore a signal; with `SIG_IGN`, Python would print a message about a signal just before."""
+    """Ignore a signal; `SIG_IGN` would make Python print a message about a signal received just before."""
 
 
 def _interrupt_soon() -> None:

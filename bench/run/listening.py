@@ -1,4 +1,4 @@
-"""The inputs to a run from outside: a computer that slept, wishes, and answers of the operator."""
+"""Inputs to a run from outside: jumps of the computer's clock, and wishes and answers of the operator."""
 
 from __future__ import annotations
 
@@ -12,7 +12,9 @@ from typing import Any, Final, Protocol
 
 from bench.run.events import EventType, Wish
 from bench.run.interrupts import interrupt_main
+from bench.run.live import LiveSignals
 from bench.run.person import (
+    INSTRUMENT,
     NOBODY_KNOWN,
     AnswersFile,
     ControlFile,
@@ -21,6 +23,7 @@ from bench.run.person import (
     NoControls,
     RunControl,
     Stopped,
+    WishAuthor,
     asked_to_json,
     problem_with_answer,
     raised,
@@ -28,17 +31,16 @@ from bench.run.person import (
 from bench.run.terminal import TerminalPerson, heard_at
 from drivers.clock import Clock, SystemClock
 from drivers.interfaces import NoAnswer
-from drivers.person import Answer, Prompt
+from drivers.person import Answer, AnsweredByInstrument, Prompt
 
 GAP_S: Final = 30.0
-"""Least jump of civil time against bench time that is reported, s; clocks are often set by less."""
+"""Least jump of civil time against bench time that is reported, s; ordinary clock adjustments are smaller."""
 
 
 class ClockWatch:
-    """Compares the civil time `civil` with the bench time `now_s` (s) from event to event.
+    """A comparison of civil time (`civil`) with bench time (`now_s`, s) from event to event.
 
-    Civil time continues while a computer sleeps. The clock by which the bench waits stops then, on most
-    systems.
+    While a computer sleeps, civil time continues, but on most systems the bench's clock stops.
     """
 
     def __init__(self, civil: Callable[[], datetime], now_s: Callable[[], float]) -> None:
@@ -47,7 +49,7 @@ class ClockWatch:
         self._last: tuple[datetime, float] | None = None
 
     def gap_s(self) -> float:
-        """Return the lead that civil time gained over bench time since the last call, s; 0 if it is small."""
+        """Return how far civil time gained on bench time since the last call, s; 0 for a small difference."""
         civil, now_s = self._civil(), self._now_s()
         last, self._last = self._last, (civil, now_s)
         if last is None:
@@ -57,13 +59,13 @@ class ClockWatch:
 
 
 LISTEN_S: Final = 0.1
-"""Interval at which the run's folder is checked for wishes and answers, s."""
+"""Interval between checks of the run's folder for wishes and answers, s."""
 
 
 class WishListener:
-    """The wishes left in a folder (`Controls`); within its context a wish to stop interrupts the program.
+    """The wishes left in a run folder; within this context, a wish to stop interrupts the main thread.
 
-    `stopped` is the first wish to stop that was heard.
+    It implements `Controls`. `stopped` is the first wish to stop that was received.
     """
 
     def __init__(self, controls: ControlFile, interrupt: Callable[[], None] = interrupt_main) -> None:
@@ -86,7 +88,7 @@ class WishListener:
             self._thread.join()
 
     def poll(self) -> RunControl | None:
-        """Return the next wish, None where there is none. Raises `Stopped` for a wish to stop."""
+        """Return the next wish, or None. Raises `Stopped` for a wish to stop."""
         if (stop := self._take_in()) is not None:
             raise Stopped(stop)
         return self._waiting.popleft() if self._waiting else None
@@ -97,7 +99,7 @@ class WishListener:
                 self._interrupt()
 
     def _take_in(self) -> RunControl | None:
-        """Read the new wishes; return a wish to stop, which comes before all others, or None."""
+        """Read the new wishes; return a wish to stop, which precedes all others, or None."""
         with self._taking:
             while (control := self._controls.poll()) is not None:
                 if control.wish is Wish.STOP:
@@ -108,18 +110,18 @@ class WishListener:
 
 
 LOOK_S: Final = 1.0
-"""Interval between calls of `meanwhile` while a question waits, s."""
+"""Interval between calls of `meanwhile` while a prompt is open, s."""
 READ_S: Final = 0.7
-"""Least time in which a person can read a question and type its answer, s.
+"""Least time in which a person can read a prompt and type its answer, s.
 
-After a question that was answered elsewhere, an earlier line at the terminal was typed for that question.
+If the previous prompt was answered elsewhere, a line typed sooner was meant for that prompt.
 """
 
 Tell = Callable[[EventType, dict[str, Any]], object]
 
 
 class CountingRecord(Protocol):
-    """A record that knows the number of its events."""
+    """A record that counts its events."""
 
     @property
     def count(self) -> int:
@@ -128,14 +130,14 @@ class CountingRecord(Protocol):
 
 
 class _Elsewhere(Exception):
-    """Somebody has answered in the run's folder; the text of the exception is the answer."""
+    """The prompt was answered in the run's folder; the text of the exception is the answer."""
 
 
 class Asker:
-    """The person of a run, who is asked at a terminal (or none) and in the run's `folder`.
+    """The person of a run, who can answer at a terminal (if any) and through files in the run's `folder`.
 
-    The first `heard` answers in the folder were heard before. Until `attach`, events are recorded by `tell`,
-    and only the wish to stop is heard. `answered_by` is the author of the last answer. It is a
+    The first `heard` answers in the folder are skipped. Until `attach`, `tell` records events, and only a
+    wish to stop is obeyed. `answered_by` is the author of the last answer. The class implements
     `drivers.interfaces.WatchingPerson`.
     """
 
@@ -150,6 +152,8 @@ class Asker:
         clock: Clock | None = None,
     ) -> None:
         self.meanwhile: Callable[[], None] | None = None
+        self.live: LiveSignals | None = None
+        self.slice_s = LOOK_S
         self.answered_by = NOBODY_KNOWN
         self.terminal = terminal
         if terminal is not None:
@@ -165,39 +169,43 @@ class Asker:
         self._looked_s = 0.0
 
     def attach(self, tell: Tell, controls: Controls) -> None:
-        """Ask for a run from now on: record events by `tell`, hear the wishes of `controls`."""
+        """Serve a run from now on: record events by `tell`, and obey the wishes of `controls`."""
         self._tell, self._controls, self._wishes = tell, controls, None
         if self.terminal is not None:
             self.terminal.wishes = None
 
     def ask(self, prompt: Prompt) -> Answer:
-        """Put the prompt; return the first answer that fits, or a terminal's answer that does not.
+        """Put the prompt; return the first valid answer, or an invalid answer typed at the terminal.
 
-        The caller refuses the latter. When the caller puts the prompt again, it stays the same question on
-        record. Raises `OperatorWish` for a wish, and `NoAnswer` where the answers of the terminal have ended.
+        The caller rejects the invalid answer and asks again, which the record counts as the same question.
+        Raises `OperatorWish` for a wish, and `NoAnswer` at the end of the terminal's input.
         """
         question = prompt.id.rpartition("#")[0]
         if not question or question != self._refused:
             self._id = f"{prompt.id}@{self._record.count + 1}"
             self._tell(EventType.ASKED, asked_to_json(replace(prompt, id=self._id)))
         self._prompt, self._refused = prompt, ""
+        if self.live is not None:
+            self.live.begin(replace(prompt, id=self._id))
         try:
             text = self._in_folder() if self.terminal is None else self._at_terminal(self.terminal, prompt)
         except _Elsewhere as found:
             text = str(found)
         finally:
             self._prompt = None
+            if self.live is not None:
+                self.live.end()
         return Answer(prompt.id, text)
 
     def drain(self) -> None:
-        """Refuse the answers left in the folder while no question is open."""
+        """Refuse the answers that were left in the folder while no prompt was open."""
         while (left := self._answers.poll()) is not None:
             self._refuse(left, self._why_stale(left))
 
-    # --- where an answer may come from ---------------------------------------------------------------
+    # --- sources of an answer ------------------------------------------------------------------------
 
     def _at_terminal(self, terminal: TerminalPerson, prompt: Prompt) -> str:
-        """Return the typed line, also one that does not fit: the caller says so and asks again."""
+        """Return the line typed, even if invalid; the caller reports the fault and asks again."""
         asked_s, after_another = self._clock.now_s(), self.answered_by.where not in ("", terminal.who.where)
         while True:
             try:
@@ -205,7 +213,7 @@ class Asker:
             except NoAnswer:
                 if prompt.action["do"] != "wait":
                     raise
-                return self._in_folder()  # who has paused the run may be elsewhere
+                return self._in_folder()  # the person who paused the run may be at the panel
             given = LeftAnswer(self._id, text, terminal.who)
             if not (after_another and terminal.by_hand and self._clock.now_s() - asked_s < READ_S):
                 break
@@ -223,7 +231,7 @@ class Asker:
             self._clock.sleep(LISTEN_S)
 
     def _listen(self) -> None:
-        """Hear wishes and answers; call `meanwhile` when it is due. Raises `_Elsewhere`, `OperatorWish`."""
+        """Process wishes and answers; call `meanwhile` if due. Raises `_Elsewhere` or `OperatorWish`."""
         prompt = self._prompt
         if prompt is None:
             return
@@ -235,9 +243,15 @@ class Asker:
                 continue
             self._take(left, prompt)
             raise _Elsewhere(left.answer.strip())
-        if self.meanwhile is not None and self._clock.now_s() - self._looked_s >= LOOK_S:
+        if self.live is not None:
+            self.live.look()
+        if self.meanwhile is not None and self._clock.now_s() - self._looked_s >= self.slice_s:
             self._looked_s = self._clock.now_s()
-            self.meanwhile()
+            try:
+                self.meanwhile()
+            except AnsweredByInstrument as seen:
+                self._note(seen, prompt)
+                raise
 
     def _hear(self, control: RunControl, prompt: Prompt) -> None:
         if control.wish in (heard_at(prompt) if self._wishes is None else self._wishes):
@@ -249,7 +263,7 @@ class Asker:
         }
         self._tell(EventType.WISH_REFUSED, told)
 
-    # --- what becomes of it --------------------------------------------------------------------------
+    # --- acceptance and refusal ----------------------------------------------------------------------
 
     def _why_stale(self, left: LeftAnswer) -> str:
         if left.flaw:
@@ -265,6 +279,15 @@ class Asker:
         self.answered_by, self._answered = given.who, given.id
         text = given.answer.strip() or prompt.default or ""
         self._tell(EventType.ANSWERED, _told(replace(given, answer=text)))
+
+    def _note(self, seen: AnsweredByInstrument, prompt: Prompt) -> None:
+        """Record the answer of an instrument, or why it is none: then the question is put again."""
+        given = LeftAnswer(self._id, seen.text, WishAuthor(by=seen.by, where=INSTRUMENT))
+        if not seen.problem:
+            self._take(given, prompt)
+            return
+        self._refuse(given, seen.problem)
+        self._refused = prompt.id.rpartition("#")[0]
 
     def _refuse(self, given: LeftAnswer, why: str) -> None:
         self._tell(EventType.ANSWER_REFUSED, {**_told(given), "why": why})

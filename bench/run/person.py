@@ -1,4 +1,4 @@
-"""The person at a run: wishes, answers left in the run's folder, prompts, and problems with an answer."""
+"""The operator's side of a run: wishes, answers left in the run folder, prompts, and validation of answers."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ SIGN: Final = ":"
 
 @dataclass(frozen=True)
 class WishAuthor:
-    """The author of a wish or an answer, the role ("operator", "supervisor"), and the place.
+    """The author of a wish or an answer: name, role ("operator", "supervisor") and place.
 
-    `where` is "terminal", "panel", or "command" for `bench control`. Old records do not say: then all are
-    empty.
+    `where` is "terminal", "panel", or "command" for `bench control`. In old records, which do not state the
+    author, all fields are empty.
     """
 
     by: str = ""
@@ -38,30 +38,32 @@ class WishAuthor:
     where: str = ""
 
     def to_json(self) -> dict[str, str]:
-        """Return the author as events and lines in a run's folder record it; an empty dict if nothing is known."""
+        """Return the author as stored in events and in the run folder's files; an empty dict if unknown."""
         return asdict(self) if self != NOBODY_KNOWN else {}
 
     @classmethod
     def from_json(cls, line: Mapping[str, Any]) -> WishAuthor:
-        """Return the author stated in an event or in a line left in a run's folder."""
+        """Return the author stated in an event or in a line of the run folder's files."""
         return cls(*(str(line.get(name, "")) for name in ("by", "role", "where")))
 
 
 NOBODY_KNOWN: Final = WishAuthor()
+INSTRUMENT: Final = "instrument"
+"""The place of an author that is an instrument, which answers where nobody has to."""
 
 
 def at_the_shell(where: str) -> WishAuthor:
-    """Return the user of this program as author; whoever has a shell in the runs' folder is a supervisor."""
+    """Return the user of this process as author, a supervisor because of shell access to the runs' folder."""
     try:
         name = getpass.getuser()
-    except (OSError, KeyError, ImportError):  # no such user, or no such list of them
+    except (OSError, KeyError, ImportError):  # no such user, or no user database on this system
         name = ""
     return WishAuthor(name, "supervisor", where)
 
 
 @dataclass(frozen=True)
 class RunControl:
-    """A wish, its reason and its author; `by_person` says that the person at the prompt has it."""
+    """A wish with its reason and author; `by_person` marks a wish of the person at the prompt."""
 
     wish: Wish
     reason: str = ""
@@ -69,21 +71,21 @@ class RunControl:
     who: WishAuthor = NOBODY_KNOWN
 
     def to_json(self) -> dict[str, str]:
-        """Return the wish as a line in the run's folder records it."""
+        """Return the wish as written into the run folder's file."""
         return {"wish": self.wish.value, "reason": self.reason, **self.who.to_json()}
 
     def told(self) -> dict[str, str]:
-        """Return the reason and the author, as an event records them."""
+        """Return the reason and the author as recorded in an event."""
         return {"reason": self.reason, **self.who.to_json()}
 
     @classmethod
     def from_json(cls, line: Mapping[str, Any]) -> RunControl:
-        """Return the wish in a line. Raises `KeyError`, `TypeError`, `ValueError` where there is none."""
+        """Return the wish in a line. Raises `KeyError`, `TypeError` or `ValueError` if the line holds none."""
         return cls(Wish(line["wish"]), str(line.get("reason", "")), who=WishAuthor.from_json(line))
 
 
 class OperatorWish(Exception):
-    """The person answered a prompt with a wish; the step that asked is not done."""
+    """The person answered a prompt with a wish; the step that asked is not completed."""
 
     def __init__(self, control: RunControl) -> None:
         super().__init__(control.wish.value)
@@ -91,7 +93,7 @@ class OperatorWish(Exception):
 
 
 class Stopped(KeyboardInterrupt):
-    """Somebody wished the run to stop: the same as Ctrl-C, with the author of the wish."""
+    """A wish stopped the run: treated like Ctrl-C, but with a known author."""
 
     def __init__(self, control: RunControl) -> None:
         super().__init__()
@@ -99,20 +101,20 @@ class Stopped(KeyboardInterrupt):
 
 
 def raised(control: RunControl) -> OperatorWish | Stopped:
-    """Return the exception that ends the present step because of a wish."""
+    """Return the exception by which a wish interrupts the current step."""
     return Stopped(control) if control.wish is Wish.STOP else OperatorWish(control)
 
 
 class Controls(Protocol):
-    """The source of wishes; `stopped` is the wish to stop that interrupted the program."""
+    """A source of wishes; `stopped` is the wish that interrupted the program, if any."""
 
     @property
     def stopped(self) -> RunControl | None:
-        """The wish to stop, None where there was none."""
+        """The wish that stopped the program, or None."""
         ...
 
     def poll(self) -> RunControl | None:
-        """Return the next wish, None where there is none."""
+        """Return the next wish, or None."""
         ...
 
 
@@ -127,14 +129,14 @@ class NoControls:
 
 
 class ControlFile:
-    """The wishes left in the folder of a run, one JSON line each; earlier lines count as heard."""
+    """The wishes left in a run folder, one JSON line each; lines present at construction are ignored."""
 
     def __init__(self, folder: Path) -> None:
         self._path = folder / CONTROL
         self._heard = self._path.stat().st_size if self._path.exists() else 0
 
     def poll(self) -> RunControl | None:
-        """Return the next wish, or None; half-written lines wait, lines without a wish are passed over."""
+        """Return the next wish, or None; skip invalid lines, and leave an incomplete last line for later."""
         while (line := self._line()).endswith(b"\n"):
             self._heard += len(line)
             with suppress(ValueError, KeyError, TypeError, AttributeError, RecursionError):
@@ -151,7 +153,7 @@ class ControlFile:
 
 
 def leave_wish(folder: Path, control: RunControl) -> None:
-    """Write a wish into the folder of a run. Raises `OSError` where it cannot be written."""
+    """Append a wish to the run folder's file. Raises `OSError` if it cannot be written."""
     _leave(folder / CONTROL, control.to_json())
 
 
@@ -162,9 +164,9 @@ def _leave(file: Path, told: Mapping[str, str]) -> None:
 
 
 def parse_wish(text: str) -> RunControl:
-    """Return a typed wish, such as ":skip the cable came loose"; the sign may be missing.
+    """Return the wish typed as `text`, such as ":skip the cable came loose"; the leading ":" is optional.
 
-    Raises `ValueError` with the list of wishes for anything else, and for a skip without a reason.
+    Raises `ValueError`, listing the known wishes, for any other text, and for a skip without a reason.
     """
     word, _, reason = text.strip().removeprefix(SIGN).partition(" ")
     try:
@@ -179,21 +181,21 @@ def parse_wish(text: str) -> RunControl:
 
 ANSWERS: Final = "answers.jsonl"
 LONGEST: Final = 4000
-"""Greatest length of an answer in characters; a longer text is no answer."""
+"""Greatest length of an answer in characters; longer texts are rejected."""
 
 YES: Final = frozenset({"y", "yes", "ok", "done"})
 NO: Final = frozenset({"n", "no"})
 REASON: Final = "REASON"
-"""Placeholder at the end of a choice, for words of the person's own: "go on REASON"."""
+"""Placeholder at the end of a choice for the person's own words: "go on REASON"."""
 
 # --- answers left in a run's folder ------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class LeftAnswer:
-    """An answer to the question `id`, as typed, with its author; `line` is its number in the file, from 1.
+    """An answer to the prompt `id`, as typed, with its author; `line` is its line number in the file, from 1.
 
-    `flaw` says what is wrong with a line that cannot be read.
+    `flaw` describes the fault of an unreadable line; otherwise it is empty.
     """
 
     id: str
@@ -203,17 +205,17 @@ class LeftAnswer:
     flaw: str = ""
 
     def to_json(self) -> dict[str, str]:
-        """Return the answer as a line in the run's folder records it."""
+        """Return the answer as written into the run folder's file."""
         return {"id": self.id, "answer": self.answer, **self.who.to_json()}
 
 
 def leave_answer(folder: Path, answer: LeftAnswer) -> None:
-    """Write an answer into the folder of a run. Raises `OSError` where it cannot be written."""
+    """Append an answer to the run folder's file. Raises `OSError` if it cannot be written."""
     _leave(folder / ANSWERS, answer.to_json())
 
 
 class AnswersFile:
-    """The answers left in the folder of a run, in order; the first `heard` lines are passed over."""
+    """The answers left in a run folder, in order; the first `heard` lines are skipped."""
 
     def __init__(self, folder: Path, heard: int = 0) -> None:
         self._path = folder / ANSWERS
@@ -223,15 +225,15 @@ class AnswersFile:
             pass
 
     def poll(self) -> LeftAnswer | None:
-        """Return the next answer, None where there is none; a half-written line waits.
+        """Return the next answer, or None; an incomplete last line is left for later.
 
-        A line that cannot be read gives an answer with a `flaw` and without an id.
+        An unreadable line is returned as an answer with a `flaw` and an empty id.
         """
         found = self._next()
         return None if found is None else _read_answer(found, self._line)
 
     def _next(self) -> bytes | None:
-        """Return the next whole line; of an overlong line only the beginning."""
+        """Return the next complete line, or None; an overlong line is cut to its first 8 × `LONGEST` bytes."""
         try:
             with open_regular(self._path) as file:
                 file.seek(self._place)
@@ -262,24 +264,24 @@ def _read_answer(line: bytes, number: int) -> LeftAnswer:
         return LeftAnswer("", beginning, WishAuthor(where="panel"), number, flaw)
 
 
-# --- the question that stands ------------------------------------------------------------------------
+# --- the open prompt ---------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class AskedPrompt:
-    """A question on record: its event and its prompt. An answer names the `id` of this prompt."""
+    """A recorded prompt and the event that recorded it; answers refer to the prompt's `id`."""
 
     event: Event
     prompt: Prompt
 
 
 def asked_to_json(prompt: Prompt) -> dict[str, Any]:
-    """Return the fields of a prompt that the record keeps."""
+    """Return the fields of a prompt for the record."""
     return {of.name: getattr(prompt, of.name) for of in fields(prompt)} | {"kind": prompt.kind.value}
 
 
 def _asked(event: Event) -> AskedPrompt | None:
-    """Return the question in an event; None for a prompt that this version does not know."""
+    """Return the prompt of an `asked` event; None for a kind of prompt that this version does not know."""
     data = event.data
     try:
         prompt = Prompt(
@@ -308,12 +310,12 @@ _STANDS: Final = {
 
 @dataclass
 class OpenPrompt:
-    """Follows a run's events in order, and knows the open question."""
+    """The prompt still open after the events of a run, which are passed to `take` in order."""
 
     _event: Event | None = field(default=None, init=False)
 
     def take(self, event: Event) -> None:
-        """Take note of an event."""
+        """Update the open prompt with the next event."""
         if event.type == EventType.ASKED:
             self._event = event
         elif event.type not in _STANDS:
@@ -321,14 +323,14 @@ class OpenPrompt:
 
     @property
     def prompt(self) -> AskedPrompt | None:
-        """The open question, None where there is none."""
+        """The open prompt, or None."""
         return None if self._event is None else _asked(self._event)
 
 
 def open_prompt(events: Iterable[Event]) -> AskedPrompt | None:
-    """Return the question that is open after the events of a run, in their order; None where none is.
+    """Return the prompt that is open after the events of a run, in their order, or None.
 
-    An answer is heard only as long as a program carries out the run.
+    It can be answered only while a program is carrying out the run.
     """
     found = OpenPrompt()
     for event in events:
@@ -336,15 +338,14 @@ def open_prompt(events: Iterable[Event]) -> AskedPrompt | None:
     return found.prompt
 
 
-# --- what is wrong with an answer --------------------------------------------------------------------
+# --- faults of an answer -----------------------------------------------------------------------------
 
 
 def problem_with_answer(prompt: Prompt, text: str) -> str:
-    """Return what is wrong with an answer, in words; empty when it fits the prompt's kind, limits and target.
+    """Return a description of the fault in an answer; empty if the answer fits the prompt's kind and limits.
 
-    An empty answer means the prompt's default, where it has one. Values read from a scale or a display are
-    judged by the rules of the driver that asks. The function changes nothing, so that it can be called while
-    somebody types.
+    An empty answer selects the prompt's default, if any. Values read from a scale or a display are checked by
+    the rules of the driver that asks. The function has no side effects, so it can be called during typing.
     """
     given = text.strip() or prompt.default or ""
     try:
@@ -363,7 +364,7 @@ def problem_with_answer(prompt: Prompt, text: str) -> str:
 
 
 def understood_answer(prompt: Prompt, text: str) -> str:
-    """Return the meaning of an answer that fits, such as `120° 30′ 15.0″` or `23.5 °C`; else empty."""
+    """Return a valid answer as understood, such as `120° 30′ 15.0″` or `23.5 °C`; empty for an invalid one."""
     if problem_with_answer(prompt, text):
         return ""
     given = text.strip() or prompt.default or ""
@@ -386,11 +387,11 @@ _BY_EYE: Final = frozenset({"turn", "read_temperature", "read_level", "read_supp
 
 
 def _read_by_eye(prompt: Prompt, given: str) -> float | None:
-    """Return the value read from a scale or a display (rad, °C, V or A); None where no value was asked for.
+    """Return the value that a person read from a scale or display (rad, °C, V or A); None for other prompts.
 
-    Raises `ValueError` with the problem in a sentence.
+    Raises `ValueError` with a sentence on the fault.
     """
-    action: Any = prompt.action  # of a record, which may say anything
+    action: Any = prompt.action  # may come from a record, so its content is not validated
     match action.get("do"), prompt.kind:
         case "turn", PromptKind.ANGLE:
             tolerance_rad = float(action.get("tolerance_rad", math.inf))
@@ -451,15 +452,14 @@ def _spaced(angle_rad: float) -> str:
 
 MOST_ATTEMPTS: Final = 20
 MOST_WAITS: Final = 1000
-"""Greatest number of answers "no" to a task: somebody who gives more does not read the question."""
+"""Greatest number of "no" answers to a task; somebody who gives more is not reading the question."""
 
 
 def ask(person: Person, prompt: Prompt) -> str:
-    """Put the prompt until its answer fits; return the answer's text, the default for an empty one.
+    """Repeat the prompt until the answer is valid; return the answer, or the default for an empty answer.
 
-    `prompt.id` is the step's key; "#1", "#2"… is added for each attempt, and an answer to another id is stale
-    and ignored. Raises `NoAnswer` when nobody answers, `BenchError` after `MOST_ATTEMPTS` answers that do not
-    fit.
+    "#1", "#2"… is appended to `prompt.id` for each attempt, so that a stale answer, which names an earlier id,
+    is rejected. Raises `NoAnswer` when nobody answers, `BenchError` after `MOST_ATTEMPTS` invalid answers.
     """
     text = prompt.text
     for attempt in range(1, MOST_ATTEMPTS + 1):
@@ -475,7 +475,7 @@ def ask(person: Person, prompt: Prompt) -> str:
 
 
 def confirm(person: Person, prompt: Prompt) -> None:
-    """Have a task done; after "no" the question is put again until it is done. Raises the errors of `ask`."""
+    """Ask for a task and repeat the prompt after each "no" until the task is done. Raises the errors of `ask`."""
     put = prompt
     for wait in range(1, MOST_WAITS + 1):
         if ask(person, put).lower() not in NO:
@@ -486,7 +486,7 @@ def confirm(person: Person, prompt: Prompt) -> None:
 
 
 def agree(person: Person, prompt: Prompt) -> None:
-    """Ask for permission to go on. Raises `BenchError` when the person says no, and the errors of `ask`."""
+    """Ask for permission to continue. Raises `BenchError` if the person answers no, and the errors of `ask`."""
     if ask(person, prompt).lower() in NO:
         raise BenchError("operator", f"answered no to: {prompt.text}", "go on when that is settled")
 
@@ -511,9 +511,9 @@ UNTOUCHED: Final = "untouched"
 
 
 def mount_prompt(step: Mount, *, chamber: bool) -> Prompt:
-    """Return the task of mounting the block, with a drawing of the installation where there is one.
+    """Return the prompt to mount the block, with a drawing of the installation where there is one.
 
-    It has no default: a key hit by chance mounts nothing. `chamber` says whether there is a chamber to close.
+    It has no default, so that an accidental Enter confirms nothing. With `chamber`, it asks to close the chamber.
     """
     close = ", close the chamber" if chamber else ""
     again = "" if step.series == 1 else f" (visit {step.series})"
@@ -527,7 +527,7 @@ def mount_prompt(step: Mount, *, chamber: bool) -> Prompt:
 
 
 def untouched_prompt(step: Mount) -> Prompt:
-    """Return the question whether the block is still mounted as the step `step` left it."""
+    """Return the prompt asking whether the block is still mounted as it was after `step`."""
     text = (
         f"The block was mounted in installation {step.installation}. Is it untouched since? "
         "If not, mount it again now, and say so"

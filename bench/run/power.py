@@ -1,4 +1,4 @@
-"""The block's supply in a run: switched, warmed up, watched, left safe."""
+"""The power supply of the block during a run: switching, warm-up, monitoring, and the safe state."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ from drivers.making_safe import Attempts
 from drivers.person import Person, Prompt, PromptKind, WatchingPerson
 
 WATCH_S: Final = 10.0
-"""Interval at which the rails are checked during a wait, s."""
+"""Interval between checks of the rails during a wait, s."""
 IN_RUSH_S: Final = 2.0
-"""Time from switching on to the first check of the rails, s."""
+"""Time from switching on to the first check of the rails, s; the inrush current has then decayed."""
 NAP_S: Final = 1.0
 
 ANEW: Final = "switch off and set anew"
@@ -40,16 +40,16 @@ STAYED_ON: Final = "it stayed on"
 WAS_OFF: Final = "it was off"
 
 _PASSING: Final = (InstrumentLost, BadReading, InstrumentRefused)
-"""Failures of a check that the next check may not meet; a reading that meets them is not believed."""
+"""Failures of a check that the next check may not repeat; during a reading, they invalidate the reading."""
 
 
 class RailFault(BenchError):
-    """A rail of the block is not as it should be: readings since the last good check are not believed."""
+    """A rail of the block is out of its limits; readings since the last good check are not trusted."""
 
 
 @dataclass(frozen=True)
 class Feeding:
-    """The supply of the block as the bench file states it, with its limits where they are known."""
+    """The block's supply as stated in the bench file, with the supply's limits where they are known."""
 
     section: UnitSupplySection
     limits: SupplyLimits | None = None
@@ -57,12 +57,12 @@ class Feeding:
 
 @dataclass
 class UnitPower:
-    """The block's supply during a run; `now_s` gives the bench time since the run began, s.
+    """The block's power supply during a run; `now_s` returns the bench time since the run began, s.
 
-    `nap` is called during waits and hears wishes; `tell` records events. `on` says whether the block is on,
-    by the switching done and the state seen. `off_since_s` is the time of switching off (s since the run
-    began, None where unknown), `on_since_s` the time of switching on, on `clock`. `in_charge` says whether
-    this run has switched the block, or has taken it over as found.
+    `nap` is called repeatedly during waits and handles wishes; `tell` records events. `on` says whether the
+    block is on, by the last switching or check. `off_since_s` is the time of switching off (s since the run
+    began, None if unknown); `on_since_s` is the time of switching on, on `clock`. `in_charge` says whether this
+    run has switched the block or has taken it over switched on.
     """
 
     supply: PowerSupply
@@ -88,10 +88,10 @@ class UnitPower:
     # --- switching -----------------------------------------------------------------------------------
 
     def have_on(self, key: str) -> None:
-        """Ensure that the block is on, set and protected as the bench file says.
+        """Ensure that the block is on, with the settings and protections of the bench file.
 
-        A block found so is left so. Where the supply is set otherwise, or only some rails are on, the person
-        is asked. Raises `RailFault`, `BenchError`.
+        A block that is on with these settings is left unchanged. If the settings differ, or only some rails are
+        on, the person is asked first. Raises `RailFault` or `BenchError`.
         """
         try:
             self.supply.set_up(self._settings(), key)
@@ -113,7 +113,7 @@ class UnitPower:
         self._switch_on(key)
 
     def _ask_about(self, otherwise: str, key: str) -> None:
-        """Ask whether a supply that is on and set otherwise may be changed. Raises `BenchError` where not."""
+        """Ask whether a supply that is on with other settings may be changed. Raises `BenchError` if not."""
         prompt = Prompt(
             id=f"{key}/found",
             kind=PromptKind.CHOOSE,
@@ -130,7 +130,7 @@ class UnitPower:
             )
 
     def _switch_on(self, key: str, *, set_up: bool = False) -> None:
-        """Set up, switch the rails on in order, and check them; after a failure switch all off."""
+        """Set up the supply, switch the rails on in order, and check them; after a failure switch all off."""
         self._stay_off(key)
         if not set_up:
             self.supply.set_up(self._settings(), key)
@@ -151,13 +151,13 @@ class UnitPower:
         self._told("on", rails)
 
     def switch_off(self, key: str) -> None:
-        """Switch the rails off, in reverse order. Raises `BenchError` where the supply does not obey."""
+        """Switch the rails off, in reverse order. Raises `BenchError` if the supply does not obey."""
         self.in_charge = True
         self._switch_rails_off(key)
         self._told("off", {})
 
     def cycle(self, off_s: float, key: str) -> None:
-        """Switch the block off and on again, off for at least `off_s` and the bench file's least time."""
+        """Switch the block off and on again; it stays off for `off_s` or the bench file's minimum, s."""
         self.switch_off(key)
         self._stay_off(key, off_s)
         self._switch_on(key)
@@ -170,7 +170,7 @@ class UnitPower:
         self.on, self.off_since_s = False, self.now_s()
 
     def _stay_off(self, key: str, off_s: float = 0.0) -> None:
-        """Wait until the block has been off long enough; an unknown time of switching off counts as now."""
+        """Wait until the block has been off long enough, counted from now if its start is unknown."""
         least_s = max(off_s, self.section.least_off)
         since_s = self.now_s() if self.off_since_s is None else self.off_since_s
         while (left_s := since_s + least_s - self.now_s()) > 0.0:
@@ -178,9 +178,9 @@ class UnitPower:
             self.clock.sleep(min(NAP_S, left_s))
 
     def _off(self, key: str) -> str:
-        """Switch everything off, whatever happens; return the task left for a person, or an empty string.
+        """Switch everything off despite errors; return the task left for a person, or an empty string.
 
-        On the way out a person who works the supply gets a task, and no question.
+        During shutdown, a person who operates the supply receives a task and no prompt.
         """
         rails = Attempts()
         for number, rail in enumerate(() if self.supply.asks_person else reversed(self.section.rails)):
@@ -198,9 +198,9 @@ class UnitPower:
         return told
 
     def leave(self) -> str:
-        """Leave the block in its safe state; return the task left for a person. Raises nothing.
+        """Put the block into its safe state; return the task left for a person, or "". Raises nothing.
 
-        A block that this run has neither switched nor taken over is left as it was found.
+        A block that this run has neither switched nor taken over is left unchanged.
         """
         if not self.in_charge or self.section.when_unsafe == "stay-on":
             return ""
@@ -209,13 +209,13 @@ class UnitPower:
 
     @property
     def left_off(self) -> bool:
-        """Whether `leave` has switched the block off."""
+        """Whether `leave` switched the block off."""
         return self._left_on and not self.on
 
-    # --- looking -------------------------------------------------------------------------------------
+    # --- checking ------------------------------------------------------------------------------------
 
     def look(self, key: str) -> Mapping[str, Rail]:
-        """Return the supply's measurements by rail. Raises `RailFault`, and the errors of `supply.state`."""
+        """Return the measured voltage and current by rail. Raises `RailFault`, and the errors of `supply.state`."""
         states = self.supply.state(key)
         self._looked_s = self.clock.now_s()
         wrong = [
@@ -236,16 +236,17 @@ class UnitPower:
         return self._seen
 
     def at_reading(self, key: str) -> Mapping[str, Rail]:
-        """Return the rails' measurements before or after a reading; empty where the block is off on purpose.
+        """Return the rails' measurements before or after a reading; empty if the block is off on purpose.
 
-        A person is asked only when the block is mounted, not at each reading. Raises the errors of `look`.
+        For a supply read by a person, return the last values, to avoid a prompt at each reading. Raises the
+        errors of `look`.
         """
         if not self.on:
             return {}
         return self._seen if self.supply.asks_person else self.look(key)
 
     def watch(self, key: str) -> None:
-        """Check the rails when the check is due, during another task. Raises `RailFault` alone."""
+        """Check the rails if the check is due, during another task. Raises only `RailFault`."""
         due = self.clock.now_s() - self._looked_s >= WATCH_S
         if not self.on or self.supply.asks_person or not due:
             return
@@ -257,7 +258,7 @@ class UnitPower:
             self._looked_s = self.clock.now_s()
 
     def watch_while_asked(self, *persons: Person | None) -> None:
-        """Have the rails checked while a question to one of these persons waits, where that is possible."""
+        """Check the rails also while these persons are being asked, unless a person must read the supply."""
         if self.supply.asks_person:
             return
         for person in persons:
@@ -265,7 +266,7 @@ class UnitPower:
                 person.meanwhile = partial(self.watch, "asked")
 
     def is_as_left(self, key: str) -> bool:
-        """Return whether the block has stayed on, as the supply's state shows or the person says."""
+        """Return whether the block has stayed on since the run stopped, by the supply's state or the person."""
         if self.supply.asks_person:
             prompt = Prompt(
                 id=f"{key}/since",
@@ -299,7 +300,7 @@ class UnitPower:
             yield from (f"was set otherwise: {what}" for what in differences)
 
     def _not_on(self, states: Mapping[str, OutputState], rail: RailSection) -> str:
-        """Return the phrase that a rail is off; empty where it is on."""
+        """Return a phrase if the rail is off, else an empty string."""
         state = self._of(states, rail)
         if state.tripped:
             return "was switched off by a protection of the supply, which tripped"
@@ -325,7 +326,7 @@ class UnitPower:
 _RESUMED: Final = "resume/power"
 
 Switch = Callable[[Power], object]
-"""Carries out a step that switches the block on and lets it warm up."""
+"""A function that carries out a power step: switches the block on and waits for its warm-up."""
 
 
 def warm_up(
@@ -337,8 +338,8 @@ def warm_up(
 ) -> tuple[float, tuple[float, ...]]:
     """Wait until the block is warm; return the time since switching on, s, and the settled signals, V.
 
-    `stated_s` replaces the warm-up of the bench file; `sample` returns the signals. The rails are checked
-    during the wait. Raises `RailFault`, `NotSettled`.
+    `stated_s` overrides the warm-up of the bench file; `sample` returns the signals. The rails are checked
+    during the wait. Raises `RailFault` or `NotSettled`.
     """
     wanted = power.section.warm_up if stated_s is None else stated_s
     clock = power.clock
@@ -379,7 +380,7 @@ def _until_settled(
 
 
 def begin(plan: Plan, switch: Switch) -> None:
-    """Switch the block on and warm it up before the first step, where the plan leaves that to the run."""
+    """Switch the block on and warm it up before the first step, unless the plan itself switches it."""
     if plan.begins_on():
         switch(SWITCHED_ON)
 
@@ -392,10 +393,10 @@ def take_up(
     switch: Switch,
     another_visit: Callable[[Read], None],
 ) -> None:
-    """Restore the block's power state for the step `first`; a new visit begins where it was off.
+    """Restore the block's power state before step `first` of a resumed run.
 
-    The record shows whether it was off; else the supply's state does, or the person who works the supply.
-    `another_visit` is called with the next reading of the visit that ends.
+    The block is warmed up again if it was off (by the record, the supply's state or the person) or not yet warm.
+    If it was off during a visit, the visit's further readings form a new one; `another_visit` gets the first.
     """
     if not _on_at(plan, first):
         return
@@ -412,7 +413,7 @@ def take_up(
 
 
 def _on_at(plan: Plan, step: int) -> bool:
-    """Return whether the block is to be on before a step."""
+    """Return whether the block is to be on before step `step`."""
     for before in reversed(plan.steps[:step]):
         if isinstance(before, Power):
             return before.switch != "off"
@@ -420,7 +421,7 @@ def _on_at(plan: Plan, step: int) -> bool:
 
 
 def _next_of_a_visit(plan: Plan, first: int, progress: PlanProgress) -> Read | None:
-    """Return the next reading on the present mounting; None where its visit has no reading yet."""
+    """Return the next reading on the present mounting; None if there is none or its visit has no reading yet."""
     for index in range(first, len(plan.steps)):
         step = plan.steps[index]
         if isinstance(step, Mount):

@@ -1,7 +1,7 @@
-"""A run on disk: an append-only chain of events. Each event is on the disk before the next step.
+"""A run on disk: an append-only hash chain of events. Each event is on disk before the next step begins.
 
-A record may hold many thousands of readings with all their samples. It is read once; only the parts of each
-line that resuming and evaluation need are kept.
+A record may hold many thousands of readings with all their samples. The file is read once, and only the parts of
+each line that resuming and evaluation need are kept in memory.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ from bench.run.resume import ENDS_A_POINT, PlanProgress, end_of_point, turn_befo
 
 
 class Events(Sequence[Event]):
-    """The valid events of a record; they are read from the file at each iteration."""
+    """The valid events of a record, parsed anew from the file at each iteration."""
 
     def __init__(self, path: Path, count: int, last: Event | None) -> None:
         self._path, self._count, self._last = path, count, last
@@ -73,14 +73,14 @@ class Events(Sequence[Event]):
 
 @dataclass(frozen=True)
 class History:
-    """The content of a run's record, and what is wrong with the file.
+    """The content of a run's record, and the problems found in it.
 
-    `problems` are sentences about the file; `torn` is a half-written last line. `head` is the SHA-256 of the
-    last whole line, which stands for all lines before it; `length` is the number of bytes up to there.
-    `taken` are the readings without their samples, in the order of measurement; None marks a mounting in the
-    middle of a run. `identities` are those of the instruments when the run was begun, `serials` their serial
-    numbers where the bench has certificates. `levelled` are the results of the level with their bench time,
-    `power` the states of the block's supply ("on", "found on", "off", "fault") with theirs.
+    `problems` are sentences about the file; `torn` is an incomplete last line. `head` is the SHA-256 of the last
+    complete line, which identifies all lines up to it; `length` is the number of their bytes. `taken` holds
+    (step, reading without samples) in the order of measurement, and None where the block was remounted
+    unplanned. `identities` and `serials` are those of the instruments at the start of the run; serial numbers
+    are recorded if certificates are checked. `levelled` holds (bench time, levelling result), and `power` holds
+    (bench time, state of the block's supply: "on", "found on", "off" or "fault").
     Events after an invalid line are left out of all fields.
     """
 
@@ -99,7 +99,7 @@ class History:
 
     @property
     def readings(self) -> dict[int, Reading]:
-        """The readings by step in the order of measurement, without samples; of a repeated step, the last."""
+        """The readings by step in the order of measurement, without samples; of a repeated step, only the last."""
         by_step: dict[int, Reading] = {}
         for one in self.taken:
             if one is not None:
@@ -111,7 +111,7 @@ class History:
 
 @uncollected()
 def read_history(folder: Path) -> History:
-    """Read the events of a run and check the chain of hashes and the inputs' hashes. Raises `RecordError`."""
+    """Read the record of a run, and check its hash chain and the inputs' hashes. Raises `RecordError`."""
     problems = changed_inputs(folder)
     path = folder / EVENTS
     reader = _Reader(sha256(read_regular(folder / MANIFEST)))
@@ -127,7 +127,7 @@ def read_history(folder: Path) -> History:
 
 
 class _Reader:
-    """Reads the lines of a record up to the first invalid one."""
+    """Reader of a record's lines up to the first invalid line."""
 
     def __init__(self, manifest_sha256: str) -> None:
         self._head, self._length, self._torn = manifest_sha256, 0, ""
@@ -142,7 +142,7 @@ class _Reader:
         self._power: list[tuple[float, str]] = []
 
     def read(self, file: BinaryIO) -> list[str]:
-        """Read the lines; return a sentence on the first invalid one, or an empty list."""
+        """Read the lines; return a list with one sentence on the first invalid line, or an empty list."""
         for line in file:
             if not line.endswith(b"\n"):
                 self._torn = line.decode(errors="replace")
@@ -152,7 +152,7 @@ class _Reader:
         return []
 
     def _take(self, line: bytes) -> str:
-        """Read a line; return what is wrong with it, or an empty string."""
+        """Read one line; return a description of its fault, or an empty string."""
         try:
             event, previous = parse_line(line)
         except ValueError:
@@ -186,7 +186,7 @@ class _Reader:
             self._serials = {str(name): str(serial) for name, serial in event.data.get("serials", {}).items()}
 
     def history(self, path: Path, problems: list[str]) -> History:
-        """Return the history of the lines that were read."""
+        """Return the history of the lines read so far; `path` is the file of events."""
         return History(
             events=Events(path, self._count, self._last),
             head=self._head,
@@ -207,9 +207,9 @@ _OPENED: Final = frozenset({EventType.RUN_STARTED, EventType.RUN_RESUMED})
 
 
 def parse_line(line: bytes) -> tuple[Event, str]:
-    """Return the event in a line, and the hash that the line states for the line before.
+    """Return the event in a line, and the hash of the previous line as stated there.
 
-    Raises `ValueError` for a line without an event, and for one that no bench program writes.
+    Raises `ValueError` for a line that is not a valid event.
     """
     try:
         data = read_json(line)
@@ -219,14 +219,14 @@ def parse_line(line: bytes) -> tuple[Event, str]:
         raise ValueError(str(error)) from error
 
 
-# --- where to go on ---------------------------------------------------------------------------------
+# --- where to resume --------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class ResumePoint:
-    """The place where a run goes on: `step` is the next step, `turn` the turn to repeat before it, if any.
+    """The place where a run is resumed: `step` is the next step, `turn` the turn to repeat before it, if any.
 
-    `bench_s` is the bench time (s since the run began) at which `step` was last begun.
+    `bench_s` is the bench time at which `step` was begun last, or else that of the last event, s.
     """
 
     step: int
@@ -235,11 +235,11 @@ class ResumePoint:
 
 
 def resume_point(plan: Plan, history: History) -> ResumePoint:
-    """Return where a run goes on.
+    """Return the point at which a run is resumed; `step` is `len(plan.steps)` when nothing is left to do.
 
-    Between a turn and the readings of its point the head may have been moved. So the turn is repeated, with
-    the steps between the last reading and the next. Finished readings are never repeated. `step` is
-    `len(plan.steps)` when nothing is left to do. Raises `RecordError` for steps that the plan lacks.
+    If the run stopped between a turn and the readings of its point, the head may have been moved since. So the
+    turn is repeated, and so are the steps after the point's last reading. Finished readings are never
+    repeated. Raises `RecordError` if the record mentions steps that the plan lacks.
     """
     progress = history.progress
     known = progress.done | progress.skipped | progress.left_out
@@ -268,7 +268,7 @@ def _reading_is_open(plan: Plan, step: int) -> bool:
 WITH_THE_NEXT: Final = frozenset(
     {EventType.STEP_STARTED, EventType.ASKED, EventType.ANSWERED, EventType.ANSWER_REFUSED}
 )
-"""Events after which the program does not wait for the disk; they are written out with the next event."""
+"""Events that are not forced to disk at once; they are flushed together with the next event."""
 
 _FULL: Final = frozenset({errno.ENOSPC, errno.EDQUOT})
 
@@ -276,10 +276,10 @@ Shield = Callable[[], AbstractContextManager[None]]
 
 
 class Record:
-    """The writer of a run's events; one program at a time writes a run.
+    """The writer of a run's events; a lock admits only one writing program at a time.
 
-    `state` is the state of the run after its events; an event that this state does not allow is not written.
-    `shield` makes a context within which no signal interrupts the program.
+    `state` is the state of the run; events that are invalid in this state are rejected. `shield` returns a
+    context in which no signal interrupts the program.
     """
 
     def __init__(self, folder: Path, now: Callable[[], datetime], shield: Shield = nullcontext) -> None:
@@ -290,7 +290,7 @@ class Record:
         self._last_hash, self._count, self._length = "", 0, 0
         self._half_written = False
         try:
-            # unbuffered: what a full disk refused is not tried again when the file is closed
+            # unbuffered, so that closing the file does not retry a write that a full disk refused
             self._file = open_regular(folder / EVENTS, "ab")
         except OSError as error:
             raise _cannot_write(folder, error) from error
@@ -307,9 +307,9 @@ class Record:
         now: Callable[[], datetime],
         shield: Shield = nullcontext,
     ) -> Record:
-        """Make the folder with its inputs, all on the disk before this returns.
+        """Create the run's folder with its inputs, all on disk before this returns; return its record.
 
-        `inputs` are files by name. Raises `RecordError` when the folder exists or cannot be written.
+        `inputs` holds the files' contents by name. Raises `RecordError` if the folder exists or cannot be written.
         """
         manifest = {
             "format": FORMAT,
@@ -327,10 +327,10 @@ class Record:
     def reopen(
         cls, folder: Path, now: Callable[[], datetime], shield: Shield = nullcontext
     ) -> tuple[Record, History]:
-        """Open a run to go on with it; a torn last line is cut off and kept in the history's `torn`.
+        """Open a run to continue it; return its record and history. An incomplete last line is removed.
 
-        All is read while no other program can write. Raises `RecordError` when another program writes the
-        run, or when the record was changed.
+        The history is read under the lock and keeps the removed line in `torn`. Raises `RecordError` if another
+        program is writing the run, or if the record was changed.
         """
         if not (folder / MANIFEST).is_file():
             raise RecordError(f"{folder}: not a run (no {MANIFEST} in it)")
@@ -346,7 +346,7 @@ class Record:
         return record, history
 
     def _go_on_after(self, history: History) -> None:
-        """Go on after the end of a history that was read while this record held the file's lock."""
+        """Continue after the end of a history that was read while this record held the file's lock."""
         self.state = history.state
         self._last_hash, self._count, self._length = history.head, len(history.events), history.length
         if history.torn:
@@ -355,15 +355,15 @@ class Record:
 
     @property
     def count(self) -> int:
-        """The number of events written, those of earlier programs included."""
+        """The number of events in the record, including those of earlier programs."""
         return self._count
 
     def append(self, kind: str, bench_s: float, /, **data: Any) -> Event:
         """Write one event and return it.
 
-        The event is then on the disk; one of `WITH_THE_NEXT` is in the file, but not yet forced to the disk.
+        On return the event is on disk; one of `WITH_THE_NEXT` is written but not yet forced to disk.
 
-        Raises `RecordError` (disk full, …), and `ValueError` for an event that the state does not allow.
+        Raises `RecordError` (disk full, …), or `ValueError` for an event that is invalid in the present state.
         """
         with self._shield():
             return self._append(kind, bench_s, data)
@@ -389,7 +389,7 @@ class Record:
         return event
 
     def _check_place(self) -> None:
-        """Raise `RecordError` where the next line would be lost, or would break another program's chain."""
+        """Raise `RecordError` if the next line would be lost, or would break another program's chain."""
         found = os.fstat(self._file.fileno())
         if self._half_written:
             raise RecordError(f"{self.folder}: a half-written line cannot be cut off; free the disk")
@@ -402,9 +402,9 @@ class Record:
             )
 
     def whereabouts(self) -> Path | None:
-        """Return the present folder of the record, which may have been renamed; None if not found.
+        """Return the present folder of the record, which may have been renamed; None if it is not found.
 
-        The folder is recognized by its file, at the old place or among the runs beside it.
+        The record's open file is compared with the files at the old path and in the neighbouring folders.
         """
         own = os.fstat(self._file.fileno())
         with suppress(OSError):
@@ -419,29 +419,29 @@ class Record:
         self._file.close()
 
     def _write(self, data: bytes) -> None:
-        """Write all bytes: an unbuffered file may accept only a part at once."""
+        """Write all bytes; an unbuffered file may accept only a part at once."""
         while data:
             data = data[self._file.write(data) :]
 
     def _cut_back(self) -> None:
-        """Remove a half-written line, so that the record stays whole."""
+        """Remove an incomplete last line, so that the record stays valid."""
         try:
             os.ftruncate(self._file.fileno(), self._length)
         except OSError:
-            self._half_written = True  # it is tried again before the next line, and at the next opening
+            self._half_written = True  # retried before the next line and at the next opening
         else:
             self._half_written = False
 
 
 LOOKS: Final = 10_000
-"""How often a writer tries for the lock while other programs hold it shared."""
+"""Number of attempts at the exclusive lock while other programs hold the shared lock."""
 
 
 def _lock(descriptor: int) -> bool:
-    """Lock the file against a second writer; return False if another writer has it.
+    """Lock the file against a second writer; return False if another writer holds the lock.
 
-    Without file locks (Windows) return True. A program that only checks whether the run is being written
-    holds a shared lock for a moment, and is no writer.
+    Always return True on systems without file locks (Windows). A shared lock is not a writer's: it is held
+    for a moment by a program that checks whether the run is being written.
     """
     try:
         import fcntl
@@ -460,7 +460,7 @@ def _lock(descriptor: int) -> bool:
 
 
 def _shared(descriptor: int) -> bool:
-    """Take a shared lock on the file; return False where a writer has it."""
+    """Acquire a shared lock on the file; return False if a writer holds the exclusive lock."""
     import fcntl
 
     try:
@@ -471,9 +471,9 @@ def _shared(descriptor: int) -> bool:
 
 
 def is_being_written(folder: Path) -> bool:
-    """Return whether a program is carrying out this run now; the file is opened for reading only.
+    """Return whether a program is carrying out this run now, found by a lock on the file opened for reading.
 
-    Always False where the system has no file locks.
+    Always False on systems without file locks.
     """
     try:
         with open_regular(folder / EVENTS) as file:
@@ -483,7 +483,7 @@ def is_being_written(folder: Path) -> bool:
 
 
 def _make_folder(folder: Path, files: dict[str, bytes]) -> None:
-    """Make a folder with its files, either complete or not at all. Raises `RecordError`."""
+    """Create a folder with its files, either completely or not at all. Raises `RecordError`."""
     part: Path | None = None
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
@@ -494,7 +494,7 @@ def _make_folder(folder: Path, files: dict[str, bytes]) -> None:
         part.chmod(0o755)
         part.rename(folder)
     except OSError as error:
-        _refuse_taken(folder)  # another program has made it meanwhile
+        _refuse_taken(folder)  # another program may have created it meanwhile
         raise _cannot_write(folder, error) from error
     finally:
         if part is not None:

@@ -1,4 +1,4 @@
-"""The progress of a plan, the steps redone after a stop, and the questions to the person about them."""
+"""Progress of a plan, the steps to repeat after a stop, and the prompts that ask how to continue."""
 
 from __future__ import annotations
 
@@ -19,18 +19,17 @@ from drivers.person import Person, Prompt, PromptKind
 class PlanProgress:
     """The progress of a plan: which steps are done or left out, and how often each was redone on request.
 
-    `temperature_c` is the last one on record; `identities` are those of the instruments. `remounts` gives the
-    series of the readings of a (series, installation) after the block was mounted again in the middle of it.
+    `temperature_c` is the last recorded temperature; `identities` are the instruments' identities by name.
+    `remounts` maps (series, installation) to the series number of the readings after an unplanned remounting.
 
-    `doubt` is the early sign that stopped the run and is not answered yet. `in_vain` are the steps whose
-    point was redone for an early sign, `gone_on` the steps whose sign was overruled. `signs` is the number of
-    early signs.
+    `doubt` is the unanswered early sign that stopped the run. `in_vain` holds the steps whose point was redone
+    because of an early sign, `gone_on` the steps whose early sign was overruled. `signs` counts the early signs.
 
     `power` is the last recorded state of the block's supply: "on", "found on", "off", "fault", or empty.
-    `off_since_s` is when it was switched off; `warm` says whether the block has warmed up since it was
-    switched on. `asked` knows the open question; `answers_heard` is the number of lines heard of the answers
-    in the folder. `chosen` are the choices made during the run, in order; `left_out` are the steps that they
-    make unnecessary.
+    `off_since_s` is the bench time of switching off; `warm` says whether the block has warmed up since it was
+    switched on. `asked` tracks the open prompt; `answers_heard` is the number of lines already processed in the
+    folder's file of answers. `chosen` lists the choices of points made during the run, in order; `left_out`
+    holds the steps that these choices drop.
     """
 
     done: set[int] = field(default_factory=set)
@@ -57,7 +56,7 @@ class PlanProgress:
         return replace(self, **{of.name: copy(getattr(self, of.name)) for of in fields(self)})
 
     def take(self, event: Event) -> None:  # noqa: PLR0912 - one case for each kind of event
-        """Take note of an event."""
+        """Update the progress with the next event."""
         self.asked.take(event)
         match event.type:
             case EventType.RUN_STARTED | EventType.RUN_RESUMED:
@@ -102,16 +101,16 @@ class PlanProgress:
         self.left_out -= steps_of(chosen.get("taken_up", ()))
 
     def _note_redo(self, redo: Event) -> None:
-        """Note the reading whose point was redone for a sign; a larger redo clears the notes within it."""
+        """Note the reading whose point is redone for a sign; a larger redo clears such notes in its range."""
         if redo.data.get("wish") != Wish.REPEAT_POINT:
             self.in_vain.difference_update(redo.steps)
         elif self.doubt is not None:
             self.in_vain.add(self.doubt.step)
 
     def _note_temperature(self, brought: Mapping[str, Any]) -> None:
-        """Keep the temperature last given or read; after a new set point it is unknown.
+        """Keep the temperature last entered or read; after a new set point it is unknown.
 
-        The recorded data are read directly: making a result object for each of many steps would take seconds.
+        The event data are read directly, because building a result object for thousands of steps takes seconds.
         """
         if (reading := brought.get("reading")) is not None:
             self.temperature_c = reading.get("temperature_c")
@@ -119,33 +118,33 @@ class PlanProgress:
             self.temperature_c = brought.get("temperature_c")
 
     def reopen(self, plan: Plan, step: int) -> None:
-        """Reopen a point at `step`: all its steps except the readings are done again."""
+        """Mark the point's steps from `step` on as not done, except readings, so that they are repeated."""
         for index in range(step, end_of_point(plan, step)):
             if not isinstance(plan.steps[index], Read):
                 self.done.discard(index)
 
     def attempt(self, step: int) -> int:
-        """Return the number of the attempt at a step: 1, plus one for each request to redo it."""
+        """Return the number of the present attempt at a step: 1, plus 1 for each request to redo it."""
         return 1 + self.redone[step]
 
     def settled(self, step: int) -> bool:
-        """Return whether a step needs nothing more."""
+        """Return whether a step is done, skipped or left out."""
         return step in self.done or step in self.skipped or step in self.left_out
 
 
 def steps_of(ranges: Iterable[Sequence[int]]) -> set[int]:
-    """Return the steps in the ranges [first, last]."""
+    """Return the step indices in inclusive ranges: [[1, 3], [7, 7]] -> {1, 2, 3, 7}."""
     return {step for first, last in ranges for step in range(int(first), int(last) + 1)}
 
 
 ENDS_A_POINT: Final = Mount | SetTemperature | Level
-"""After these steps the head may have left its last turn, or the block has changed."""
+"""Steps that end a point, because they may move the head or change the state of the block."""
 
 
 def turn_before(plan: Plan, step: int, without: Collection[int] = ()) -> int:
-    """Return the last turn before `step` with no mounting since; `step` where there is none.
+    """Return the index of the last turn before `step`, or `step` if a step of `ENDS_A_POINT` comes after that turn.
 
-    Steps in `without` do not belong to the run.
+    The steps `without` are ignored.
     """
     for index in range(min(step, len(plan.steps)) - 1, -1, -1):
         if index in without:
@@ -158,9 +157,9 @@ def turn_before(plan: Plan, step: int, without: Collection[int] = ()) -> int:
 
 
 def is_still_to_be_read(plan: Plan, progress: PlanProgress, step: int) -> bool:
-    """Return whether a reading is still to come from `step` on, before the block is next mounted.
+    """Return whether any reading remains to be taken from `step` on before the next mounting.
 
-    A reading that stopped the run by an early sign may be redone.
+    Also return True while an early sign is unanswered, because its reading may be redone.
     """
     if progress.doubt is not None:
         return True
@@ -171,9 +170,10 @@ def is_still_to_be_read(plan: Plan, progress: PlanProgress, step: int) -> bool:
 
 
 def latest_turn(plan: Plan, progress: PlanProgress, step: int) -> int:
-    """Return the turn last begun before `step` with no mounting since; `step` where there is none.
+    """Return the turn begun last, or `step` if a step of `ENDS_A_POINT` was begun after that turn.
 
-    Where points are chosen during the run, this turn may come later in the plan.
+    In contrast to `turn_before`, steps count in the order of execution, which differs from the plan's order
+    when points are chosen during the run. The step `step` itself is ignored.
     """
     begun = (i for i in progress.begun_s if i != step and i not in progress.left_out)
     own = [i for i in begun if isinstance(plan.steps[i], Turn | ENDS_A_POINT)]
@@ -182,7 +182,7 @@ def latest_turn(plan: Plan, progress: PlanProgress, step: int) -> int:
 
 
 def end_of_point(plan: Plan, step: int) -> int:
-    """Return the step after the point to which `step` belongs."""
+    """Return the index after the last step of the point to which `step` belongs."""
     for index in range(step + 1, len(plan.steps)):
         if isinstance(plan.steps[index], Turn | ENDS_A_POINT):
             return index
@@ -190,7 +190,7 @@ def end_of_point(plan: Plan, step: int) -> int:
 
 
 def first_of_pass(plan: Plan, turn: int) -> int:
-    """Return the first turn of the pass to which the turn at `turn` belongs."""
+    """Return the index of the first turn in the pass of the turn at index `turn`."""
     first = turn
     for index in range(turn, -1, -1):
         if isinstance(plan.steps[index], Mount | SetTemperature):
@@ -201,7 +201,7 @@ def first_of_pass(plan: Plan, turn: int) -> int:
 
 
 def last_of_pass(plan: Plan, progress: PlanProgress, turn: int) -> int:
-    """Return the last step of the points begun in the pass to which the turn at `turn` belongs."""
+    """Return the index of the last step of the last begun point in the pass of the turn at index `turn`."""
     last = turn
     for index in range(turn, len(plan.steps)):
         if isinstance(plan.steps[index], Mount | SetTemperature):
@@ -212,7 +212,7 @@ def last_of_pass(plan: Plan, progress: PlanProgress, turn: int) -> int:
 
 
 def _is_of_pass(plan: Plan, turn: int, index: int) -> bool:
-    """Return whether a step is a turn of the pass to which the turn at `turn` belongs."""
+    """Return whether step `index` is a turn of the same pass as the turn at index `turn`."""
 
     def place(step: Step) -> tuple[int, str, int] | None:
         return (step.series, step.installation, step.pass_number) if isinstance(step, Turn) else None
@@ -226,14 +226,14 @@ ANSWERS: Final = {
     "redo pass": Wish.REPEAT_PASS,
     "mount again": Wish.MOUNT_AGAIN,
 }
-"""Possible answers beside "go on REASON", each with its wish."""
+"""The answers besides "go on REASON", with the wish that each expresses."""
 AGAIN: Final = "the same reading again after it was redone"
 
 
 def halt_prompt(doubt: Event, *, again: bool = False) -> Prompt:
-    """Return the question of a run that stopped for an early sign; it has no default.
+    """Return the prompt of a run stopped by the early sign `doubt`; it has no default.
 
-    `again` says that the run stopped at this reading before, and that the reading was redone since.
+    `again` says that the run stopped at this reading before, and that the reading has been redone since.
     """
     why, first = "", "take the point again, take the pass again"
     answers = [*ANSWERS]
@@ -252,7 +252,7 @@ def halt_prompt(doubt: Event, *, again: bool = False) -> Prompt:
 
 
 def pause_prompt(now_s: float) -> Prompt:
-    """Return the question of a paused run; `now_s` is the time since the run began, s."""
+    """Return the prompt of a paused run; `now_s` is the bench time since the run began, s."""
     return Prompt(
         id=f"pause@{now_s:.3f}",
         kind=PromptKind.CONFIRM,
@@ -263,9 +263,10 @@ def pause_prompt(now_s: float) -> Prompt:
 
 
 def how_to_go_on(person: Person, doubt: Event, *, again: bool = False) -> str:
-    """Ask how to go on; return the reason for going on, or raise `OperatorWish` to repeat something.
+    """Ask how to continue after an early sign; return the reason for going on despite it.
 
-    `again` is as in `halt_prompt`. Raises `NoAnswer` with the sign's sentence where nobody answers.
+    Raises `OperatorWish` if the person chooses to repeat something, and `NoAnswer` with the sign's sentence if
+    nobody answers. `again` is explained at `halt_prompt`.
     """
     prompt = halt_prompt(doubt, again=again)
     answers = ", ".join(prompt.choices)
@@ -291,7 +292,7 @@ def how_to_go_on(person: Person, doubt: Event, *, again: bool = False) -> str:
 
 
 def step_in_doubt(plan: Plan, doubt: Event) -> int:
-    """Return the step after the wrong reading of a sign: its own, or an earlier one on its mounting."""
+    """Return the step after the reading at fault, the sign's own one or an earlier one of its mounting."""
     _, _, pass_number, point = doubt.data.get("wrong") or (0, "", 0, 0)
     for index in range(doubt.step, -1, -1):
         step = plan.steps[index]
@@ -304,7 +305,7 @@ def step_in_doubt(plan: Plan, doubt: Event) -> int:
 
 @dataclass(frozen=True)
 class Redo:
-    """The steps `first` to `last` to be repeated, and the step that mounts the block before them, if any."""
+    """The range of steps to repeat, `first` to `last`, and the mounting step to carry out before it, if any."""
 
     first: int
     last: int
@@ -312,9 +313,9 @@ class Redo:
 
 
 def redo_from(plan: Plan, progress: PlanProgress, wish: Wish, index: int) -> Redo | None:
-    """Return the steps that a wish at step `index` repeats.
+    """Return the steps that the wish `wish`, received at step `index`, repeats.
 
-    Return None where no point was measured since the block was mounted.
+    Return None if no point was measured since the block was mounted.
     """
     after = index if progress.doubt is None else step_in_doubt(plan, progress.doubt)
     in_turn = not progress.chosen or progress.doubt is not None
@@ -322,7 +323,7 @@ def redo_from(plan: Plan, progress: PlanProgress, wish: Wish, index: int) -> Red
     if turn == after:
         return None
     last = index - 1
-    if progress.chosen:  # what stands between in the plan was measured before, and stays
+    if progress.chosen:  # steps between this point and `index` were measured earlier and remain valid
         own = end_of_point(plan, turn)
         last = min(own, index) - 1 if turn < index else own - 1
     if wish is not Wish.REPEAT_POINT:
@@ -333,12 +334,12 @@ def redo_from(plan: Plan, progress: PlanProgress, wish: Wish, index: int) -> Red
         return Redo(turn, last)
     mounted, step = found
     was_read = any(isinstance(plan.steps[i], Read) and i in progress.done for i in range(mounted, turn))
-    # with nothing read on it the mounting begins again
+    # if nothing was read since the mounting, the mounting step itself is repeated
     return Redo(turn, last, step) if was_read else Redo(mounted, last)
 
 
 def _mounting_before(plan: Plan, index: int) -> tuple[int, Mount] | None:
-    """Return the step of the mounting that is present at step `index`; None where there is none."""
+    """Return the last mounting step before step `index` with its own index, or None."""
     for i in range(index - 1, -1, -1):
         if isinstance(step := plan.steps[i], Mount):
             return i, step

@@ -1,6 +1,6 @@
-"""Carries out a plan, one step after the other; each is recorded before the next begins.
+"""Execution of a plan step by step; each step is recorded before the next begins.
 
-The runner knows instruments only by their interfaces, and the person only as somebody who answers prompts. It
+The runner knows instruments only by their interfaces, and the person only as the source of answers to prompts. It
 cannot distinguish a simulated bench from a real one.
 """
 
@@ -47,25 +47,25 @@ from drivers.person import Person
 
 Observer = Callable[[Event], None]
 Watch = Callable[[Reading], Sequence[EarlySign]]
-"""Judges each reading when it is taken; returns the early signs to be recorded."""
+"""A function that judges each new reading and returns the early signs of trouble to be recorded."""
 
 WORTH_REPEATING: Final = (BadReading, InstrumentLost, InstrumentRefused)
-"""Failures that may have passed at the next try; a limit or a missing answer stays."""
+"""Failures that may not recur on the next attempt, unlike an exceeded limit or a missing answer."""
 
 NO_REPEAT: Final = OnFailure(repeats=0, then="stop")
 
 
 class RunAborted(Exception):
-    """The person ended the run for good."""
+    """The person aborted the run; it cannot be resumed."""
 
 
 @dataclass(frozen=True)
 class People:
-    """The people of a run: who is asked, and whose wishes are heard.
+    """The people of a run: who answers prompts, and whose commands ("wishes") are obeyed.
 
-    `decider` is asked how to go on after an early sign, if not `person`. `asker` is the living person behind
-    either of them, who may answer in more than one place. `patience` is the clock of a pause: a person's, not
-    the bench's. After a call of `hold_signals` no signal raises an exception any more.
+    `decider` is asked how to continue after an early sign; by default it is `person`. `asker` is the living
+    person behind either of them, who may answer in more than one place. `patience` is the clock used during a
+    pause: real time, even if the bench is simulated. `hold_signals` keeps later signals from raising exceptions.
     """
 
     person: Person
@@ -78,9 +78,9 @@ class People:
 
 @dataclass
 class Recorder:
-    """Writes the events of a run: `progress` follows them, `observers` see each once it is on the disk.
+    """Recorder of a run's events: updates `progress` and then calls `observers` once an event is on disk.
 
-    `clocks` notices jumps of civil time. `now_s` gives the bench time since the run began, s.
+    `clocks` detects jumps of civil time. `now_s` returns the bench time since the start of the run, s.
     """
 
     record: Record
@@ -94,24 +94,24 @@ class Recorder:
         event = self.record.append(kind, self.now_s(), **data)
         self.progress.take(event)
         for observer in self.observers:
-            with suppress(OSError):  # a terminal that was closed shows nothing more; the run goes on
+            with suppress(OSError):  # a closed terminal must not stop the run
                 observer(event)
         if self.clocks is not None and (ahead_s := self.clocks.gap_s()):
             self.emit(EventType.CLOCK_JUMPED, ahead_s=round(ahead_s, 1))
 
     def tell(self, kind: EventType, data: dict[str, Any]) -> None:
-        """Record an event of the instruments or of a question."""
+        """Record an event reported by an instrument or by a prompt."""
         self.emit(kind, **data)
 
 
 @dataclass
 class Runner:
-    """Carries out a plan on a bench with its people, into a record.
+    """Executor of a plan: drives the bench, consults its people and records all events.
 
-    `watch` judges each reading. `choose` decides at a step which of the remaining steps are measured, where
-    points are chosen during the run. `certificates` returns sentences on the instruments' certificates for
-    the serial numbers by name. `at_resumed_time` is called with the bench time from which a resumed run goes
-    on, s.
+    `watch` judges each reading. `choose` selects the remaining steps to be measured at a step index, in runs
+    that choose their points as they go. `certificates` maps the serial numbers by instrument name to sentences
+    about the instruments' certificates. `at_resumed_time` is called with the bench time at which a resumed run
+    continues, s.
     """
 
     plan: Plan
@@ -134,6 +134,8 @@ class Runner:
         )
         if people.asker is not None:
             people.asker.attach(recorder.tell, people.controls)
+            if people.asker.live is not None:
+                people.asker.live.attach(self._workbench)
         if bench.feeding is not None and (supply := bench.instruments.power_supply) is not None:
             power = UnitPower(
                 supply, bench.feeding, people.person, bench.clock, self._now_s, self._hear, recorder.tell
@@ -142,12 +144,12 @@ class Runner:
             self._workbench.power = power
 
     def run(self, resume: ResumePoint | None = None) -> None:
-        """Open the instruments, carry out the plan, leave the bench safe.
+        """Open the instruments, carry out the plan, and leave the bench safe.
 
-        A resumed run goes on at the point `resume`, once the bench is in the state that the earlier steps
-        left; `progress` then says which steps are done. The first error is recorded, and raised after every
-        instrument was made safe and closed: `BenchError`, `RecordError`, `RunAborted`, `KeyboardInterrupt`.
-        Its notes hold further errors on the way out, and the tasks left for a person.
+        With `resume`, first restore the bench to the state that the earlier steps left, then continue at that
+        point; `progress` must already hold the completed steps. The first error is recorded, and raised after
+        every instrument is safe and closed: `BenchError`, `RecordError`, `RunAborted`, `KeyboardInterrupt`. Its
+        notes list further errors during shutdown and the tasks left for a person.
         """
         cause: BaseException | None = None
         try:
@@ -197,14 +199,14 @@ class Runner:
                 index = self._obey(wish.control, index)
 
     def _choose(self, index: int) -> int:
-        """Record the choice due at a step, if any; return the step to go on with."""
+        """Choose points if a choice is due at step `index`, and record it; return the step to continue with."""
         if self.progress.doubt is not None or (chosen := self.choose(index, self.progress)) is None:
             return index
         self._emit(EventType.CHOSEN, **chosen)
         return min(index, chosen["next"]["first"]) if "next" in chosen else index
 
     def _ask_in_doubt(self) -> bool:
-        """Return whether an early sign stopped the run, after asking how to go on. Raises `OperatorWish`."""
+        """If an early sign stopped the run, ask how to continue and return True. Raises `OperatorWish`."""
         if (doubt := self.progress.doubt) is None:
             return False
         again = doubt.step in self.progress.in_vain
@@ -216,7 +218,7 @@ class Runner:
     # --- the life of a run ---------------------------------------------------------------------------
 
     def _way_out(self, cause: BaseException | None) -> None:
-        """Leave the bench safe, then record how the run stopped and the tasks left for a person."""
+        """Leave the bench safe, then record why the run stopped and which tasks are left for a person."""
         to_do = leave_safe(self.bench.instruments, self._workbench.demanded_c, self._workbench.power)
         try:
             self._record_stop(cause)
@@ -231,7 +233,7 @@ class Runner:
             cause.add_note("; ".join(f"{name} {what}" for name, what in to_do.items()))
 
     def _record_stop(self, cause: BaseException | None) -> None:
-        """Record the cause of the stop, unless the run had ended already or the record cannot be written."""
+        """Record the cause of the stop, unless the run has already ended or the record cannot be written."""
         if cause is None or isinstance(cause, RecordError | RunAborted):
             return
         event, data = how_it_stopped(cause, self.people.controls.stopped)
@@ -242,7 +244,7 @@ class Runner:
         return self.bench.clock.now_s() - self._zero_s
 
     def _restore(self, resume: ResumePoint) -> None:
-        """Bring the bench to the state that the steps before the resume point left."""
+        """Restore the bench to the state that the steps before the resume point left."""
         before = self.plan.steps[: resume.step]
         for kind in (SetTemperature, Mount, SelectInput):
             kept = (step for i, step in enumerate(before) if i not in self.progress.left_out)
@@ -266,14 +268,14 @@ class Runner:
             self._zero_s = self.bench.clock.now_s() - resume.bench_s
 
     def _remount(self, step: Mount) -> None:
-        """Ask whether the block is still mounted as it was; if not, its further readings are a new visit."""
+        """Ask whether the block is still mounted as it was; if not, number its further readings as a new visit."""
         if self._workbench.still_mounted(step):
             self._workbench.temperature_c = self.progress.temperature_c
             return
         self._emit_remounted(step)
 
     def _emit_remounted(self, step: Mount | Read, why: str = "") -> None:
-        """Record that the block was mounted again, or was off: its further readings are another visit."""
+        """Record that the block was mounted again or lost power, so that its further readings form a new visit."""
         planned = (s.series for s in self.plan.steps if isinstance(s, Mount | Read))
         visit = 1 + max(*planned, *self.progress.remounts.values())
         told = {"why": why} if why else {}
@@ -281,9 +283,9 @@ class Runner:
         self._emit(EventType.REMOUNTED, **place, now_series=visit, **told)
 
     def _insist(self, prepare: Callable[[], object]) -> None:
-        """Carry out a preparation before the steps.
+        """Carry out a preparation before the steps until it succeeds.
 
-        A wish to abort is obeyed; after a wish to pause the question is put again; other wishes are refused.
+        Obey a wish to abort. After a wish to pause, start the preparation over. Refuse every other wish.
         """
         while True:
             try:
@@ -298,7 +300,7 @@ class Runner:
     # --- wishes --------------------------------------------------------------------------------------
 
     def _hear(self) -> None:
-        """Raise `OperatorWish`, or `Stopped`, when somebody left a wish."""
+        """Raise `OperatorWish` or `Stopped` if a wish has arrived."""
         if self.people.asker is not None:
             self.people.asker.drain()
         control = self.people.controls.poll()
@@ -306,11 +308,11 @@ class Runner:
             raise raised(control)
 
     def _answerer(self) -> WishAuthor:
-        """Return the author of the last answer, where known."""
+        """Return the author of the last answer, or `NOBODY_KNOWN`."""
         return NOBODY_KNOWN if self.people.asker is None else self.people.asker.answered_by
 
     def _obey(self, control: RunControl, index: int) -> int:
-        """Obey a wish at step `index`; return the step to go on with."""
+        """Obey a wish received at step `index`; return the step to continue with."""
         if control.by_person and control.who == NOBODY_KNOWN:
             control = replace(control, who=self._answerer())
         if control.wish not in HEARD[self.recorder.record.state]:
@@ -343,7 +345,7 @@ class Runner:
         return index
 
     def _pause(self, pause: RunControl, index: int) -> int:
-        """Wait until the person wishes something else; nothing on the bench moves meanwhile."""
+        """Wait, with the bench idle, until a wish ends the pause; return the step to continue with."""
         self._emit(EventType.RUN_PAUSED, **pause.told())
         ask = pause.by_person or self.people.asker is not None
         while self.recorder.record.state is RunState.PAUSED:
@@ -359,7 +361,7 @@ class Runner:
         return index
 
     def _asked(self) -> RunControl:
-        """Ask the person how to go on with a run that is paused."""
+        """Ask the person how to continue a paused run; return the answer as a wish."""
         try:
             confirm(self.people.asker or self.people.person, pause_prompt(self._now_s()))
         except OperatorWish as wish:
@@ -367,7 +369,7 @@ class Runner:
         return RunControl(Wish.CONTINUE, by_person=True, who=self._answerer())
 
     def _redo(self, control: RunControl, index: int) -> int:
-        """Redo the last point or its pass from the first turn; return the step to go on with."""
+        """Repeat the last point, or its whole pass, from its first turn; return the step to continue with."""
         found = redo_from(self.plan, self.progress, control.wish, index)
         if found is None:
             return self._refuse(control, index, "no point was measured since the block was mounted")
@@ -381,7 +383,7 @@ class Runner:
     # --- steps ---------------------------------------------------------------------------------------
 
     def _step(self, index: int) -> None:
-        """Carry out a step; after a failure that may pass, repeat, go on or stop by the step's policy."""
+        """Carry out a step; after a transient failure repeat it, then skip or stop as its failure policy says."""
         step = self.plan.steps[index]
         policy = step.on_failure if isinstance(step, Read | Turn) else NO_REPEAT
         for tries_left in range(policy.repeats, -1, -1):

@@ -1,4 +1,4 @@
-"""Samples of the signals: when they have settled, their scatter, drift and outliers. Nothing is corrected."""
+"""Samples of the signals: settling, scatter, drift and outliers. No sample is corrected or removed."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ from drivers.clock import Clock
 from drivers.interfaces import BenchError, ThermalChamber
 
 OUTLIER_LEVEL: Final = 0.01
-"""Probability that Grubbs' test finds an outlier in normal samples without one."""
+"""Significance level of Grubbs' test: the probability of a false outlier in normally distributed samples."""
 OUTLIER_LEAST: Final = 7
-"""Of fewer samples none is called an outlier.
+"""Least number of samples for an outlier test.
 
-The critical value is then within 5 % of the greatest deviation that can be, (n − 1)/√n: of three both are 1.155.
-Whether a sample lies beyond it is a matter of how the others were rounded.
+With fewer samples, the critical value is within 5 % of the greatest possible deviation, (n − 1)/√n; for three
+samples both are 1.155. Whether a sample exceeds it would then depend on the rounding of the others.
 """
 
 _ROUNDING: Final = 1e-13
-"""Relative size of a scatter below which it is attributed to rounding in the computation."""
+"""Relative scatter below which samples count as equal, because the scatter is a rounding error."""
 
 
 @lru_cache(maxsize=256)
 def grubbs_critical(n: int) -> float:
-    """Return the critical value of Grubbs' two-sided test for n samples, in standard deviations.
+    """Return the critical value of the two-sided Grubbs test for n samples, in standard deviations.
 
-    Raises `ValueError` for fewer than 3 samples, which cannot have an outlier.
+    Raises `ValueError` for fewer than 3 samples, which cannot contain an outlier.
     """
     if n < 3:
         raise ValueError(f"Grubbs' test needs 3 samples or more, not {n}")
@@ -45,11 +45,11 @@ def grubbs_critical(n: int) -> float:
 
 @dataclass(frozen=True)
 class Statistics:
-    """The statistics of the `n` samples of a channel, in their unit; None where a number does not exist.
+    """The statistics of the `n` samples of one channel, in the samples' unit; None where undefined.
 
-    `sd` needs 2 samples, the drift 3, an outlier `OUTLIER_LEAST`. `drift` is the change from the first to the
-    last sample by the fitted line, `drift_p` the probability of at least as large a drift in samples that only
-    scatter. `outlier` is the sample that Grubbs' test at 1 % finds.
+    `sd` needs 2 samples, the drift 3, an outlier `OUTLIER_LEAST`. `drift` is the change of the fitted line from
+    the first to the last sample. `drift_p` is the probability that samples without a drift show one at least
+    as large. `outlier` is the sample found by Grubbs' test at the level `OUTLIER_LEVEL`.
     """
 
     n: int
@@ -61,9 +61,9 @@ class Statistics:
 
 
 def describe(samples: Mapping[str, Sequence[float]]) -> dict[str, Statistics]:
-    """Return the statistics of the samples of each channel.
+    """Return the statistics of each channel's samples.
 
-    Raises `ValueError` for a channel without samples or with one that is not a finite number.
+    Raises `ValueError` for a channel without samples, or with a sample that is not finite.
     """
     return {channel: _statistics(channel, values) for channel, values in samples.items()}
 
@@ -77,7 +77,7 @@ def _statistics(channel: str, samples: Sequence[float]) -> Statistics:
     deviation = x - mean
     squares = float(deviation @ deviation)
     if squares <= n * (_ROUNDING * mean) ** 2:
-        squares = 0.0  # equal samples: their mean is off by rounding
+        squares = 0.0  # equal samples, whose mean is affected by rounding
     sd = math.sqrt(squares / (n - 1)) if n > 1 else None
     drift, drift_p = _drift(deviation, squares) if n > 2 else (None, None)
     outlier = _outlier(x, deviation, sd) if sd and n >= OUTLIER_LEAST else None
@@ -85,7 +85,7 @@ def _statistics(channel: str, samples: Sequence[float]) -> Statistics:
 
 
 def _drift(deviation: Floats, squares: float) -> tuple[float, float]:
-    """Return the drift over the reading, and the p-value of the t test."""
+    """Return the drift over the reading in the samples' unit, and the p-value of its t test."""
     n = len(deviation)
     if squares == 0.0:
         return 0.0, 1.0
@@ -100,7 +100,7 @@ def _drift(deviation: Floats, squares: float) -> tuple[float, float]:
 
 @lru_cache(maxsize=64)
 def _sample_times(n: int) -> tuple[Floats, float]:
-    """Return the times of n samples about their middle, in units of the reading, and their sum of squares."""
+    """Return the times of n samples, from -0.5 to 0.5, and their sum of squares."""
     time = np.arange(n) / (n - 1) - 0.5
     return time, float(time @ time)
 
@@ -113,21 +113,21 @@ def _outlier(x: Floats, deviation: Floats, sd: float) -> Outlier | None:
 
 
 LEAST_SAMPLES: Final = 6
-"""Least number of samples in a window from which an approach is estimated."""
+"""Least number of samples in a window for an estimate of the time left."""
 
 SLOWING: Final = 0.9
-"""Greatest ratio of the later half-window's span to the earlier one's for an end to be estimated."""
+"""Greatest ratio of the later half-window's span to the earlier one's for which the time left is estimated."""
 
 _TIMING_S: Final = 1e-6
-"""Tolerance for rounding when sums of intervals are compared with the window's length, s."""
+"""Tolerance for rounding errors when sums of intervals are compared with the window's length, s."""
 
 
 @dataclass(frozen=True)
 class Criterion:
-    """When a quantity counts as settled; `precision` in the unit of the samples.
+    """The criterion by which a quantity counts as settled; `precision` is in the unit of the samples.
 
-    Raises `ValueError` for lengths that are not positive, a timeout shorter than the window, or samples
-    that come too rarely for the window to hold two.
+    Raises `ValueError` if a value is not positive, the timeout is shorter than the window, or the interval is
+    too long for two samples in a window.
     """
 
     precision: float
@@ -136,7 +136,7 @@ class Criterion:
     interval_s: float
 
     def __post_init__(self) -> None:
-        """Check the lengths against each other."""
+        """Check the values, and their consistency with each other."""
         for name in ("precision", "window_s", "timeout_s", "interval_s"):
             value = getattr(self, name)
             if not 0.0 < value < math.inf:
@@ -155,10 +155,10 @@ class Criterion:
 
 @dataclass(frozen=True)
 class Settling:
-    """The state of the settling after a sample.
+    """The state of settling after a sample.
 
-    `elapsed_s` counts from the first sample. `spread` is the peak-to-peak span of each signal over the
-    window, `left_s` the estimated time until settled, None where no estimate is possible.
+    `elapsed_s` is the time since the first sample. `spread` is the peak-to-peak span of each signal in the
+    window. `left_s` is the estimated time until settled, None if there is no estimate.
     """
 
     settled: bool
@@ -170,7 +170,7 @@ class Settling:
 
 
 class NotSettled(BenchError):
-    """The timeout passed and the quantity still moved; `state` is the last state of the settling."""
+    """A quantity has not settled by the timeout; `state` is the last state of settling."""
 
     def __init__(self, instrument: str, cause: str, remedy: str, state: Settling) -> None:
         super().__init__(instrument, cause, remedy)
@@ -178,7 +178,7 @@ class NotSettled(BenchError):
 
 
 class Window:
-    """The samples of the last window; the caller gives their times."""
+    """The samples of the most recent window, which ends at the last sample added."""
 
     def __init__(self, criterion: Criterion) -> None:
         self.criterion = criterion
@@ -187,9 +187,9 @@ class Window:
         self._taken = 0
 
     def add(self, time_s: float, values: Sequence[float]) -> Settling:
-        """Add a sample of all signals; return the state of the settling.
+        """Add a sample of all signals taken at `time_s`; return the state of settling.
 
-        Raises `ValueError` when time runs backwards, or the number of signals changes or is zero.
+        Raises `ValueError` if time runs backwards, or if the number of signals changes or is zero.
         """
         taken = tuple(float(value) for value in values)
         if not taken:
@@ -208,7 +208,7 @@ class Window:
         return self._state(time_s - self._first_s)
 
     def _forget(self, now_s: float) -> None:
-        """Drop old samples; keep those in the window and one that is at least as old as the window."""
+        """Drop old samples; keep those within the window, and the last one before it to cover its whole length."""
         while len(self._samples) > 1 and self._is_old(self._samples[1][0], now_s):
             self._samples.popleft()
 
@@ -225,19 +225,19 @@ class Window:
         return Settling(settled, elapsed_s, self._taken, values, spread, left_s)
 
     def _left_s(self, signals: Sequence[Sequence[float]], spread: Sequence[float]) -> float | None:
-        """Return the longest of the signals' estimates; None when a signal has none."""
+        """Return the longest of the signals' estimated times left, s; None if a signal has no estimate."""
         times = [time_s for time_s, _ in self._samples]
         estimates = [self._signal_left_s(times, *one) for one in zip(signals, spread, strict=True)]
         known = [estimate for estimate in estimates if estimate is not None]
         return max(known) if len(known) == len(estimates) else None
 
     def _signal_left_s(self, times: Sequence[float], signal: Sequence[float], spread: float) -> float | None:
-        """Return one signal's estimated time left, s, from the window alone; None where there is no estimate.
+        """Return one signal's estimated time left, s, from the samples in the window, or None.
 
-        If all samples are within precision, the window only has to fill. Else the approach is exponential:
-        its span shrinks by the same factor from half to half of the window. With the time constant τ it comes
-        down to the precision after τ ln(span/precision), but not before all samples outside the precision
-        have left the window.
+        If the whole span is within the precision, the window only needs to fill. Otherwise the approach is
+        modelled as exponential: the span shrinks by the same factor from each half-window to the next. With
+        the time constant τ, it reaches the precision after τ ln(span/precision), but not before all samples
+        outside the precision have left the window.
         """
         precision, now_s = self.criterion.precision, times[-1]
         moving = [t for t, v in zip(times, signal, strict=True) if abs(v - signal[-1]) > precision]
@@ -267,10 +267,9 @@ def wait_until_settled(
 ) -> Settling:
     """Sample until settled; return the last state, whose `elapsed_s` is the time it took.
 
-    `sample` returns the signals (volts, or a temperature in °C alone) and may take time. It is called every
-    `interval_s` from the start of one call to the start of the next. `on_progress` is called after every
-    sample. `names` and `unit` serve the error's sentence. Raises `NotSettled` when a sample taken at
-    or after `timeout_s` is not settled yet, and the errors of `sample`.
+    `sample` returns the signals (V, or a single temperature in °C) and may take time; its calls start every
+    `interval_s`. `on_progress` is called after every sample. `names` and `unit` are used in the error message.
+    Raises `NotSettled` if a sample taken at or after `timeout_s` has not settled, and the errors of `sample`.
     """
     window = Window(criterion)
     begun_s = clock.now_s()
@@ -307,15 +306,15 @@ def _not_settled(criterion: Criterion, state: Settling, names: Sequence[str], un
 
 
 SLOW_AFTER_S: Final = 300.0
-"""Time after a demand at which the chamber is checked, s, where the bench file states none."""
+"""Default time from a new set point to the check of the chamber, s."""
 LEAST_SHARE: Final = 0.2
 LEAST_WAY_K: Final = 2.0
-"""Least demanded change that is checked, K; a smaller one is of the size of noise and the air's lag."""
+"""Least change of the set point that is checked, K; smaller ones are lost in noise and the air's lag."""
 
 
 @dataclass
 class ChamberWatch:
-    """Checks the chamber `slow_after_s` after each demand; reports less than 20 % of the way by `tell`."""
+    """A check `slow_after_s` after each new set point; below 20 % of the change, `tell` records `CHAMBER_SLOW`."""
 
     clock: Clock
     slow_after_s: float
@@ -324,33 +323,33 @@ class ChamberWatch:
     _begun_s: float = field(default=0.0, init=False)
 
     def begin(self, chamber: ThermalChamber, target_c: float, key: str) -> None:
-        """Note the air's temperature when a new one is demanded; a chamber worked by hand is not watched."""
+        """Start the watch with the air temperature at a new set point; manual chambers are not watched."""
         self._way_c = None
         if chamber.asks_person:
             return
         try:
             start_c = chamber.temperature(key, settling=True)
         except BenchError:
-            return  # the step that needs the temperature will meet it
+            return  # the step that needs the temperature will report the error
         if abs(target_c - start_c) >= LEAST_WAY_K:
             self._way_c, self._begun_s = (start_c, target_c), self.clock.now_s()
 
     @property
     def due(self) -> bool:
-        """Whether the check is due."""
+        """Whether the time of the check has come."""
         return self._way_c is not None and self.clock.now_s() - self._begun_s >= self.slow_after_s
 
     def look(self, chamber: ThermalChamber | None, key: str) -> None:
-        """Read the air's temperature and check it, when the check is due."""
+        """If the check is due, read the air temperature and check it."""
         if chamber is None or not self.due:
             return
         try:
             self.take(chamber.name, chamber.temperature(key, settling=True))
         except BenchError:
-            self._way_c = None  # as above
+            self._way_c = None  # the step that needs the temperature will report the error
 
     def take(self, name: str, air_c: float) -> None:
-        """Check a temperature of the air that was read for another purpose, when the check is due."""
+        """If the check is due, check an air temperature `air_c` that was read for another purpose, °C."""
         if self._way_c is None or not self.due:
             return
         (start_c, target_c), self._way_c = self._way_c, None

@@ -1,4 +1,4 @@
-"""Seals of runs: the laboratory's key, the signature, the RFC 3161 time stamp."""
+"""Seals of runs: the laboratory's key, the signature, and the RFC 3161 time stamp."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 SEAL: Final = "seal.json"
 FORMAT: Final = 1
 _PREFIX: Final = b"triaxial-bench seal 1\n"
-"""Prefix of the signed bytes: a signature of a seal cannot serve for any other document."""
+"""Prefix of the signed bytes, so that the signature of a seal is not valid for any other document."""
 _STATED: Final = ("run", "events", "head", "manifest_sha256", "files", "sealed")
 
 
@@ -38,9 +38,9 @@ _STATED: Final = ("run", "events", "head", "manifest_sha256", "files", "sealed")
 class Seal:
     """The fingerprint of a record at the time of sealing.
 
-    `events` is the number of events, `head` the SHA-256 of the last line, `files` are the hashes of the
-    inputs. `sealed` is the time by the computer's clock. `signature` is the Ed25519 signature of
-    `signed_bytes` with `public_key` (PEM). `time_stamp` is a response (RFC 3161, DER) for `stamped_bytes`.
+    `events` is the number of events, `head` the SHA-256 of the last line; `files` maps inputs to their hashes.
+    `sealed` is the time by the computer's clock. `signature` is the Ed25519 signature of `signed_bytes`, made
+    with the private half of `public_key` (PEM). `time_stamp` is an RFC 3161 response (DER) for `stamped_bytes`.
     """
 
     run: str
@@ -60,17 +60,17 @@ class Seal:
 
     @property
     def signed_bytes(self) -> bytes:
-        """The bytes that are signed: all statements of the seal about the record."""
+        """The bytes to sign: a fixed prefix, and all statements of the seal about the record as JSON."""
         text = json.dumps(self._stated, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
         return _PREFIX + text.encode()
 
     @property
     def stamped_bytes(self) -> bytes:
-        """The bytes that are time-stamped: the signed bytes and the signature."""
+        """The bytes to be time-stamped: the signed bytes and the signature."""
         return self.signed_bytes + b"\n" + self.signature
 
     def to_json(self) -> dict[str, Any]:
-        """Return the seal as its file holds it."""
+        """Return the seal as stored in its file."""
         return {
             "format": FORMAT,
             **self._stated,
@@ -81,7 +81,7 @@ class Seal:
 
     @classmethod
     def from_json(cls, data: Any) -> Seal:
-        """Return the seal in a file. Raises `KeyError`, `TypeError`, `ValueError` where there is none."""
+        """Return the seal stored in a file. Raises `KeyError`, `TypeError` or `ValueError` for invalid data."""
         texts = [data[name] for name in ("run", "head", "manifest_sha256", "sealed", "public_key")]
         files, events = data["files"], data["events"]
         if data["format"] != FORMAT or type(events) is not int or not isinstance(files, dict):
@@ -95,7 +95,7 @@ class Seal:
         return cls(run, events, head, manifest, files, sealed, key, signature, stamp)
 
     def differences(self, run: Run) -> tuple[str, ...]:
-        """Return sentences on the differences between a run and its seal."""
+        """Return a sentence for each difference between a run and this seal; empty if the run is unchanged."""
         now = seal_of(run, self.sealed)
         wrong = []
         if now.events != self.events:
@@ -108,7 +108,7 @@ class Seal:
 
 
 def seal_of(run: Run, sealed: str) -> Seal:
-    """Return an unsigned seal of the present state of a run; `sealed` is the time."""
+    """Return an unsigned seal of the present state of a run; `sealed` is the time of sealing."""
     manifest = run.manifest
     return Seal(
         run=str(manifest.get("name", "")),
@@ -121,9 +121,9 @@ def seal_of(run: Run, sealed: str) -> Seal:
 
 
 def new_seal(run: Run, now: datetime) -> Seal:
-    """Return the seal of a run that has ended or was imported.
+    """Return an unsigned seal of a run that has ended or was imported.
 
-    Raises `RecordError` for a run that goes on, for a changed one, and for a torn last line.
+    Raises `RecordError` for an unfinished or changed run, and for an incomplete last line.
     """
     state = run.trusted_history().state
     if (before := read_seal(run.folder)) is not None and (wrong := before.differences(run)):
@@ -136,7 +136,7 @@ def new_seal(run: Run, now: datetime) -> Seal:
 
 
 def read_seal(folder: Path) -> Seal | None:
-    """Return the seal of a run, None where it has none. Raises `RecordError` for a damaged one."""
+    """Return the seal of a run, or None. Raises `RecordError` for a damaged seal."""
     path = folder / SEAL
     try:
         return Seal.from_json(json.loads(read_regular(path).decode()))
@@ -149,21 +149,21 @@ def read_seal(folder: Path) -> Seal | None:
 
 
 def write_seal(folder: Path, seal: Seal) -> Path:
-    """Write the seal of a run; return its file. Raises `OSError`."""
+    """Write the seal into the run's folder; return its path. Raises `OSError`."""
     write_whole(folder / SEAL, to_text(seal.to_json()))
     return folder / SEAL
 
 
 def signed(seal: Seal, public_key: str, signature: bytes) -> Seal:
-    """Return a seal with its signature, without its time stamp, which was made for the earlier bytes."""
+    """Return the seal with this signature and without a time stamp, because that was made for other bytes."""
     return replace(seal, public_key=public_key, signature=signature, time_stamp=b"")
 
 
 def new_key(file: Path, passphrase: bytes | None) -> tuple[Path, str]:
-    """Make a key pair; return the file of the public key and its fingerprint.
+    """Create an Ed25519 key pair; return the file of the public key and the key's fingerprint.
 
-    Only the owner can read the private key's file (0600) and enter its folder (0700); a missing folder is
-    made. Raises `RecordError` where the file exists already, and for a folder that others may enter.
+    The private key's file is readable by its owner only (0600), in a folder only the owner can enter (0700); a
+    missing folder is created. Raises `RecordError` if the file exists, or if others may enter the folder.
     """
     _, ed25519 = _cryptography()
     public = file.with_name(file.name + ".pub")
@@ -173,9 +173,9 @@ def new_key(file: Path, passphrase: bytes | None) -> tuple[Path, str]:
 
 
 def write_private(file: Path, key: Any, passphrase: bytes | None, beside: dict[Path, str]) -> None:
-    """Write a private key (PKCS#8, PEM) that only its owner can read, and beside it the public texts.
+    """Write a private key (PKCS#8, PEM), readable by its owner only, and the public texts `beside` it.
 
-    Raises `RecordError` where a file exists already, and for a folder that others may enter.
+    Raises `RecordError` if a file exists, or if others may enter the folder.
     """
     serialization, _ = _cryptography()
     for one in (file, *beside):
@@ -198,9 +198,9 @@ def write_private(file: Path, key: Any, passphrase: bytes | None, beside: dict[P
 
 
 def private_key(file: Path, passphrase: Callable[[], bytes]) -> Ed25519PrivateKey:
-    """Return the private key that signs seals; `passphrase` is called where the key needs one.
+    """Return the private key that signs seals; `passphrase` is called if the key is encrypted.
 
-    Raises `RecordError` for a file that others may read, and for a file without such a key.
+    Raises `RecordError` for a file that others may read, and for a file without an Ed25519 key.
     """
     _, ed25519 = _cryptography()
     key = read_private(file, passphrase, f"Ed25519, PEM; 'bench key {file}' makes one")
@@ -210,7 +210,7 @@ def private_key(file: Path, passphrase: Callable[[], bytes]) -> Ed25519PrivateKe
 
 
 def read_private(file: Path, passphrase: Callable[[], bytes], wanted: str) -> Any:
-    """Return a private key of any kind from a file that only its owner may read; `wanted` names the kind.
+    """Return a private key of any kind; `wanted` describes the expected kind in the error message.
 
     Raises `RecordError` for a file that others may read, and for a file without a key.
     """
@@ -233,12 +233,12 @@ def read_private(file: Path, passphrase: Callable[[], bytes], wanted: str) -> An
 
 
 def sign(key: Ed25519PrivateKey, message: bytes) -> tuple[str, bytes]:
-    """Return the public key (PEM) and the signature of a message."""
+    """Return the public key (PEM) and the Ed25519 signature of a message."""
     return _public_pem(key.public_key()), key.sign(message)
 
 
 def public_key(pem: str, where: str) -> Ed25519PublicKey:
-    """Return the public key in a text. Raises `RecordError` where there is none."""
+    """Return the Ed25519 key in the text `pem`. Raises `RecordError`, naming `where`, if there is none."""
     serialization, ed25519 = _cryptography()
     try:
         key = serialization.load_pem_public_key(pem.encode())
@@ -250,7 +250,7 @@ def public_key(pem: str, where: str) -> Ed25519PublicKey:
 
 
 def read_public_key(file: Path) -> Ed25519PublicKey:
-    """Return the public key in a file. Raises `RecordError` where there is none."""
+    """Return the Ed25519 public key in a file. Raises `RecordError` if there is none."""
     try:
         return public_key(read_regular(file).decode("ascii"), str(file))
     except OSError as error:
@@ -260,7 +260,7 @@ def read_public_key(file: Path) -> Ed25519PublicKey:
 
 
 def is_signed(key: Ed25519PublicKey, signature: bytes, message: bytes) -> bool:
-    """Return whether a signature of a message was made with the private half of this key."""
+    """Return whether `signature` is a valid signature of `message` under the public key `key`."""
     from cryptography.exceptions import InvalidSignature
 
     try:
@@ -271,7 +271,7 @@ def is_signed(key: Ed25519PublicKey, signature: bytes, message: bytes) -> bool:
 
 
 def fingerprint(key: Ed25519PublicKey) -> str:
-    """Return the SHA-256 of a public key (its 32 bytes); people compare keys by it."""
+    """Return the SHA-256 of a public key (32 bytes) in hexadecimal, by which people compare keys."""
     return hashlib.sha256(key.public_bytes_raw()).hexdigest()
 
 
@@ -283,7 +283,7 @@ def _public_pem(key: Ed25519PublicKey) -> str:
 
 
 def _check_folder(file: Path) -> None:
-    """Raise `RecordError` where others may enter the folder of a private key."""
+    """Raise `RecordError` if others may enter the folder of a private key."""
     folder = file.absolute().parent
     mode = stat.S_IMODE(folder.stat().st_mode)
     if os.name == "posix" and mode & 0o077:
@@ -307,7 +307,7 @@ MOST_BYTES: Final = 1_000_000
 
 
 class NoTimeStamp(RecordError):
-    """A server gave no time stamp, or one for another message."""
+    """A server returned no time stamp, or one for another message."""
 
 
 @dataclass(frozen=True)
@@ -319,14 +319,14 @@ class TimeStamp:
 
 
 def check_server(url: str) -> None:
-    """Raise `NoTimeStamp` for a text that is no address of a server."""
+    """Raise `NoTimeStamp` for a text that is not an http or https address."""
     parts = urlsplit(url)
     if parts.scheme not in {"http", "https"} or not parts.hostname:
         raise NoTimeStamp(f"--timestamp {url}: not the address of a server (http://… or https://…)")
 
 
 def ask_time_stamp(url: str, message: bytes) -> bytes:
-    """Have a server stamp the SHA-256 of a message; return its response (DER). Raises `NoTimeStamp`."""
+    """Request a time stamp for the SHA-256 of `message`; return the response (DER). Raises `NoTimeStamp`."""
     try:
         import rfc3161_client as rfc3161
     except ImportError as error:
@@ -349,7 +349,7 @@ def ask_time_stamp(url: str, message: bytes) -> bytes:
 
 
 def _post(url: str, body: bytes) -> bytes:
-    """Send a request; return at most `MOST_BYTES` of the answer. Raises `NoTimeStamp`."""
+    """Post a time-stamp query; return at most `MOST_BYTES` of the response. Raises `NoTimeStamp`."""
     headers = {"Content-Type": "application/timestamp-query"}
     request = urllib.request.Request(url, body, headers)  # noqa: S310 - the scheme was looked at
     try:
@@ -362,10 +362,10 @@ def _post(url: str, body: bytes) -> bytes:
 
 
 def read_time_stamp(response: bytes, message: bytes, authority: Path | None) -> TimeStamp:
-    """Return the time stamp of a message; `authority` is the file of the trusted certificates (PEM).
+    """Return the time in a time stamp of `message`; `authority` is a file of trusted certificates (PEM).
 
-    Without certificates the time is only stated, and not trusted. Raises `NoTimeStamp` where the stamp
-    belongs to another message, or is not by this authority.
+    Without `authority`, the time is not verified, and `trusted` is False. Raises `NoTimeStamp` if the stamp is
+    damaged, belongs to another message, or was not issued by this authority.
     """
     try:
         import rfc3161_client as rfc3161

@@ -1,4 +1,4 @@
-"""Events of a run as sentences: at the terminal and in the plain log."""
+"""Events of a run as sentences, for the terminal and the plain-text log."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from bench.readings.reading import Reading
 from bench.run.events import Answered, Event, EventType, Turned
 
 TERMINAL: Final = "terminal"
-"""The place of somebody who answers and wishes at the run's own terminal."""
+"""The place stated in the events of a person at the run's own terminal."""
 
 
 def sentence(event: Event) -> str:
-    """Return the line for an event that a person should know of; for any other event, its type."""
+    """Return a sentence for an event that the operator should notice; for any other event, its type."""
     data = event.data
     match event.type:
         case EventType.EARLY_SIGN:
@@ -58,7 +58,7 @@ def sentence(event: Event) -> str:
 
 
 def said(event: Event) -> str:
-    """Return the line for a recorded answer: the answer, its author and their place."""
+    """Return a sentence on a recorded answer: the answer, its author and place."""
     by = _by(event.data) or (f" by {event.data['by']}" if event.data.get("by") else "")
     if event.type == EventType.ANSWERED:
         return f"answered{by}: {event.data['answer']}"
@@ -66,7 +66,7 @@ def said(event: Event) -> str:
 
 
 def _of_somebody(event: Event) -> str:
-    """Return the line for an answer or wish that the terminal does not show; empty for any other event."""
+    """Return a sentence on an answer or wish from elsewhere than the terminal; empty for other events."""
     data, by = event.data, _by(event.data)
     match event.type:
         case EventType.WISH_REFUSED:
@@ -88,16 +88,18 @@ _DONE: Final[Mapping[str, str]] = {
 
 
 def _by(data: Mapping[str, Any]) -> str:
-    """Return the author and place of an answer or wish; empty where unknown, or at this terminal."""
+    """Return a phrase on the author and place of an answer or wish; empty if unknown or at this terminal."""
     where = data.get("where", "")
     if where in ("", TERMINAL):
         return ""
+    if where == "instrument":
+        return f" by the {data.get('by')}"
     at = "by command" if where == "command" else f"in the {where}"
     return f" {at} by {data['by']}" if data.get("by") else f" {at}"
 
 
 def _power_in_words(data: Mapping[str, Any]) -> str:
-    """Return the words for a change or a check of the block's supply."""
+    """Return a sentence on a switching or a fault of the block's supply."""
     rails = ", ".join(
         f"{name} {rail['voltage_v']:.5g} V, {rail['current_a']:.3g} A"
         for name, rail in data.get("rails", {}).items()
@@ -114,7 +116,7 @@ def _power_in_words(data: Mapping[str, Any]) -> str:
 
 
 def duration(seconds: float) -> str:
-    """Return a duration as a person says it: "2 h 05 min", "3 min", "40 s"."""
+    """Return a rounded duration: 7500 -> "2 h 05 min", 180 -> "3 min", 40 -> "40 s"."""
     if not math.isfinite(seconds):
         return "for ever"
     if seconds >= 3600:
@@ -133,7 +135,7 @@ _STOPS: Final[Mapping[str, str]] = {
 
 
 def chosen_in_words(data: Mapping[str, Any]) -> str:
-    """Return the words for a choice: the goal so far and the next points, or why measuring stops."""
+    """Return a sentence on a choice of points: the goal so far and the next points, or why measuring stops."""
     so_far = f"{data['settings']} settings, {data['repeats']} repeats"
     now = _goal_in_words(data.get("now"))
     if data["stop"]:
@@ -158,7 +160,7 @@ def chosen_in_words(data: Mapping[str, Any]) -> str:
 
 
 def _goal_in_words(reached: Mapping[str, Any] | None) -> str:
-    """Return the state of a goal, such as "u of Kxy 61 µV/g of 50 µV/g"; empty where there is none."""
+    """Return the state of a goal, such as "u of Kxy 61 µV/g of 50 µV/g"; empty for None."""
     if reached is None:
         return ""
     words = f"{reached['goal']} {size_in_words(reached['u'], reached['unit'])}"
@@ -167,14 +169,14 @@ def _goal_in_words(reached: Mapping[str, Any] | None) -> str:
 
 
 def size_in_words(u: float, unit: str) -> str:
-    """Return an uncertainty with its prefix: "49.8 µV/g"."""
+    """Return an uncertainty with an SI prefix: 49.8e-6, "V/g" -> "49.8 µV/g"."""
     base, slash, per = unit.partition("/")
     scale = scale_for(u, base)
     return f"{figures(u / scale.size)} {scale.unit}{slash}{per}"
 
 
 def _per_minute(now: Mapping[str, Any] | None, coming: Mapping[str, Any]) -> str | None:
-    """Return the gain per minute, where the goal is the same before and after; else None."""
+    """Return the gain in uncertainty per minute; None if there is no gain or the goal changes."""
     then, takes_s = coming["then"], float(coming["takes_s"])
     if now is None or now["goal"] != then["goal"] or takes_s <= 0 or now["u"] <= then["u"]:
         return None
@@ -185,9 +187,9 @@ LOG = "run.log"
 
 
 class RunLog:
-    """An observer of a run that appends lines to `run.log`.
+    """An observer of a run that appends one line per event to `run.log`.
 
-    The log is derived from the record: a full disk stops the log, not the run.
+    The log is derived from the record, so a full disk stops the log but not the run.
     """
 
     def __init__(self, folder: Path, plan: Plan) -> None:
@@ -195,7 +197,7 @@ class RunLog:
         self._path = folder / LOG
 
     def __call__(self, event: Event) -> None:
-        """Append a line for an event; starts of steps are left out, because their ends say as much."""
+        """Append a line for the event; a step's start is omitted, because its end implies it."""
         if event.type == EventType.STEP_STARTED:
             return
         try:
@@ -210,7 +212,7 @@ class RunLog:
 
 
 def in_words(event: Event, plan: Plan) -> str:
-    """Return the line for an event of a run; `plan` is the run's plan."""
+    """Return the log text for an event; `plan` is the run's plan."""
     if event.type == EventType.STEP_STARTED:
         return f"begun: {plan.steps[event.step].describe()}"
     if event.type == EventType.ASKED:

@@ -1,4 +1,4 @@
-"""The operator's terminal: questions, typed lines, help, progress and time left."""
+"""The operator's terminal: prompts, typed lines, help, progress bar and time left."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ from bench.run.resume import steps_of
 from bench.run.samples import Settling
 from bench.run.sentences import duration, sentence
 from drivers.interfaces import NoAnswer
-from drivers.person import Answer, Prompt, PromptKind
+from drivers.person import Answer, AnsweredByInstrument, Prompt, PromptKind
 
 SLICE_S: Final = 1.0
 
 
 class LineReader:
-    """Reads lines of a stream, one for each question.
+    """A reader of lines from a stream, one line for each question, without a thread of its own.
 
-    It uses one thread. Input typed during other work waits in the terminal, so that no answer is lost.
-    Streams that are no terminal, file or pipe of the system (and all on Windows) allow no waiting with a
-    timeout: a read then blocks, and `meanwhile` is not called.
+    Input typed during other work waits in the terminal, so that no answer is lost. A stream without a file
+    descriptor (and any stream on Windows) cannot be waited for with a timeout: reading then blocks, and
+    `meanwhile` is not called.
     """
 
     def __init__(self, answers: TextIO) -> None:
@@ -43,22 +43,22 @@ class LineReader:
         self._begun = bytearray()
 
     def read(self, meanwhile: Callable[[], None] | None = None, slice_s: float = SLICE_S) -> str:
-        """Return the next line with its end; empty where the answers have ended.
+        """Return the next line with its line end; an empty string at the end of the input.
 
-        Until the line is there, `meanwhile` is called every `slice_s`. An exception from it ends the
-        question; the rest of a line begun for that question is not used for the next.
+        While waiting for the line, call `meanwhile` every `slice_s` seconds. An exception from `meanwhile` ends
+        the question; the rest of a half-typed line is then discarded instead of answering the next question.
         """
         if self._descriptor is None:
             return self._answers.readline()
         while True:
-            late = bool(self._begun)  # for a question that was ended
+            late = bool(self._begun)  # the rest of a line typed for a question that was abandoned
             line = self._rest_of_line(self._descriptor, meanwhile, slice_s)
             if late and line.endswith(b"\n"):
                 continue
             return "" if late else line.decode(self._answers.encoding or "utf-8", "backslashreplace")
 
     def _rest_of_line(self, descriptor: int, meanwhile: Callable[[], None] | None, slice_s: float) -> bytes:
-        # byte by byte: what a stream had read ahead, the system would not say to be there
+        # byte by byte, because `select` would not report bytes that a buffered stream had already read
         while not self._begun.endswith(b"\n"):
             if meanwhile is not None and not select.select([descriptor], [], [], slice_s)[0]:
                 meanwhile()
@@ -71,7 +71,7 @@ class LineReader:
 
 
 def _descriptor(answers: TextIO) -> int | None:
-    if sys.platform == "win32":  # which can wait for sockets alone
+    if sys.platform == "win32":  # `select` supports only sockets there
         return None
     try:
         return answers.fileno()
@@ -80,7 +80,7 @@ def _descriptor(answers: TextIO) -> int | None:
 
 
 HELP: Final = "?"
-"""The answer that asks for help on possible answers."""
+"""The answer that requests help on the possible answers."""
 
 MEANINGS: Final = {
     Wish.PAUSE: "wait; nothing on the bench moves until you go on",
@@ -104,13 +104,13 @@ _ANSWERS: Final = {
 def heard_at(prompt: Prompt) -> tuple[Wish, ...]:
     """Return the wishes that can have an effect at a prompt of a run."""
     if prompt.action["do"] == "ask" or (prompt.action["do"] == "mount" and prompt.choices):
-        return (Wish.PAUSE, Wish.STOP, Wish.ABORT)  # no step goes on yet, or any more
+        return (Wish.PAUSE, Wish.STOP, Wish.ABORT)  # no step is in progress
     state = RunState.PAUSED if prompt.action["do"] == "wait" else RunState.RUNNING
     return tuple(wish for wish in Wish if wish in HEARD[state])
 
 
 def typing_help(prompt: Prompt, wishes: Collection[Wish]) -> str:
-    """Return lines on what can be typed; `wishes` is a mapping to meanings where they differ from a run's."""
+    """Return help text on what can be typed; if `wishes` is a mapping, its values replace `MEANINGS`."""
     meanings = wishes if isinstance(wishes, Mapping) else MEANINGS
     answer = _ANSWERS[prompt.kind] + ", ".join(prompt.choices)
     if prompt.kind is PromptKind.CONFIRM and prompt.action["do"] in ("ask", "answer"):
@@ -129,11 +129,11 @@ def typing_help(prompt: Prompt, wishes: Collection[Wish]) -> str:
 
 
 SLOW_TO_LEARN_S: Final = 1800.0
-"""Bench time that the plan's expectation weighs against the run's own pace, s."""
+"""Weight of the expected durations when the pace is estimated, as bench time, s."""
 
 
 class TimeLeft:
-    """Estimates the time left at the start of a step from the expected time of each step, s."""
+    """An estimator of the time left in a run; `step_s` is the expected duration of each step, s."""
 
     def __init__(self, step_s: Sequence[float]) -> None:
         self._step_s = list(step_s)
@@ -142,7 +142,7 @@ class TimeLeft:
         self._begun: tuple[int, float] | None = None
 
     def choose(self, chosen: Mapping[str, Any]) -> None:
-        """Apply a choice: the steps that are not needed, and the expected time of undecided steps."""
+        """Apply a choice of points: drop unneeded steps, and scale the expected time of undecided steps."""
         self._out |= steps_of(chosen["left_out"])
         self._out -= steps_of(chosen.get("taken_up", ()))
         step_s = [0.0 if i in self._out else seconds for i, seconds in enumerate(self._step_s)]
@@ -154,13 +154,13 @@ class TimeLeft:
         self._left_s = _from_each_on(step_s)
 
     def begin(self, index: int, bench_s: float) -> None:
-        """Set the step and the bench time from which the pace is measured."""
+        """Set the step index and the bench time from which the pace is measured."""
         self._begun = (index, bench_s)
 
     def at(self, index: int, bench_s: float) -> float:
-        """Return the time left at the step `index` that begins at `bench_s`.
+        """Return the estimated time left at the start of step `index` at bench time `bench_s`, s.
 
-        Without `begin`, the first call sets the step from which the pace is measured.
+        Without `begin`, the first call sets the step and time from which the pace is measured.
         """
         if self._begun is None:
             self._begun = (index, bench_s)
@@ -171,7 +171,7 @@ class TimeLeft:
 
 
 def _from_each_on(step_s: Sequence[float]) -> list[float]:
-    """Return for each step the time of it and all later ones, s; a last 0 stands for the end."""
+    """Return the total time from each step to the end, s, and a final 0: [1, 2] -> [3, 2, 0]."""
     return [*reversed(list(accumulate(reversed(step_s)))), 0.0]
 
 
@@ -182,11 +182,12 @@ HINTS: Final = {
 
 
 class TerminalPerson:
-    """Answers prompts from a text stream: a keyboard, or a file of answers.
+    """A person who answers prompts through a text stream: a keyboard, or a file of answers.
 
-    `pause` and `go_on` are called around each question, so that a progress bar does not write over it.
-    `wishes` are those heard at its questions, if not a run's; `who` is their author. It is a
-    `drivers.interfaces.WatchingPerson`; `slice_s` is the interval between calls of `meanwhile`.
+    `pause` and `go_on` are called before and after each prompt, to hide a progress bar meanwhile. `wishes` are
+    the wishes accepted at prompts; None means those of a run. `who` is the author of answers and wishes. The
+    class implements `drivers.interfaces.WatchingPerson`; `slice_s` is the interval between calls of
+    `meanwhile`, s.
     """
 
     def __init__(
@@ -207,24 +208,25 @@ class TerminalPerson:
         self._console = console
         self._pause = pause
         self._go_on = go_on
+        self._has_live_line = False
         if isinstance(answers, io.TextIOWrapper) and answers.errors != "backslashreplace":
             answers.reconfigure(
                 errors="backslashreplace"
-            )  # bytes that are no text are an answer that does not fit
+            )  # undecodable bytes become an invalid answer instead of an error
 
     @property
     def by_hand(self) -> bool:
-        """Whether somebody types the answers; False for a file."""
+        """Whether the answers are typed at a terminal; False for a file."""
         return self._answers.isatty()
 
     def beside(self, bar: ProgressBar) -> None:
-        """Hide a progress bar during each question."""
+        """Hide the progress bar `bar` during each prompt."""
         self._pause, self._go_on = bar.pause, bar.go_on
 
     def ask(self, prompt: Prompt) -> Answer:
-        """Show the prompt and read a line.
+        """Show the prompt and return the typed line as its answer.
 
-        Raises `NoAnswer` at the end of the answers. For a wish (":redo") raises `OperatorWish` or `Stopped`.
+        Raises `NoAnswer` at the end of the input, and `OperatorWish` or `Stopped` for a wish (":redo").
         """
         self._pause()
         try:
@@ -234,6 +236,9 @@ class TerminalPerson:
             while line.startswith(SIGN) or line.strip() == HELP:
                 self._say(self._to_extra(prompt, line))
                 line = self._line(prompt)
+        except AnsweredByInstrument:
+            self._console.bell()
+            raise
         finally:
             self._go_on()
         if not line:
@@ -245,7 +250,7 @@ class TerminalPerson:
         return Answer(prompt.id, line.strip())
 
     def _to_extra(self, prompt: Prompt, line: str) -> str:
-        """Return the reply to `?` or to an unknown wish; raise `OperatorWish` or `Stopped` for a wish."""
+        """Return the reply to `?` or to an invalid wish; raise `OperatorWish` or `Stopped` for a valid wish."""
         wishes = heard_at(prompt) if self.wishes is None else self.wishes
         if line.strip() == HELP:
             return typing_help(prompt, wishes)
@@ -258,17 +263,27 @@ class TerminalPerson:
         raise raised(wish)
 
     def _say(self, text: str, style: str = "", end: str = "\n") -> None:
-        """Print with lines broken between words, as a terminal alone would not."""
+        """Print text wrapped between words; a terminal would break lines within words."""
         self._console.print(Text(text, style=style), end=end, soft_wrap=False)
 
     def _line(self, prompt: Prompt) -> str:
         _forget_typed_ahead(self._answers)
         self._say(f"» {prompt.text}", "bold")
+        self._has_live_line = self.by_hand and self._console.is_terminal
+        if self._has_live_line:
+            self._console.print()  # the line in which the signals are shown
         self._say(f"  [{self._hint(prompt)}] ", end="")
         line = self._reader.read(self.meanwhile, self.slice_s)
         if line and not self._answers.isatty():
-            self._console.print(Text(line.rstrip()))  # as a keyboard would have shown it
+            self._console.print(Text(line.rstrip()))  # echo the line as a terminal does for typed input
         return line
+
+    def show_live(self, line: str) -> None:
+        """Show a line above the one being typed, at a terminal; the cursor stays where it is."""
+        if self._has_live_line:
+            cut = line[: max(self._console.width - 3, 0)]
+            self._console.file.write(f"\x1b7\x1b[1A\r\x1b[2K  {cut}\x1b8")
+            self._console.file.flush()
 
     @staticmethod
     def _hint(prompt: Prompt) -> str:
@@ -278,20 +293,20 @@ class TerminalPerson:
 
 
 def _forget_typed_ahead(answers: TextIO) -> None:
-    """Drop keys that were pressed before the question was shown: they cannot answer it."""
+    """Discard keys pressed before the prompt was shown, because they cannot answer it."""
     if not answers.isatty():
         return
     try:
         import termios
-    except ImportError:  # no such terminals on this system
+    except ImportError:  # a system without POSIX terminals
         return
     termios.tcflush(answers.fileno(), termios.TCIFLUSH)
 
 
 class ProgressBar:
-    """An observer of a run that draws a bar: step, installation, pass, point, time left.
+    """An observer of a run that draws a progress bar: step, installation, pass, point, time left.
 
-    Where the output is not a terminal it prints a line for each mounting and pass instead.
+    If the output is not a terminal, it prints a line for each pass instead.
     """
 
     def __init__(self, plan: Plan, console: Console, step_s: list[float]) -> None:
@@ -319,14 +334,14 @@ class ProgressBar:
         self._progress.stop()
 
     def pause(self) -> None:
-        """Hide the bar during a question, and print where the run is."""
+        """Hide the bar during a prompt, and print the run's present status."""
         self._progress.stop()
         self._asked = True
         if self._status:
             self._console.print(Text(self._status, style="dim"), soft_wrap=False)
 
     def go_on(self) -> None:
-        """Draw the bar again."""
+        """Show the bar again after a prompt."""
         self._asked = False
         self._progress.start()
 
@@ -346,14 +361,14 @@ class ProgressBar:
             self._time_left.choose(event.data)
             self._say_chosen(event)
         elif event.type == EventType.EARLY_SIGN and event.data.get("confident"):
-            pass  # the question how to go on says it, and where nobody answers the end of the run
+            pass  # the prompt how to continue, or else the run's error message, contains the sign
         elif (text := sentence(event)) != event.type:
             if self._asked:
-                self._console.print()  # the question's line ends where the answer is to stand
+                self._console.print()  # leave the prompt's line, where the answer is to be typed
             self._console.print(Text(text, style="bold yellow"), soft_wrap=False)
 
     def recall(self, chosen: Sequence[Mapping[str, Any]]) -> None:
-        """Apply the choices made before the run was resumed."""
+        """Apply the choices of points recorded before the run was resumed."""
         for one in chosen:
             self._time_left.choose(one)
 
@@ -362,7 +377,7 @@ class ProgressBar:
             self._console.print(Text(sentence(event), style="bold"), soft_wrap=False)
 
     def settling(self, state: Settling) -> None:
-        """Show the progress of the settling."""
+        """Show the progress of settling or warming up in the bar."""
         left = "" if state.left_s is None else f", about {duration(state.left_s)} to go"
         if not state.spread:
             self._progress.update(self._task, description=f"the block warms up{left}")
@@ -371,7 +386,7 @@ class ProgressBar:
         self._progress.update(self._task, description=f"settling: moved by {moving} in the window{left}")
 
     def _show_reading(self, reading: Reading | None) -> None:
-        """Keep the last reading on the screen, above the bar."""
+        """Print the reading above the bar, if the output is a terminal."""
         if reading and self._console.is_terminal and not quiet.get():
             values = "  ".join(f"{c} {value:+.6f}" for c, value in zip("xyz", reading.mean, strict=True))
             self._console.print(Text(f"{reading}: {values} {reading.unit}", style="dim"))

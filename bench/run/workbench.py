@@ -1,9 +1,10 @@
-"""Carries out single steps with the instruments of a bench and its person; levels the platform."""
+"""Execution of single plan steps with the instruments of a bench and its operator, including levelling."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -60,15 +61,15 @@ from drivers.person import Person, Prompt, PromptKind
 MOST_ATTEMPTS: Final = 5
 MOST_PAIRS: Final = 3
 ZERO_MOVED: Final = 5.0
-"""Largest change of the level's zero in standard uncertainties; after a larger one it is read again."""
+"""Greatest plausible shift of the level's zero, in standard uncertainties; after a larger one, it is read again."""
 
 
 @dataclass
 class Levelling:
-    """One levelling with the level of a bench.
+    """One levelling of the platform with the level of a bench.
 
-    `setting_u_rad` is the standard uncertainty of the head's setting. `zero` is the level's own zero: at
-    first the one found before, afterwards the new one. `position` is the head's last position.
+    `setting_u_rad` is the standard uncertainty of a head setting. `zero` is the level's own zero offset: pass
+    the value found earlier, if any; `carry_out` updates it. `position` is the head's last position.
     """
 
     instruments: Instruments
@@ -78,10 +79,10 @@ class Levelling:
     position: HeadPosition | None = field(default=None, init=False)
 
     def carry_out(self, step: Level) -> Levelled:
-        """Level the platform where the step asks for it; read the level and return the remaining angles.
+        """Level the platform if the step requires it; measure and return the remaining tilt angles.
 
-        Raises `LimitExceeded` for a platform that is not level after all attempts, and the errors of level,
-        head and person.
+        Raises `LimitExceeded` if the platform is still not level after `MOST_ATTEMPTS` attempts, and the errors
+        of level, head and person.
         """
         level = self.instruments.level
         if level is None:
@@ -159,7 +160,7 @@ class Levelling:
         )
 
     def _pair(self, level: interfaces.Level, key: str) -> tuple[Inclination, Inclination]:
-        """Return the readings of both positions; repeat them if the zero has changed: one may be misread."""
+        """Return the readings in both positions; repeat both if the level's zero shifted: one may be misread."""
         for attempt in range(1, MOST_PAIRS + 1):
             first = self._read(level, f"{key}/first{attempt}", turned=False)
             second = self._read(level, f"{key}/turned{attempt}", turned=True)
@@ -176,9 +177,9 @@ class Levelling:
         )
 
     def _read(self, level: interfaces.Level, key: str, *, turned: bool) -> Inclination:
-        """Return the reading of the level; a person is asked to place an electronic one.
+        """Return the level's reading; first ask the person to place the level, if it is electronic.
 
-        A bubble's own questions say how to place it.
+        The prompts of a bubble level, which the person reads, also say how to place it.
         """
         if not level.asks_person:
             how = (
@@ -203,7 +204,8 @@ def _zero(first: Inclination, second: Inclination) -> Inclination:
 
 
 def _agree(one: Inclination, other: Inclination, reading_rad: float) -> bool:
-    most_rad = ZERO_MOVED * reading_rad  # of a difference of means of two, each of this size
+    # each zero is the mean of two readings, so the difference of two zeros has the uncertainty of one reading
+    most_rad = ZERO_MOVED * reading_rad
     return max(abs(one.along_rad - other.along_rad), abs(one.across_rad - other.across_rad)) <= most_rad
 
 
@@ -212,20 +214,20 @@ def _arcsec(angle_rad: float) -> float:
 
 
 NAP_S: Final = 1.0
-"""Longest sleep during a wait, s, so that wishes and Ctrl-C are heard soon."""
+"""Longest sleep during a wait, s, so that the operator's commands and Ctrl-C take effect soon."""
 
 QUICK_NPLC: Final = 1.0
-"""Integration of the samples for settling, in line periods: short, but rejects mains interference."""
+"""Integration time of the settling samples, in line periods: the shortest that rejects mains interference."""
 
 
 @dataclass(frozen=True)
 class BenchSetup:
     """The instruments of a run, their clock, and settings from the bench file.
 
-    `range_v` is the voltmeters' fixed range, `least_samples` the fewest samples that each of them can take,
-    `setting_u_rad` the standard uncertainty of a setting of the head. `block_limits_c` are the block's
-    permitted temperatures; `feeding` describes its supply. A chamber that hardly moves is reported after
-    `slow_chamber_s`.
+    `range_v` is the fixed range of the voltmeters. `least_samples` is the smallest number of samples that all
+    voltmeters accept. `setting_u_rad` is the standard uncertainty of a head setting. `block_limits_c` are the
+    permitted temperatures of the block, °C; `feeding` describes its power supply. A chamber whose temperature
+    hardly changes for `slow_chamber_s` is reported.
     """
 
     instruments: Instruments
@@ -236,16 +238,17 @@ class BenchSetup:
     setting_u_rad: float = 0.0
     slow_chamber_s: float = SLOW_AFTER_S
     feeding: Feeding | None = None
+    aside: Callable[[], AbstractContextManager[None]] = nullcontext
 
 
 @dataclass
 class Workbench:
-    """Carries out steps on a bench; `now_s` gives the bench time since the run began, s.
+    """Executor of plan steps on a bench; `now_s` returns the bench time since the start of the run, s.
 
-    `visits` gives the series under which readings of a (series, installation) are recorded after the block
-    was mounted again in the middle of it. `power` is the block's supply, where it has one. `tell` records an
-    event. `temperature_c` is the temperature last read or given by a person, `demanded_c` the chamber's last
-    set point.
+    `visits` maps (series, installation) to the series number recorded with further readings once the block was
+    remounted during that series. `power` controls the block's supply, where there is one. `tell` records an
+    event. `between_naps` is called repeatedly during waits. `temperature_c` is the temperature last read or
+    entered by a person; `demanded_c` is the chamber's last set point.
     """
 
     bench: BenchSetup
@@ -263,20 +266,21 @@ class Workbench:
     _settings: VoltmeterSettings | None = field(default=None, init=False)
     _level_zero: Inclination | None = field(default=None, init=False)
     _chamber_c: float | None = field(default=None, init=False)
+    _before_glances: tuple[VoltmeterSettings | None] | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
         self.instruments, self.clock = self.bench.instruments, self.bench.clock
         self._chamber_watch = ChamberWatch(self.clock, self.bench.slow_chamber_s, self.tell)
 
     def execute(self, step: Step) -> Result | None:
-        """Carry out a step and return its result, if it has one. Raises `BenchError`."""
+        """Carry out a step and return its result, or None for a step without one. Raises `BenchError`."""
         if not isinstance(step, Power):
             self.watch_rails(step.key)
         brought: Result | None = step.carry_out(self)
         return brought
 
     def do_mount(self, step: Mount) -> Mounted:
-        """Have the block mounted, and ask for its temperature where a person must give it."""
+        """Ask the person to mount the block, and to enter its temperature if no instrument measures it."""
         confirm(self.person, mount_prompt(step, chamber=self.instruments.chamber is not None))
         self._position = None
         self.temperature_c = told_at_mounting(self.instruments, step.key)
@@ -285,7 +289,7 @@ class Workbench:
         return Mounted(self.temperature_c)
 
     def still_mounted(self, step: Mount) -> bool:
-        """Return whether the block is still mounted as this step left it; if not, the person mounts it."""
+        """Ask whether the block is untouched since this mounting step; return False if it was mounted again."""
         return ask(self.person, untouched_prompt(step)) == UNTOUCHED
 
     def do_temperature(self, step: SetTemperature) -> TemperatureSet:
@@ -294,7 +298,7 @@ class Workbench:
         before_c, self.demanded_c = self.demanded_c, step.target_c
         try:
             chamber.set_temperature(step.target_c, step.key)
-        except LimitExceeded:  # the only failure by which nothing was sent
+        except LimitExceeded:  # raised before anything is sent; after other errors the set point is uncertain
             self.demanded_c = before_c
             raise
         self._chamber_watch.begin(chamber, step.target_c, step.key)
@@ -302,7 +306,7 @@ class Workbench:
         return TemperatureSet(step.target_c)
 
     def do_power(self, step: Power) -> Powered:
-        """Switch the block; after switching it on, let it warm up."""
+        """Switch the block's power off, on, or off and on again; after switching it on, wait for the warm-up."""
         if self.power is None:
             raise BenchError(
                 "power_supply",
@@ -343,14 +347,14 @@ class Workbench:
         return Turned(_degrees(self._position.angle_rad), _degrees(step.target_rad))
 
     def do_level(self, step: Level) -> Levelled:
-        """Level the platform where the step asks for it, and read the level."""
+        """Level the platform if the step requires it, and measure its remaining tilt."""
         levelling = Levelling(self.instruments, self.person, self.bench.setting_u_rad, self._level_zero)
         found = levelling.carry_out(step)
         self._position, self._level_zero = levelling.position, levelling.zero
         return found
 
     def do_wait(self, step: Wait) -> None:
-        """Let bench time pass; hear wishes, and watch rails and chamber meanwhile."""
+        """Wait for the step's duration; handle the operator's commands and watch rails and chamber meanwhile."""
         end_s = self.clock.now_s() + step.duration_s
         while (left_s := end_s - self.clock.now_s()) > 0:
             self.between_naps()
@@ -359,7 +363,7 @@ class Workbench:
             self.clock.sleep(min(NAP_S, left_s))
 
     def do_settle(self, step: Settle) -> CameToRest:
-        """Wait until the signals, or the temperature of the chamber, stay within the step's precision."""
+        """Wait until the signals, or the chamber's temperature, stay within the step's precision."""
         criterion = Criterion(step.precision, step.window_s, step.timeout_s, step.interval_s)
 
         def nap(state: Settling) -> None:
@@ -393,13 +397,34 @@ class Workbench:
         return air_c
 
     def _quick_signals(self) -> tuple[float, ...]:
-        """Return the present signals x, y, z, V: the last of the fewest samples."""
+        """Return the present signals x, y, z in V: the last of the shortest possible series of samples."""
         self._configure(VoltmeterSettings(self.bench.range_v, QUICK_NPLC, self.bench.least_samples))
         samples = self._sample(self.instruments.voltmeters)
         return tuple(samples[channel][-1] for channel in CHANNELS)
 
+    @property
+    def voltmeters(self) -> Sequence[Voltmeter]:
+        """The meters of the bench."""
+        return self.instruments.voltmeters
+
+    def glance(self) -> tuple[float, ...]:
+        """Return the present signals x, y, z, V, between two readings and without a trace. Raises `BenchError`."""
+        with self.bench.aside():
+            if self._before_glances is None:
+                self._before_glances = (self._settings,)
+            return self._quick_signals()
+
+    def end_of_glances(self) -> None:
+        """Restore the settings that the meters had before the first glance. Raises `BenchError`."""
+        if self._before_glances is None:
+            return
+        (settings,), self._before_glances = self._before_glances, None
+        if settings is not None:
+            with self.bench.aside():
+                self._configure(settings)
+
     def do_input(self, step: SelectInput) -> InputSelected:
-        """Have the inputs switched; nothing of the head's position holds for a shorted input."""
+        """Ask the person to switch the inputs of the voltmeters to the signals, a short, or a reference voltage."""
         prompt = Prompt(
             id=step.key,
             kind=PromptKind.CONFIRM,
@@ -412,7 +437,7 @@ class Workbench:
         return InputSelected(step.source, step.reference_v)
 
     def do_ask(self, step: Ask) -> Answered:
-        """Put the question of the procedure to the person."""
+        """Ask the person the question defined in the procedure, and return the answer."""
         prompt = Prompt(
             id=step.key,
             kind=step.kind,
@@ -427,14 +452,14 @@ class Workbench:
         return Answered(ask(self.person, prompt))
 
     def do_read(self, step: Read) -> Reading:
-        """Take one reading with all voltmeters, temperatures and rails beside it."""
+        """Take one reading with all voltmeters, along with the temperatures and the supply's rails."""
         self._configure(VoltmeterSettings(self.bench.range_v, step.nplc, step.samples))
         self._take_temperature(step.key)
         before = self._rails(step.key)
         begun_s = self.now_s()
         meters = in_scan_order(self.instruments.voltmeters, step.scan)
         samples = self._sample(meters)
-        rails = between(before, self._rails(step.key))  # raises where the samples are not to be believed
+        rails = between(before, self._rails(step.key))  # raises if the samples cannot be trusted
         described = describe(samples)
         statistics = [described[channel] for channel in CHANNELS]
         position = None if step.target_rad is None else self._position
@@ -466,10 +491,10 @@ class Workbench:
         )
 
     def _take_temperature(self, key: str) -> None:
-        """Read the thermometer at the block, else the chamber.
+        """Read the block's temperature from its thermometer or, without one, from the chamber.
 
-        A person is asked once after each mounting and each new temperature. Raises `LimitExceeded` when the
-        block is outside its permitted temperatures: the run stops, and the chamber is made safe.
+        A person is asked only once after each mounting and each new set point. Raises `LimitExceeded` when the
+        block is outside its permitted temperatures; this stops the run and makes the chamber safe.
         """
         self.temperature_c, self._chamber_c = told_at_reading(self.instruments, self.temperature_c, key)
         low_c, high_c = self.bench.block_limits_c
@@ -482,7 +507,7 @@ class Workbench:
 
     @staticmethod
     def _sample(meters: Sequence[Voltmeter]) -> dict[str, tuple[float, ...]]:
-        """Return the samples by channel; all meters start before the first is read, to sample together."""
+        """Return the samples by channel; start all meters before reading the first, so they sample together."""
         for meter in meters:
             meter.start()
         samples: dict[str, tuple[float, ...]] = {}
@@ -494,12 +519,12 @@ class Workbench:
     def _configure(self, settings: VoltmeterSettings) -> None:
         if settings == self._settings:
             return
-        self._settings = None  # a meter that refuses leaves them unknown
+        self._settings = None  # if a meter refuses, the settings are unknown
         for meter in self.instruments.voltmeters:
             meter.configure(settings)
         self._settings = settings
 
 
 def _degrees(angle_rad: float) -> float:
-    """Return an angle in degrees, rounded to 1e-9: 45° is written 45, and no scale shows more."""
+    """Return an angle in degrees, rounded to 1e-9 to hide floating-point noise, so that 45° is recorded as 45."""
     return round(float(np.degrees(angle_rad)), 9)

@@ -26,7 +26,7 @@ R = TypeVar("R")
 Asked = TypeVar("Asked")
 
 LONGEST_NAME: Final = 4096
-"""Bytes of the longest path of a file."""
+"""Greatest length of a path, in bytes."""
 
 
 def _is_name(value: Any) -> bool:
@@ -75,7 +75,7 @@ def _is_pair(value: Any) -> bool:
 
 
 Kind = tuple[Callable[[Any], bool], str]
-"""What an argument must be: as a function, and in words."""
+"""A kind of argument: the predicate that it must satisfy, and its description in words."""
 
 NAME: Final[Kind] = (_is_name, "the name of a file")
 FLAG: Final[Kind] = (lambda value: isinstance(value, bool), "True or False")
@@ -114,7 +114,7 @@ KINDS: Final[Mapping[Any, Kind]] = {
 
 
 def kinds_of(request: type) -> dict[str, Kind]:
-    """Return the kind of each parameter of a call that makes a request; None is taken where it is the default."""
+    """Return the accepted kind of each parameter of a request's constructor, by name."""
     told, hints = {}, get_type_hints(request)
     for name in inspect.signature(request).parameters:
         hint = hints[name]
@@ -125,9 +125,9 @@ def kinds_of(request: type) -> dict[str, Kind]:
 
 
 def checked(**kinds: Kind) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Return a decorator that refuses arguments of another kind than stated for them; None where it is the default.
+    """Return a decorator that raises `Refused` for an argument of another kind than `kinds` states by its name.
 
-    The decorated function also raises `Refused` where the file system reports an error.
+    None is accepted where it is the default. The decorated function also turns an `OSError` into `Refused`.
     """
 
     def decorated(function: Callable[P, R]) -> Callable[P, R]:

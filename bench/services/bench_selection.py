@@ -154,7 +154,10 @@ def origin_of_run(run: Run) -> OriginBeside:
 
 
 def origin_beside(readings: Path) -> OriginBeside:
-    """Return the origin stated beside a readings file; none where that file is missing or of other readings."""
+    """Return the content of the origin file beside a readings file, with notes.
+
+    It is empty if the origin file is missing or invalid, or states the SHA-256 of other readings.
+    """
     file = readings.with_name(readings.name + SUFFIX)
     content = _read(file)
     if content is None or not readings.is_file():
@@ -345,6 +348,9 @@ def _of_run(run: Run, given: str | BenchFile | None) -> tuple[BenchTaken, tuple[
 
 
 def own_bench(run: Run) -> tuple[BenchFile, Path]:
-    """Return the bench file that a run recorded, and its original path, to which a reference is relative."""
+    """Return the bench file that a run recorded, and the path to which its references are relative.
+
+    That is the path of the original file, or of the run's copy if the original is gone.
+    """
     stated = Path(str(run.manifest.get("bench", "")))
     return load_recorded_bench(run.folder / BENCH), stated if stated.is_file() else run.folder / BENCH

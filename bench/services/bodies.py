@@ -34,8 +34,8 @@ TOGETHER: Final = "diagnose-together"
 class Body:
     """Readings that are diagnosed together: the `sources`, and all of them joined as one `source`.
 
-    `nominal` (blocks, 3) are the scale factors of the data sheets, for blocks of several kinds. A body of
-    free positions alone keeps one table for each source; `one_block` says whether one sensor measured them
+    `nominal` (blocks, 3) are the scale factors of the data sheets; it is None for a single kind of block. A body
+    of free positions alone keeps one table for each source; `one_block` says whether one sensor measured them
     all.
     """
 
@@ -58,23 +58,23 @@ class Body:
 
 
 def whole_body(request: Diagnose) -> Body:
-    """Read the sources as one body. Raises `Refused` where they are not of one bench."""
+    """Read the sources of a request as one body. Raises `Refused` if they were measured on different benches."""
     with knowing_effects_in(request.effects):
         return body_of(load_sources(reading(request, *request.sources)), request.one_block)
 
 
 def single_bodies(request: Diagnose) -> list[Body | Failed]:
-    """Read each source as a body of its own; raises its error if there is only one source."""
+    """Read each source as a body of its own, a `Failed` for one that fails; a single source raises its error."""
     with knowing_effects_in(request.effects):
         loaded = load_each(reading(request, *request.sources))
         return [one if isinstance(one, Failed) else body_of([one], request.one_block) for one in loaded]
 
 
 def body_of(sources: list[Source], one_block: bool | None = None) -> Body:
-    """Return the sources as one body of data, measured on one block (`one_block`) or on a block each.
+    """Return the sources as one body, of one block (`one_block` True) or of a different block each (False).
 
-    If `one_block` is None, the names of the blocks decide; where they do not, the diagnosis decides by the
-    readings. Raises `Refused` where the sources are not of one bench.
+    If `one_block` is None, the names of the blocks decide, else the diagnosis decides by the readings. Raises
+    `Refused` if the sources were measured on different benches.
     """
     first = sources[0]
     if len(sources) == 1 or all_free([source.readings for source in sources]):
@@ -88,7 +88,7 @@ def body_of(sources: list[Source], one_block: bool | None = None) -> Body:
         )
     except ValueError as problem:
         raise Refused(f"--together: {problem}") from problem
-    # a model that was found in any of the sources has seen a part of the whole
+    # a model found in one of the sources has values without u there: it has used part of this body
     model = next((s.model for s in sources if not any(a.u for a in s.model.effects)), first.model)
     name = " + ".join(source.name for source in sources)
     entries = tuple(entry for source in sources for entry in source.traced.entries)
@@ -103,7 +103,7 @@ def body_of(sources: list[Source], one_block: bool | None = None) -> Body:
 
 
 def place_together(sources: Sequence[Source]) -> Source:
-    """Return the first of several sources, renamed so that output files of all of them carry a joint name."""
+    """Return the first of several sources, renamed so that output files of the whole body carry a joint name."""
     first = sources[0]
     if len(sources) == 1:
         return first
@@ -124,7 +124,7 @@ def _blocks(sources: list[Source], one_block: bool | None) -> list[int | None]:
 
 
 def _of_the_stand(source: Source) -> dict[str, float]:
-    """Return the limits of the stand, in rad, without the noise in the unit of the signals."""
+    """Return the standard uncertainties of the stand, rad, without the voltmeter's (in the unit of the signals)."""
     return {name: u for name, u in source.stand_u.items() if name != "voltmeter_error"}
 
 
@@ -145,7 +145,7 @@ def _require_same_bench(first: Source, other: Source) -> None:
 
 
 def _began_s(source: Source) -> float | None:
-    """Return when the clock of a run began, s; None for a readings file, which does not say."""
+    """Return the start of a run in Unix time, s; None for a readings file, which does not state it."""
     if source.run is None or source.run.imported:
         return None
     try:
@@ -174,9 +174,9 @@ class _Named:
 
 
 def put_right(source: Source) -> tuple[Readings, tuple[Mistake, ...]]:
-    """Return the readings of a source without the mistakes that the early warning named, and these mistakes.
+    """Return the readings of a source with the mistakes corrected that the early warning named, and these mistakes.
 
-    The readings are returned unchanged where the early warning raised no sign during the run.
+    The readings are returned unchanged if the early warning raised no sign during the run.
     """
     run, readings = source.run, source.readings
     if run is None or run.imported or not run.history.progress.signs:
@@ -195,7 +195,7 @@ def put_right(source: Source) -> tuple[Readings, tuple[Mistake, ...]]:
 
 
 def told_in_words(run: Run) -> list[str]:
-    """Return the causes that the early warning named in a run, and those that a person overruled, in words."""
+    """Return sentences on the causes that the early warning named in a run, and on warnings that were overruled."""
     if not run.history.progress.signs:
         return []
     named: Counter[str] = Counter()
@@ -215,7 +215,7 @@ def told_in_words(run: Run) -> list[str]:
 
 
 def _signs(source: Source) -> list[_Named]:
-    """Repeat the early warning on the readings kept; return the rows that a mistake certainly explains."""
+    """Repeat the early warning on the recorded readings; return the rows that are certainly due to a mistake."""
     assert source.run is not None  # noqa: S101
     history = source.run.history
     watcher = watcher_of(source.run.plan, source.bench)
@@ -278,7 +278,8 @@ class _Copy:
     def _move(self, mount: tuple[int, str], actual: str, told: Sequence[_Named]) -> Mistake:
         """Move the rows of a mounting to the installation `actual`; return the mistake.
 
-        The rows join the mounting before where that has the same installation."""
+        The rows join the preceding mounting if that has the same installation.
+        """
         rows = self._rows(mount)
         first = int(np.flatnonzero(rows)[0])
         before = self.mount(first - 1) if first else (0, "")
@@ -293,7 +294,7 @@ class _Copy:
         return _mistake(MistakeName.SWAPPED_INSTALLATIONS, (), mount[1], None, None, words, p)
 
     def _rewire(self, mount: tuple[int, str], cause: str, told: Sequence[_Named]) -> Mistake:
-        """Undo wrong cables between the first and the last reading that shows them; return the mistake."""
+        """Undo swapped or reversed channels from first to last reading that shows them. Return the mistake."""
         rows = self._rows(mount)
         rows[: told[0].row] = False
         rows[told[-1].row + 1 :] = False

@@ -46,7 +46,7 @@ SEVERAL_TEMPERATURES: Final = 3
 
 
 def read_prior(path: Path) -> Prior:
-    """Read a prior file. Raises `FileMistakes`, or `Refused` where its scale factors are per another g."""
+    """Read a prior file. Raises `FileMistakes`, and `Refused` if its scale factors are not per standard gravity."""
     from bench.history.measured import STANDARD_GRAVITY
     from bench.history.prior import Prior
 
@@ -75,10 +75,11 @@ def read_prior(path: Path) -> Prior:
 def with_prior(
     found: Calibration, source: Source, path: Path
 ) -> tuple[Calibration, PriorPart, tuple[str, ...]]:
-    """Return a calibration joined with a prior of its unit's type, the outcome for the prior, and notes.
+    """Return a calibration combined with the prior of its unit's type, the result part on that prior, and notes.
 
-    Where readings and prior disagree the calibration stays as it was, and a note says so. Raises `Refused` for a
-    prior of another type, signal or kind of instruments, or one that has the unit itself behind it.
+    If readings and prior contradict each other, the calibration is returned unchanged, with a note. Raises
+    `Refused` for a prior of another type or signal unit, for simulated readings with a real prior or the reverse,
+    for a prior computed from this very unit, and for readings of free positions alone.
     """
     from bench.history.prior import CONFLICT_P, join
 
@@ -150,10 +151,10 @@ def _refuse_other(prior: Prior, found: Calibration, source: Source, path: Path) 
 
 @dataclass(frozen=True)
 class Coefficient:
-    """One of the twelve, in `unit` (such as V/g, of a bias V), with its combined standard uncertainty `u`.
+    """A coefficient in `unit` (such as V/g; V for a bias) with its combined standard uncertainty `u`.
 
-    `u_readings` is the part of u from the readings and the stated limits of the stand. `dof` are the
-    effective degrees of freedom of u. u is already widened for them, so that `U` is `k` times u.
+    `u_readings` is the part of u from the readings and the stated limits of the stand. `dof` are the effective
+    degrees of freedom of u. u is already widened for few degrees of freedom, so that `U` is always `k` times u.
     """
 
     value: float
@@ -173,8 +174,9 @@ class Coefficient:
 class CalibrationResult:
     """The twelve coefficients of U = K a + U0 with their covariance, and the data behind them.
 
-    a is the specific force in g of the place (+1 g on an upward axis). `calibration` holds all that was found,
-    `source` the readings, the bench and the model. `prior` is the prior of the unit's type, if one was used.
+    a is the specific force in local g (+1 g on an axis that points upward). `calibration` is the complete
+    estimate, `source` the readings with bench and model. `prior` describes the prior file, None if none was
+    given; `of_prior` are notes on it.
     """
 
     source: Source
@@ -184,7 +186,7 @@ class CalibrationResult:
 
     @cached_property
     def coefficients(self) -> dict[str, Coefficient]:
-        """The twelve by name: "Kxx", "Kxy", … "Kzz" in unit/g, "U0x", "U0y", "U0z" in the unit of the signals."""
+        """The coefficients by name: "Kxx", "Kxy", … "Kzz" in unit/g; "U0x", "U0y", "U0z" in the signals' unit."""
         found = self.calibration
         columns = (found.block.vector, found.u, found.u_readings, found.dof)
         rows = zip(COEFFICIENTS, *(column.tolist() for column in columns), strict=True)
@@ -199,7 +201,7 @@ class CalibrationResult:
         return self.calibration.covariance
 
     def as_coefficients(self) -> Coefficients:
-        """Return the coefficients in the form in which `read_coefficients` returns those of a file."""
+        """Return the coefficients as the object that `read_coefficients` returns for a file."""
         from bench.services.coefficients import Coefficients
 
         own = self.calibration
@@ -211,7 +213,7 @@ class CalibrationResult:
 
     @property
     def bench(self) -> str:
-        """The bench file behind the errors of the stand and (unless stated) gravity, with the reason for it."""
+        """The name of the bench file used for errors of the stand and gravity, with the reason for it."""
         return self.source.taken.words
 
     @property
@@ -221,12 +223,12 @@ class CalibrationResult:
 
     @cached_property
     def doubts(self) -> tuple[str, ...]:
-        """Sentences on how the block found contradicts the block announced."""
+        """Warnings, a sentence each, that the estimated scale factors contradict the block's nominal ones."""
         return implausible(self.calibration, self.source.bench.unit_under_test.scale_factors.values)
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Notes for the reader of the result, a sentence each, with the rows that were left out."""
+        """Notes for the reader of the result, a sentence each, including the rows that were skipped."""
         readings = self.source.readings
         return (*self._said, *readings.notes, *readings.skipped)
 
@@ -237,12 +239,12 @@ class CalibrationResult:
 
     @property
     def accepted(self) -> bool:
-        """Whether the readings do not contradict the model (p of lack of fit not below 1e-4)."""
+        """Whether the lack-of-fit test does not reject the model (p at least 1e-4)."""
         return self.calibration.lack_of_fit.accepted()
 
     @property
     def strictly_accepted(self) -> bool:
-        """Whether the model fits the readings (p of lack of fit not below 0.01) and the block is no other."""
+        """Whether p of the lack-of-fit test is at least 0.01 and there are no `doubts`."""
         return not self.doubts and self.calibration.lack_of_fit.accepted(strict=True)
 
     def to_dict(self) -> dict[str, Any]:
@@ -259,7 +261,7 @@ class CalibrationResult:
         ).to_dict()
 
     def report(self, path: str | Path) -> None:
-        """Write the page (HTML, with everything in it). Raises `OSError`."""
+        """Write the report as one self-contained HTML page. Raises `OSError`."""
         write_whole(Path(path), report_page(self)[0])
 
     @cached_property
@@ -274,8 +276,9 @@ class CalibrationResult:
     ) -> tuple[str, ...]:
         """Write the coefficients as `bench coefficients --as FORM` does; return what the form cannot hold.
 
-        `form` is "json", "csv", "c", "excel", "kalibr", "px4" or "ardupilot"; `nominal` are the scale factors,
-        unit/g, by which the last three have the signals in m/s^2. Raises `Refused` for another form, `OSError`.
+        `form` is "json", "csv", "c", "excel", "kalibr", "px4" or "ardupilot". The last three are for signals in
+        m/s^2; `nominal` are the scale factors (unit/g) by which the signals were converted. Raises `Refused` for
+        another form, `OSError`.
         """
         from bench.services.coefficients import write_form
 
@@ -313,9 +316,9 @@ def calibration_of(
     join_verification: bool = False,
     prior: Path | None = None,
 ) -> CalibrationResult:
-    """Calibrate a source with its own bench and model, and with a `prior` file of its unit's type.
+    """Calibrate a source with its own bench and model, and with the `prior` file of its unit's type if given.
 
-    Raises `CalibrationError` where the readings allow no calibration, `Refused` for a prior of another type.
+    Raises `CalibrationError` if the readings allow no calibration, `Refused` for a prior that does not apply.
     """
     source = _with_note_on_temperatures(source)
     sheet = sheet_of(source.readings.unit, source.bench.unit_under_test.scale_factors.values)
@@ -339,7 +342,7 @@ def calibration_of(
 
 
 def calibrated(request: Calibrate, source: Source) -> CalibrationResult:
-    """Return the calibration of a source as it was asked for. Raises as `calibration_of`."""
+    """Return the calibration of a source with the options of a request. Raises as `calibration_of`."""
     return calibration_of(
         source,
         request.estimator,
@@ -351,7 +354,7 @@ def calibrated(request: Calibrate, source: Source) -> CalibrationResult:
 
 
 def _with_note_on_temperatures(source: Source) -> Source:
-    """Add a note where the readings are at several temperatures: one calibration then mixes them."""
+    """Return the source with a note if its readings are at three or more temperatures, which one fit would mix."""
     found = separate_temperatures(source.readings)
     if len(found) < SEVERAL_TEMPERATURES:
         return source
@@ -362,7 +365,7 @@ def _with_note_on_temperatures(source: Source) -> Source:
     return replace(source, readings=replace(source.readings, notes=(*source.readings.notes, note)))
 
 
-# --- what is made of a calibration ------------------------------------------------------------------
+# --- verification and report of a calibration --------------------------------------------------------
 
 
 def verification_of(
@@ -371,9 +374,10 @@ def verification_of(
     asked: VerdictOptions | None = None,
     agreed: DecisionRule | None = None,
 ) -> VerificationResult:
-    """Verify a source with coefficients of a file, of a calibration at hand, or of its own readings.
+    """Verify a source with coefficients from a file, from a calibration, or (None) from its own readings.
 
-    The decision rule is `agreed` where neither the source nor the caller states one.
+    The options `asked` replace those of the run and its bench file. `agreed` is the decision rule if none of them
+    names one.
     """
     from bench.services.verification import NOTHING_ASKED, judged, own_judgement  # takes long to import
 
@@ -396,7 +400,7 @@ def verification_of(
 
 
 def verified(request: Verify, source: Source) -> VerificationResult:
-    """Return the verification of a source as it was asked for. Raises as `verification_of`."""
+    """Return the verification of a source with the options of a request. Raises as `verification_of`."""
     from bench.services.verification import VerdictOptions
 
     given = request.coefficients
@@ -408,7 +412,7 @@ def verified(request: Verify, source: Source) -> VerificationResult:
 def report_page(
     result: CalibrationResult, asked: VerdictOptions | None = None
 ) -> tuple[str, VerificationResult | None]:
-    """Verify, where there are verification points; return the page (HTML) and the verification in it."""
+    """Return the report of a calibration as HTML, and the verification in it (None without verification points)."""
     from bench.results.page import ReportContent, render_report  # matplotlib is slow to import
 
     source = result.source
@@ -428,7 +432,7 @@ def report_page(
 
 
 def _closed_form(source: Source) -> Calibration | None:
-    """Return the calibration by the paper's closed-form estimator; None where that does not apply."""
+    """Return the calibration by the paper's closed-form estimator; None if that cannot use the readings."""
     try:
         return calibration_of(source, CLOSED_FORM).calibration
     except CalibrationError:

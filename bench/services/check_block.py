@@ -1,4 +1,4 @@
-"""The check block of a bench: values of its runs, their control chart, and whether it lets a run begin."""
+"""The check block of a bench: its calibrations, their control chart, and the check before a run begins."""
 
 from __future__ import annotations
 
@@ -37,16 +37,17 @@ from bench.stats.control_charts import BASES, DEFAULT_ARL, Basis, ChartDesign, l
 from drivers.clock import utc_now
 
 FORMAT: Final = 1
-"""Version of the cached values; it rises when their form or the calibration behind them changes."""
+"""Version of the cached values. Increment it when their form or the calibration behind them changes."""
 
 
 @dataclass(frozen=True)
 class CheckValues:
-    """A calibration of the check block as its chart needs it: coefficients in `unit` per local g.
+    """A calibration of the check block as the control chart uses it: coefficients in `unit` per local g.
 
-    `readings` (12, 12) is the covariance from readings and stand, `noise` (12,) the part from reading noise.
-    `sources` are the covariances (12, 12) of the errors that no reading shows, by name. `meters_limits` (12,
-    12) is the covariance of the meter errors that cancel where the same meters read again.
+    `value` (12,) are the coefficients. `readings` (12, 12) is the covariance from readings and stand, `noise`
+    (12,) the part from reading noise. `sources` are the covariances (12, 12) of the errors that no reading shows,
+    by name. `meters_limits` (12, 12) is the covariance of the meter errors that cancel if the same meters are
+    used again. `s` is the noise of a reading, with `s_dof` degrees of freedom.
     """
 
     name: str
@@ -66,7 +67,7 @@ class CheckValues:
     s_dof: float
 
     def per(self, g_m_s2: float) -> CheckValues:
-        """Return the values with scale factors per another local gravity; per m/s² they stay the same."""
+        """Return the values for another unit of acceleration, g = `g_m_s2` (m/s²); biases stay the same."""
         factor = np.where(np.arange(len(COEFFICIENTS)) < 9, g_m_s2 / self.g_m_s2, 1.0)
         both = np.outer(factor, factor)
         return replace(
@@ -103,9 +104,9 @@ class CheckValues:
 
 
 def check_values(run: Run) -> CheckValues:
-    """Return the values of a run of the check block; from the cache where its record has not changed since.
+    """Return the calibration of a run of the check block, from the cache if the record has not changed since.
 
-    Raises `CalibrationError` where its readings give no calibration, `RecordError` where it cannot be believed.
+    Raises `CalibrationError` if the readings give no calibration, `RecordError` if the record is damaged.
     """
     head = run.trusted_history().head
     file = cache_folder("check-block") / f"{sha256(f'{FORMAT} {head}'.encode())}.json"
@@ -143,7 +144,7 @@ def _of(run: Run, result: CalibrationResult) -> CheckValues:
 
 
 def _to_json(value: Any) -> Any:
-    """Return a part of the values that JSON has no form of: an array, a time."""
+    """Return an array or a datetime in a form that JSON can hold."""
     return value.tolist() if isinstance(value, np.ndarray) else value.isoformat()
 
 
@@ -194,10 +195,11 @@ def chart_of(
     of_bench: Path | None = None,
     folder: Path = Path("runs"),
 ) -> CheckBlockChart:
-    """Return the chart of runs of one check block.
+    """Return the control chart of the runs of a check block.
 
     `of_bench` is the path of the bench file, to which the path of a reference is relative. `folder` holds the
-    runs that the section names. Raises `Refused` where there are no runs, or they are not of one kind.
+    runs that the section names. Raises `Refused` if no run gives a calibration, and for runs of different blocks
+    or units or of both real and simulated instruments.
     """
     values, notes = _values(runs)
     if not values:
@@ -250,7 +252,7 @@ def _arl(section: CheckBlockSection) -> float:
 
 
 def _basis(wanted: Basis, baseline: int, reference: Reference | None) -> tuple[Basis, tuple[str, ...]]:
-    """Return the basis that the chart limits can have, with a note where it is not the basis asked for."""
+    """Return the basis of the chart limits that `baseline` runs allow, with a note if it is not the one wanted."""
     if reference is not None:
         return "stated", ()
     order: tuple[Basis, ...] = ("scatter", "scaled", "stated")
@@ -268,7 +270,7 @@ def _basis(wanted: Basis, baseline: int, reference: Reference | None) -> tuple[B
 def _parts(
     taken: dict[str, CheckRun], section: CheckBlockSection, of_bench: Path | None, folder: Path, g_m_s2: float
 ) -> tuple[list[CheckRun], list[CheckRun], Reference | None]:
-    """Return the baseline, the runs that are judged by it, and the reference in its place, if there is one."""
+    """Return the baseline runs, the runs judged by them, and the reference that replaces the baseline (or None)."""
     runs = list(taken.values())
     files = [name for name in section.reference if name.endswith(RESULT_FILE)]
     if files:
@@ -293,9 +295,9 @@ def _parts(
 
 
 def _begun(runs: Sequence[CheckRun], section: CheckBlockSection) -> tuple[list[CheckRun], list[CheckRun]]:
-    """Return the first runs that are in control, each judged by those before it, and all others.
+    """Return the baseline (the first runs in control, each judged by its predecessors) and all other runs.
 
-    The last run is always judged, so that it is no part of its own baseline.
+    The last of several runs is never part of the baseline, so that it is always judged.
     """
     baseline: list[CheckRun] = [runs[0]]
     later: list[CheckRun] = []
@@ -366,11 +368,12 @@ def _with_options(section: CheckBlockSection, request: Chart) -> CheckBlockSecti
 
 
 def charted(request: Chart) -> CheckBlockChart:
-    """Return the control chart of a check block, as `bench chart` finds it.
+    """Return the control chart of a check block, as `bench chart` computes it.
 
-    `runs` are runs of the check block by name or path, or the folder in which they are (BENCH_RUNS, or ./runs).
+    `runs` are runs of the check block by name or path, or a folder of runs (default: BENCH_RUNS, else ./runs).
     `bench` states the check block; without it, the bench file recorded by the latest of its runs does. `real`
-    chooses the real or the simulated runs of a folder. Raises `Refused` where there are none.
+    selects the real (True) or the simulated (False) runs of a folder, by default the kind of the latest run.
+    Raises `Refused` if there are none.
     """
     folder = runs_folder(request.folder)
     named = [request.runs] if isinstance(request.runs, str | Path) else request.runs or [folder]
@@ -414,7 +417,7 @@ def _in_folder(
 
 
 def _of_folder(folder: Path, bench: str | None, kinds: Sequence[bool]) -> tuple[BenchFile, Path, Run | None]:
-    """Return the bench file, where it is, and the latest run of its check block, if there is one."""
+    """Return the bench file, its path, and the latest run of its check block (None if there is none)."""
     asked = bench or os.environ.get("BENCH_FILE")
     given = find_bench_file(bench) if asked else None
     for run in reversed(all_runs(folder)):
@@ -443,9 +446,9 @@ IN_CONTROL: Final = "in control"
 
 @dataclass(frozen=True)
 class CheckBefore:
-    """The last check of a bench: `state` (in control, out of control, too old, missing), in a sentence.
+    """The last check of a bench: `state` is in control, out of control, too old or missing; `sentence` says why.
 
-    `run` is the name of the run of the check block, empty where there is none; `age_s` is its age in s.
+    `run` is the name of the run of the check block, empty if there is none; `age_s` is its age in s.
     """
 
     state: str
@@ -455,11 +458,15 @@ class CheckBefore:
 
     @property
     def fine(self) -> bool:
-        """Whether nothing speaks against a run."""
+        """Whether the check allows a run to begin."""
         return self.state == IN_CONTROL
 
     def recorded(self, rule: str, reason: str | None) -> CheckedBefore:
-        """Return the check as a member of a manifest; `reason` is why a person set it aside, if one did."""
+        """Return the check as a member of a manifest.
+
+        `rule` is the rule of the bench file, `reason` the operator's reason to begin in spite of the check, or
+        None.
+        """
         told: CheckedBefore = {"rule": rule, "state": self.state, "said": self.sentence}
         if self.run:
             told["run"] = self.run
@@ -470,7 +477,10 @@ class CheckBefore:
 
 
 def check_before(bench: BenchFile, path: Path, runs: Path, now: datetime, *, simulated: bool) -> CheckBefore:
-    """Return the check by the check block's last run, as of `now`. Raises `Refused` without a chart."""
+    """Return the check by the last run of the check block, as of `now`.
+
+    Raises `Refused` if the bench file states no check block, or if its runs give no control chart.
+    """
     section = bench.check_block
     if section is None:
         raise Refused(f"{path}: states no check_block; add it, or leave the check out")
@@ -517,10 +527,10 @@ def _judged(
 def checked_before(
     manifest: Manifest, bench: BenchFile, path: Path, runs: Path, despite: str | None
 ) -> tuple[str, ...]:
-    """Add the last check of the bench to the manifest of a run that is to begin; return it in sentences.
+    """Check the bench before a run begins; note the check in the run's manifest and return it in sentences.
 
-    `despite` is the reason to begin the run whatever the check says. Raises `Refused` where the rule of the
-    bench file forbids the run. A run of the check block itself is not checked.
+    `despite` is the reason to begin the run whatever the check says. Raises `Refused` if the rule of the bench
+    file forbids the run. A run of the check block itself is not checked.
     """
     if bench.check_block is None:
         raise Refused(

@@ -1,4 +1,4 @@
-"""Coefficients of an earlier calibration, read from a file; and their forms for other programs."""
+"""Coefficients of an earlier calibration, read from a file and converted to the forms of other programs."""
 
 from __future__ import annotations
 
@@ -29,7 +29,8 @@ DEFAULT_K: Final = 2.0
 
 LARGEST: Final = 1e12
 WORST: Final = 1e9
-"""Coefficients as large as that, or so far apart, are of no block: a calibration refuses them by itself."""
+"""Coefficients above `LARGEST`, or a K with a ratio of elements or a condition number above `WORST`, belong to no
+block."""
 
 ROUNDING: Final = 1_000_000 * 2.0**-53
 """Largest rounding error of a correlation that is computed from a million readings."""
@@ -37,12 +38,13 @@ ROUNDING: Final = 1_000_000 * 2.0**-53
 
 @dataclass(frozen=True)
 class Coefficients:
-    """The coefficients of a block: covariance (12, 12), noise of a reading, and the g that is their unit (m/s²).
+    """The coefficients of a block with covariance (12, 12), noise of a reading, and local gravity (m/s²).
 
-    `simulated` says whether they were found on simulated instruments. `same_meters` (12, 12) is the
-    covariance without the errors that cancel where the same meters read the block; `meters` are their
-    identities. Results of earlier versions have neither. `block_terms` (12, q) are the errors by K2 and K3 of
-    the block, each one u large. `wander` (3,) is how far its biases may wander during a run.
+    `simulated` says whether they were found on simulated instruments. `same_meters` (12, 12) is the covariance
+    without the errors that cancel if the same meters read the block again; `meters` are the identities of the
+    meters. Results of earlier versions have neither. Each column of `block_terms` (12, q) is the error of the
+    coefficients by one standard uncertainty of a K2 or K3 of the block. `wander` (3,) is how far the biases may
+    wander during a run.
     """
 
     block: Block
@@ -60,10 +62,9 @@ class Coefficients:
 
 
 def read_coefficients(path: Path, unit: str) -> Coefficients:
-    """Read a result of `calibrate --json`.
+    """Return the coefficients in a result file of `calibrate --json`.
 
-    Raises `Refused` when the file is no such result, holds an invalid number, or has another unit than the
-    readings.
+    Raises `Refused` if the file is not such a result, holds an invalid number, or is for signals in another unit.
     """
     taken = coefficients_of(_read(path), str(path))
     if taken.unit != unit:
@@ -72,9 +73,10 @@ def read_coefficients(path: Path, unit: str) -> Coefficients:
 
 
 def coefficients_of(data: Any, where: str) -> Coefficients:
-    """Take the coefficients out of a result of `calibrate --json`, whatever their unit.
+    """Return the coefficients in a result of `calibrate --json` (parsed JSON), in any signal unit.
 
-    Raises `Refused`, naming `where`, when it is no such result or holds an invalid number or covariance.
+    Raises `Refused`, naming the file `where`, if the data are not such a result or hold an invalid number or
+    covariance.
     """
     try:
         values = np.array([_number(data["coefficients"][name]["value"]) for name in COEFFICIENTS])
@@ -113,9 +115,9 @@ def coefficients_of(data: Any, where: str) -> Coefficients:
 
 
 def block_result(data: Any, where: str) -> BlockResult:
-    """Return the data of a result of `calibrate --json`, of this or an earlier version, for writing other forms.
+    """Return a result of `calibrate --json` (parsed JSON, also of an earlier version) for writing other forms.
 
-    Raises `Refused`, naming `where`, when it is no such result.
+    Raises `Refused`, naming the file `where`, if the data are not such a result.
     """
     taken = coefficients_of(data, where)
     if taken.unit not in UNITS.values():
@@ -163,7 +165,7 @@ def _text(value: object) -> str:
 
 
 def _positive(value: object) -> float:
-    """Return a number that a result states, 0 where it states none."""
+    """Return a number of a result, negative ones as 0; 0 for anything that is no number."""
     try:
         return max(_number(value), 0.0)
     except ValueError:
@@ -171,7 +173,7 @@ def _positive(value: object) -> float:
 
 
 def _refuse_without_inverse(block: Block, covariance: Floats, where: str) -> None:
-    """Raise `Refused` for a K that has no inverse, or has values that no calibration gives."""
+    """Raise `Refused` for a K without a usable inverse, and for numbers that no calibration gives."""
     largest = float(np.max(np.abs(block.vector)))
     if not largest < LARGEST or np.max(covariance) > LARGEST**2:
         raise Refused(f"{where}: holds numbers beyond {LARGEST:g}; take the file as calibrate wrote it")
@@ -183,9 +185,9 @@ def _refuse_without_inverse(block: Block, covariance: Floats, where: str) -> Non
 
 
 def _further_covariance(data: Any, name: str, where: str) -> Floats | None:
-    """Return a further covariance (12, 12) of a result that `coefficients_of` has read; None where it is missing.
+    """Return the covariance (12, 12) in member `name` of a result; None if the result has no such member.
 
-    Raises `Refused`, naming `where`, when the value is no covariance.
+    Raises `Refused`, naming the file `where`, if the value is not a covariance.
     """
     if data.get(name) is None:
         return None
@@ -198,7 +200,7 @@ def _further_covariance(data: Any, name: str, where: str) -> Floats | None:
 
 
 def _block_terms(data: Any, where: str) -> Floats | None:
-    """Return the errors (12, q) by K2 and K3 of the block; None where the result has none. Raises `Refused`."""
+    """Return the `block_terms` (12, q) of a result, see `Coefficients`; None without them. Raises `Refused`."""
     if data.get("block_terms") is None:
         return None
     try:
@@ -215,7 +217,7 @@ def _block_terms(data: Any, where: str) -> Floats | None:
 
 
 def _wander(data: Any) -> Floats | None:
-    """Return how far the biases may wander during a run (3,); None where the result does not say."""
+    """Return the limits of the bias wander during a run (3,); None if the result does not state them."""
     stated = data["noise"].get("wander")
     return np.array([_positive(stated.get(c)) for c in CHANNELS]) if isinstance(stated, dict) else None
 
@@ -237,16 +239,16 @@ def _refuse_impossible(covariance: Floats, where: str) -> None:
 
 
 def _numbers(rows: Any) -> list[list[float]]:
-    """Return rows of JSON numbers; rows of floats alone are checked all at once. Raises `ValueError`."""
+    """Return rows of JSON numbers as floats; rows of floats alone are checked quickly. Raises `ValueError`."""
     if all(type(row) is list and set(map(type, row)) == {float} for row in rows):
-        sums = [sum(row) for row in rows]  # of what is not finite no sum is
+        sums = [sum(row) for row in rows]  # a row with a non-finite entry has no finite sum
         if all(map(math.isfinite, sums)):
             return list(rows)
     return [[_number(entry) for entry in row] for row in rows]
 
 
 def _number(value: Any) -> float:
-    """Return a JSON number. Raises `ValueError` for a text, for true, and for a number beyond all floats."""
+    """Return a JSON number as a float. Raises `ValueError` for a text, a boolean or a number that is not finite."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise ValueError(f"{shortened(repr(value))} is no number")
     try:
@@ -259,20 +261,20 @@ def _number(value: Any) -> float:
 
 
 def impossible(covariance: Floats) -> str:
-    """Return why a matrix (n, n) of finite numbers is no covariance, empty where it may be one.
+    """Return why a matrix (n, n) of finite numbers is no covariance; empty if it may be one.
 
-    Symmetric, no variance negative, every |r| at most 1, no combination of negative variance, each within rounding:
-    a covariance is computed as a sum of m products b_ik b_jk (m readings and prior knowledge). Each entry is then
+    A covariance is symmetric, with no negative variance, no |r| above 1 and no negative eigenvalue, each within
+    rounding. It is computed as a sum of m products b_ik b_jk (m readings and prior knowledge). Each entry is then
     off by at most m u sqrt(c_ii c_jj), u = 2^-53 (Higham, Accuracy and Stability of Numerical Algorithms, 2002,
-    section 3.1, with the Cauchy-Schwarz inequality): a correlation by `ROUNDING`, an eigenvalue of the n
-    correlations by n times that (Weyl).
+    section 3.1, with the Cauchy-Schwarz inequality). A correlation is off by at most `ROUNDING`, an eigenvalue of
+    the n by n correlation matrix by at most n times that (Weyl).
     """
     variance = np.diag(covariance)
     if np.any(variance < 0):
         return "the covariance has a negative variance"
     u = np.sqrt(variance)
     scale = np.where(u > 0, u, 1.0)
-    with np.errstate(over="ignore"):  # what is beyond all floats is found below
+    with np.errstate(over="ignore"):  # an overflow to infinity is found below
         r = covariance / scale / scale[:, None]
     if np.any(np.abs(r - r.T) > 2 * ROUNDING):
         return "the covariance is not symmetric"
@@ -329,7 +331,7 @@ def _snapshot(data: Any, name: str) -> Snapshot:
 
 
 def date_of(text: str | None, where: str) -> datetime | None:
-    """Return a date as it is written (ISO 8601), in UTC where it names no zone. Raises `Refused`."""
+    """Return an ISO 8601 date, in UTC if it names no zone; None for no text. Raises `Refused` for another text."""
     if not text:
         return None
     try:
@@ -356,10 +358,9 @@ def forms_of(names: list[str]) -> list[ExportForm]:
 
 
 def nominal_of(text: str | None, results: list[BlockResult]) -> Floats | None:
-    """Return the scale factors (3,) that `--nominal` states, unit/g. Raises `Refused` where they are none.
+    """Return the scale factors (3,) that `--nominal` states, unit/g. Raises `Refused` for an invalid text.
 
-    It also raises `Refused` for results whose signals are accelerations, or whose scale factors differ in
-    sign.
+    It also raises `Refused` for results whose signals are accelerations, or whose scale factors differ in sign.
     """
     if text is None:
         return None
@@ -388,7 +389,7 @@ def nominal_of(text: str | None, results: list[BlockResult]) -> Floats | None:
 def write_form(
     result: BlockResult, path: Path, form: str, nominal: tuple[float, float, float] | None
 ) -> tuple[str, ...]:
-    """Write one form to a file; return what it cannot hold. Raises `Refused`, `OSError`."""
+    """Write a result in one form to a file; return what the form cannot hold. Raises `Refused`, `OSError`."""
     from bench.exchange.forms import FORMS
 
     if form not in FORMS:

@@ -44,10 +44,11 @@ OVER_TEMPERATURE: Final = ("temperature", "thermometer")
 
 @dataclass(frozen=True)
 class SignedModel:
-    """A temperature model with the combined covariance, and with that without errors that the same meters cancel.
+    """A temperature model with its combined covariance, and the same model for use with the same meters.
 
-    `sources` are the errors that no reading shows. They are equal at all temperatures, so only the terms at
-    the reference temperature contain them.
+    The covariance of `same_meters` omits the errors that cancel if the same meters are used again. `sources` are
+    the errors that the readings cannot show. They are equal at all temperatures, so only the terms at the
+    reference temperature contain them.
     """
 
     combined: TemperatureModel
@@ -56,9 +57,9 @@ class SignedModel:
 
 
 def sign_model(model: TemperatureModel, source: Source) -> SignedModel:
-    """Return a model with the errors of the bench that its readings do not show, computed from `source`.
+    """Return a model to whose covariance the bench errors are added that its readings do not show.
 
-    One source suffices, because these errors act on the readings equally at all temperatures.
+    They are computed from one `source`, because they act on the readings equally at all temperatures.
     """
     assumed = {name: size.u for name, size in assumed_stand(source.bench).items()}
     found = calibrate(
@@ -111,8 +112,8 @@ class Compensation:
 def compensated(request: Compensate, loaded: Sequence[Source]) -> Compensation:
     """Return the coefficients of several sources as polynomials of the temperature.
 
-    Raises `Refused` where they are of benches with different gravity, or the degree is none, `CalibrationError`
-    where they do not determine the polynomials.
+    Raises `Refused` for sources with different local gravity and for an invalid degree, `CalibrationError` if the
+    readings do not determine the polynomials.
     """
     first, names = loaded[0], tuple(source.name for source in loaded)
     strangers = [source.name for source in loaded if source.g_m_s2 != first.g_m_s2]
@@ -150,7 +151,7 @@ def _degree(text: str) -> int | None:
 
 
 def _checks(source: Source, model: TemperatureModel) -> Iterator[tuple[float, Verification]]:
-    """Yield the verification of a source at each temperature within the range of the model, in °C."""
+    """Yield each temperature (°C) of the verification points within the model's range, with its verification."""
     rows = source.readings.verification()
     known = np.isfinite(rows.temperature_c) & ~model.outside(rows.temperature_c)
     by = own_judgement(source)
@@ -169,14 +170,17 @@ def _checks(source: Source, model: TemperatureModel) -> Iterator[tuple[float, Ve
 
 
 def tumble_of(source: Source, terms: Sequence[str] = DEFAULT) -> TumbleView:
-    """Return each axis of a source in the terms asked for. Raises `CalibrationError` where that fails."""
+    """Return the tumble of each axis of a source with the nonlinear `terms` (such as "K2"), by IEEE 1293.
+
+    Raises `CalibrationError` if the readings do not determine them.
+    """
     assumed = {name: size.u for name, size in assumed_stand(source.bench).items()}
     view = tumble_view(source.readings, source.model, source.stand_u, source.g_m_s2, terms, assumed_u=assumed)
     return combine(view, source.bench, source.model, terms, source.traced.day)
 
 
 def tumbled(source: Source, terms: Sequence[str]) -> tuple[TumbleView, TumbleResult]:
-    """Return each axis of a source in the terms asked for, and the result. Raises as `tumble_of`."""
+    """Return the tumble of each axis of a source, and the result for JSON. Raises as `tumble_of`."""
     view = tumble_of(source, terms)
     readings = source.readings
     notes = [*view.lack_of_fit.diagnose(source.name), *view.notes, *readings.notes, *readings.skipped]
@@ -190,7 +194,8 @@ def tumbled(source: Source, terms: Sequence[str]) -> tuple[TumbleView, TumbleRes
 class CalibrationToWrite:
     """A calibration to be written in other forms, and the place of its files.
 
-    `source` is None for a `result` from a JSON file."""
+    `source` is None for a `result` from a JSON file; `stem` is then the path of the files without suffix.
+    """
 
     result: BlockResult
     stem: Path
@@ -204,7 +209,10 @@ class CalibrationToWrite:
 
 
 def results_of(request: Request) -> list[CalibrationToWrite]:
-    """Return the calibrations of all sources: readings are calibrated, results read. Raises `Refused`."""
+    """Return the calibrations of all sources: readings are calibrated, result files are read.
+
+    Raises `Refused` for options that result files do not accept, and for sources with the same output files.
+    """
     names = [name for name in request.sources if isinstance(name, str) and _is_result(Path(name))]
     asked = (request.bench, request.model, request.g_m_s2)
     if names and (any(value is not None for value in asked) or request.skip_bad_rows):

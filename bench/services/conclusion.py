@@ -35,12 +35,11 @@ _MADE: Final = ("calibrate.json", "verify.json", "report.html", "chart.json")
 
 @dataclass(frozen=True)
 class Conclusion:
-    """The results of a finished run; each is None where there is none.
+    """The results of a finished run; those that do not exist are None.
 
     `looks` are remarks of the early warning; `short` says whether the run ended without reaching its goal.
-    `no_calibration` and `no_chart` are the reasons for a missing calibration or chart; `no_chart` is empty
-    for a run that is not of the check block. `chart_unwritten` is the reason why the chart's file was not
-    written.
+    `no_calibration` and `no_chart` are the reasons for a missing calibration or chart; `no_chart` is empty for a
+    run that is not of the check block. `chart_unwritten` is the reason why the chart's file was not written.
     """
 
     run: Run
@@ -77,7 +76,7 @@ class Conclusion:
 
 
 def make_results(run: Run, interrupts: Interrupts) -> Conclusion:
-    """Conclude a run whose bench is safe. Raises `Refused` on a signal; `bench resume` then makes the results."""
+    """Return the results of a finished run. A signal raises `Refused`; `bench resume` then makes the results."""
     kept = f"all readings are kept in {run.folder}"
     again = f"stopped before the results were made; {kept}, and 'bench resume {run.name}' makes the results"
     try:
@@ -90,8 +89,8 @@ def make_results(run: Run, interrupts: Interrupts) -> Conclusion:
 def conclude(run: Run) -> Conclusion:
     """Calibrate, verify, report and chart a finished run, and write the results into its folder.
 
-    Not every procedure is a calibration: the conclusion says why its readings give none. Raises
-    `Refused` where a result cannot be written.
+    If the readings give no calibration, the conclusion states why. Raises `Refused` if a result cannot be
+    written.
     """
     (source,) = load_sources(Request([str(run.folder)], run.folder.parent))
     try:
@@ -128,7 +127,7 @@ def _is_short(run: Run) -> bool:
 
 
 def _evaluated(source: Source) -> dict[str, Any]:
-    """Calibrate, report and verify the readings. Raises `OSError`."""
+    """Calibrate, verify and report the readings; return members of a `Conclusion`. Raises `OSError`."""
     try:
         result = calibration_of(source)
     except CalibrationError as reason:
@@ -171,7 +170,7 @@ def charted(run: Run) -> dict[str, Any]:
 
 
 class Exported(NamedTuple):
-    """A readings file that was made of a run, and the file that says where it comes from, where there is one."""
+    """An exported readings file: its text, its number of readings, and its origin file (None without one)."""
 
     text: str
     readings: int
@@ -179,7 +178,7 @@ class Exported(NamedTuple):
 
 
 def export_readings(request: asked.ExportReadings) -> Exported:
-    """Return the readings of a run as a readings file, and write it unless it is "-". Raises `Refused`."""
+    """Return the readings of a run as a readings file, and write it unless the file is "-". Raises `Refused`."""
     (source,) = load_sources(Request([request.run], runs_folder(request.runs)))
     text = format_csv(source.as_read)
     beside = Path(f"{request.csv}{SUFFIX}")
@@ -198,14 +197,14 @@ def export_readings(request: asked.ExportReadings) -> Exported:
 def import_readings(
     request: asked.ImportReadings, announce: Callable[[BenchTaken, Sequence[str]], None]
 ) -> Run:
-    """Make a run of a readings file that was measured elsewhere; the bench file is announced before it is read.
+    """Make a run of a readings file measured elsewhere; `announce` first receives its bench file and notes.
 
-    Raises `Refused` for a file that cannot be read, `ReadingsError` for bad rows, `RecordError` for a name that is
-    taken.
+    Raises `Refused` for a file that cannot be read, `ReadingsError` for bad rows, `RecordError` for a name that
+    is taken.
     """
     file, bench = request.file, None if request.bench is None else str(request.bench)
     try:
-        content = read_given(file)  # once: a pipe has nothing more to give
+        content = read_given(file)  # read once: a pipe cannot be read again
     except OSError as error:
         raise Refused(f"{file}: cannot be read ({error.strerror}); check the name") from error
     told = origin_beside(file)

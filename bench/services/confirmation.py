@@ -28,7 +28,7 @@ from bench.services.source import Source, data_sha256
 class ConfirmationResult:
     """The result of `bench confirm`: how far a model closes the gap in new readings, and the state of its effects.
 
-    `found` is the full confirmation, `known` are the mistakes that were corrected before.
+    `found` is the full confirmation, `known` are the mistakes that were corrected beforehand.
     """
 
     source: Source
@@ -37,17 +37,17 @@ class ConfirmationResult:
 
     @property
     def closed(self) -> float | None:
-        """The part of the gap that the model closes, (before - after)/(before - 1); None where there is none."""
+        """The part of the gap that the model closes, (before - after)/(before - 1); None if there is no gap."""
         return self.found.closed
 
     @property
     def verdict(self) -> str:
-        """One of confirmed, changed, gone."""
+        """The verdict: confirmed, changed or gone."""
         return self.found.verdict
 
     @property
     def confirmed(self) -> bool:
-        """Whether every effect of the model that shows is in these readings as it was in the others."""
+        """Whether the verdict is "confirmed": every effect that shows agrees with the model."""
         return self.found.verdict == "confirmed"
 
     @property
@@ -87,7 +87,7 @@ class ConfirmationResult:
         print_confirmation(self.source.name, self.found, list(self.notes), out)
 
     def __repr__(self) -> str:
-        """Return what `bench confirm` prints, and which bench file was taken."""
+        """Return the output of `bench confirm`, with the bench file that was used."""
         return f"{as_text(self.print_on)}\nbench: {self.source.taken.words}"
 
 

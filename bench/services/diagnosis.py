@@ -57,9 +57,10 @@ Found = FullDiagnosis | MistakesAlone | FreeDiagnosis
 
 @dataclass(frozen=True)
 class _Result(ABC):
-    """The result of a diagnosis of a body of readings: what was `found`, and the files.
+    """The result of diagnosing a body of readings: the findings (`found`) and the files written.
 
-    `files` are the files written for it; `not_written` says which files could not be written, and why."""
+    `not_written` says which files could not be written, and why.
+    """
 
     body: Body
     found: Found
@@ -78,12 +79,12 @@ class _Result(ABC):
 
     @property
     def bench(self) -> str:
-        """The bench file that gave the errors of the stand and gravity, and the reason for it."""
+        """The name of the bench file used for the errors of the stand and gravity, with the reason for it."""
         return self.source.taken.words
 
     @property
     def next_measurement(self) -> Proposal | None:
-        """What to measure next; None where nothing is proposed."""
+        """The measurement proposed next; None if nothing is proposed."""
         return None
 
     @abstractmethod
@@ -96,9 +97,10 @@ class _Result(ABC):
 
     @abstractmethod
     def written(self, *, accept_first: bool = False, report: bool = True) -> Self:
-        """Write all that `bench diagnose` writes; return the result that names the files.
+        """Write all files of `bench diagnose`; return the result with their paths.
 
-        A file that cannot be written is noted in `not_written`; it raises `OSError` if a folder was asked
+        `accept_first` writes a model also if the readings cannot decide between effects, with the likeliest one.
+        A file that cannot be written is noted in `not_written`, or raises `OSError` if an output folder was asked
         for.
         """
 
@@ -107,7 +109,7 @@ class _Result(ABC):
         return f"{as_text(self.print_on)}\nbench: {self.bench}"
 
     def _tried(self, what: str, write: Callable[[], T]) -> tuple[T | None, Self]:
-        """Return the value of `write`, and the result, with a note where the file could not be written."""
+        """Return the value of `write` and the result; None and a note in the result if writing fails."""
         try:
             return write(), self
         except OSError as error:
@@ -117,7 +119,7 @@ class _Result(ABC):
             return None, replace(self, not_written=(*self.not_written, note))
 
     def _with_copy(self, mistakes: Sequence[Mistake], corrected: Readings) -> Self:
-        """Write the copy in which mistakes are corrected, if there are any."""
+        """Write the copy of the readings in which mistakes are corrected, if there are any; return the result."""
         if not mistakes:
             return self
         place = self.body.output("-corrected.csv")
@@ -128,19 +130,19 @@ class _Result(ABC):
 
 
 class _WithPage(_Result):
-    """A diagnosis that has a page."""
+    """A result of a diagnosis that has an HTML page."""
 
     @abstractmethod
     def html(self) -> str:
-        """Return the page."""
+        """Return the HTML page."""
 
     def report(self, path: str | Path) -> Path:
-        """Write the page (HTML, with everything in it); return its path. Raises `OSError`."""
+        """Write the self-contained HTML page; return its path. Raises `OSError`."""
         write_whole(Path(path), self.html())
         return Path(path)
 
     def _with_report(self) -> Self:
-        # the page names itself nowhere, so that it may be made before it is written
+        # the page does not contain its own path, so it can be rendered before it is written
         page, file = self.html(), self.body.output(".html")
         path, result = self._tried(str(file), lambda: _write(file, page))
         return replace(result, files=replace(result.files, report=path))
@@ -148,7 +150,7 @@ class _WithPage(_Result):
 
 @dataclass(frozen=True, repr=False)
 class MistakesResult(_Result):
-    """A diagnosis that ended with mistakes: the other readings do not determine the coefficients."""
+    """A diagnosis that ended with mistakes: the remaining readings do not determine the coefficients."""
 
     found: MistakesAlone
 
@@ -160,17 +162,17 @@ class MistakesResult(_Result):
         ).to_dict()
 
     def print_on(self, out: Console) -> None:
-        """Print the mistakes and what is missing without them."""
+        """Print the mistakes, and which coefficients the remaining readings do not determine."""
         text.print_mistakes(self.found, self.files, out)
 
     def written(self, *, accept_first: bool = False, report: bool = True) -> Self:
-        """Write the copy in which the mistakes are corrected; there is neither model nor page."""
+        """Write the copy in which the mistakes are corrected; this result has neither model nor page."""
         return self._with_copy(self.found.mistakes, self.found.corrected)
 
 
 @dataclass(frozen=True, repr=False)
 class DiagnosisResult(_WithPage):
-    """Where readings and model disagree, what is missing, and how far the gap closes with it.
+    """Where readings and model disagree, what is missing, and how far it closes the gap.
 
     result = bench.diagnose("unit-17")
     result.write_model("found.yaml")
@@ -181,7 +183,7 @@ class DiagnosisResult(_WithPage):
 
     @property
     def diagnosis(self) -> Diagnosis:
-        """The verdict with what speaks for it: places, effects, mistakes, the gap."""
+        """The verdict and its evidence: places, effects, mistakes, the gap."""
         return self.found.diagnosis
 
     @property
@@ -191,7 +193,7 @@ class DiagnosisResult(_WithPage):
 
     @property
     def next_measurement(self) -> Proposal | None:
-        """What to measure next; None where nothing is proposed."""
+        """The measurement proposed next; None if nothing is proposed."""
         return self.found.next_measurement
 
     def to_dict(self) -> dict[str, Any]:
@@ -203,7 +205,7 @@ class DiagnosisResult(_WithPage):
             ).to_dict()
 
     def html(self) -> str:
-        """Return the page."""
+        """Return the HTML page."""
         from bench.results.diagnosis_page import render_diagnosis
 
         source = self.source
@@ -217,17 +219,17 @@ class DiagnosisResult(_WithPage):
             text.print_one(self.found, self.files, out)
 
     def model_is_due(self, *, accept_first: bool = False) -> bool:
-        """Whether the findings give a model file: effects are named, or the first of a tie is accepted."""
+        """Return whether there is a model to write: named effects, unnamed terms or an accepted first of a tie."""
         verdict, form = self.diagnosis.of_copy, self.diagnosis.form
-        # what makes the gap no smaller is no better model, whoever accepts it
+        # an effect that does not narrow the gap gives no better model, even if it is accepted
         accepted = accept_first and verdict == "confounded" and self.diagnosis.gap.shrinks is not False
         there = verdict == "named" or accepted or (form is not None and bool(form.applied))
         return there and self.found.shown.after is not None
 
     def write_model(self, path: str | Path, *, accept_first: bool = False) -> Path:
-        """Write the model with what was found, which `bench.confirm` and `bench.calibrate` take; return its path.
+        """Write the model file with the effects found, for `bench.confirm` and `bench.calibrate`; return its path.
 
-        Raises `Refused` where nothing is due, `FileMistakes` where the file exists.
+        Raises `Refused` if there is no model to write, `FileMistakes` if the file exists.
         """
         if not self.model_is_due(accept_first=accept_first):
             tied = self.diagnosis.of_copy == "confounded"
@@ -244,7 +246,7 @@ class DiagnosisResult(_WithPage):
         return self.next_measurement.write(Path(path)).procedure
 
     def written(self, *, accept_first: bool = False, report: bool = True) -> Self:
-        """Write copy, model, next procedure and page; return the result that names the files."""
+        """Write copy, model, next procedure and page; return the result with their paths."""
         mistakes, body = self.diagnosis.mistakes, self.body
         result = self._with_copy(mistakes.mistakes, mistakes.corrected)
         if self.model_is_due(accept_first=accept_first):
@@ -280,7 +282,7 @@ class DiagnosisResult(_WithPage):
 
 @dataclass(frozen=True, repr=False)
 class FreeDiagnosisResult(_WithPage):
-    """Where free positions and model disagree, what is missing, and how far the gap closes with it."""
+    """Where free positions and model disagree, what is missing, and how far it closes the gap."""
 
     found: FreeDiagnosis
 
@@ -290,7 +292,7 @@ class FreeDiagnosisResult(_WithPage):
         return self.found.verdict
 
     def corrected(self) -> dict[int, Readings]:
-        """Return the readings without the positions that stand apart, as read, by number of the source."""
+        """Return the readings as read, without outlying positions, by the number of each affected source."""
         kept = {}
         for number in np.unique(self.found.left_out[:, 0]).tolist():
             source = self.body.sources[number]
@@ -300,9 +302,9 @@ class FreeDiagnosisResult(_WithPage):
         return kept
 
     def models_of(self, *, accept_first: bool = False) -> list[tuple[AppliedEffect, ...]]:
-        """Return the effects of the model file of each sensor, or of one for all; none where none is due."""
+        """Return the effects in each sensor's model file, one entry if all are alike; empty without a model."""
         found = self.found
-        # what makes the gap no smaller is no better model, whoever accepts it
+        # an effect that does not narrow the gap gives no better model, even if it is accepted
         accepted = accept_first and found.of_rest == "confounded" and found.gap.shrinks is not False
         if found.of_rest != "named" and not accepted:
             return []
@@ -328,7 +330,7 @@ class FreeDiagnosisResult(_WithPage):
             ).to_dict()
 
     def html(self) -> str:
-        """Return the page."""
+        """Return the HTML page."""
         title = f"Diagnosis of {self.source.block_name or free.readings_named(self.found)}"
         simulated = any(source.simulated for source in self.body.sources)
         with knowing_effects_of(self.source):
@@ -342,9 +344,9 @@ class FreeDiagnosisResult(_WithPage):
             free.print_free(self.found, self.files, out)
 
     def write_model(self, path: str | Path, *, accept_first: bool = False) -> tuple[Path, ...]:
-        """Write the model of each sensor (`-sensor-1` in its name, …), or one where all are alike.
+        """Write the model of each sensor (`-sensor-1` in the file name, …), or one model if all are alike.
 
-        Raises `Refused` where nothing is due, `FileMistakes` where a file exists.
+        Returns the paths. Raises `Refused` if there is no model to write, `FileMistakes` if a file exists.
         """
         models = self.models_of(accept_first=accept_first)
         if not models:
@@ -359,7 +361,7 @@ class FreeDiagnosisResult(_WithPage):
         return tuple(paths)
 
     def written(self, *, accept_first: bool = False, report: bool = True) -> Self:
-        """Write copies, models and page; return the result that names the files."""
+        """Write copies, models and page; return the result with their paths."""
         result, copies, written = self, [], []
         for number, readings in self.corrected().items():
             place = self.body.output("-corrected.csv", number)
@@ -391,7 +393,7 @@ Diagnosed = DiagnosisResult | FreeDiagnosisResult | MistakesResult
 
 
 def print_diagnosed(results: Sequence[Diagnosed | Failed], out: Console) -> None:
-    """Print one diagnosis in full; of several a line each, in full only free positions and mistakes alone."""
+    """Print a single diagnosis in full; of several, print a line each, but free positions and mistakes in full."""
     listed = [one for one in results if isinstance(one, DiagnosisResult)] if len(results) > 1 else []
     if listed:
         with knowing_effects_of(*(one.source for one in listed)):
@@ -416,7 +418,7 @@ def _by_unused_name(path: Path, write: Callable[[Path], None]) -> Path:
     for number in count(1):
         free_path = path if number == 1 else path.with_name(f"{path.stem}-{number}{path.suffix}")
         if not free_path.exists():
-            with suppress(FileMistakes):  # it was free a moment ago, and another program has it now
+            with suppress(FileMistakes):  # another program may have created it since
                 write(free_path)
                 return free_path
     raise AssertionError
@@ -425,7 +427,8 @@ def _by_unused_name(path: Path, write: Callable[[Path], None]) -> Path:
 def _write_copy(body: Body, mistakes: Sequence[Mistake], corrected: Readings, path: Path) -> Path:
     """Write the copy in which mistakes are corrected, and its origin file beside it.
 
-    Reading the copy with the same bench file gives exactly the readings that were searched.
+    The copy holds the values that the instruments showed; reading it with the same bench file gives exactly
+    `corrected`.
     """
     source = body.source
     content = format_csv(as_read(corrected, source.traced.by))
@@ -442,10 +445,10 @@ def _write_copy(body: Body, mistakes: Sequence[Mistake], corrected: Readings, pa
 
 
 def diagnosed(request: Diagnose, bodies: Sequence[Body | Failed]) -> list[Diagnosed | Failed]:
-    """Diagnose bodies of readings, several side by side in processes of their own; write what is asked for.
+    """Diagnose bodies of readings, several of them in parallel processes; write the files asked for.
 
-    Of several bodies, one that cannot be evaluated gives a `Failed`; a single body raises `CalibrationError`
-    or `Refused`.
+    Of several bodies, one that cannot be evaluated gives a `Failed`; a single body raises `CalibrationError` or
+    `Refused`.
     """
     if len(bodies) == 1:
         return [diagnosed_alone(request, body) for body in done(bodies)]
@@ -521,7 +524,7 @@ def _rebuilt(body: Body, one: _Done | Failed) -> Diagnosed | Failed:
 
 
 def _side_by_side(requests: Sequence[Diagnose]) -> Iterator[_Done | Failed]:
-    """Carry out each request in a process of its own, in the order given."""
+    """Yield the outcome of each request in the order given; each is computed in a worker process."""
     workers = max(1, min(len(requests), os.cpu_count() or 1))
     # a fresh interpreter in every worker: a copy of this one would share its threads and locks
     fresh = multiprocessing.get_context("spawn")

@@ -1,4 +1,4 @@
-"""Refused requests, errors in words for a person, and options that are quantities."""
+"""Refused requests, error messages for the user, and options with units."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ _OPTION: Final = re.compile(r"--([a-z][a-z-]*)( (?=[0-9.-]))?")
 
 
 class Refused(Exception):
-    """Raised for a request that cannot be carried out; the text says why, and what to do.
+    """Raised for a request that cannot be carried out; the text states the reason and the remedy.
 
-    `typed` is the text for the command line, with options such as --g 9.81 where Python has g=9.81.
+    `typed` is the text with options as on the command line (--g 9.81); `str` gives them as in Python (g=9.81).
     """
 
     def __init__(self, typed: str) -> None:
@@ -39,7 +39,7 @@ def _in_python(option: re.Match[str]) -> str:
 
 
 def expected(error: BaseException) -> bool:
-    """Whether an error was made to be read by a person."""
+    """Return whether an error is of a foreseen kind, with a message written for the user."""
     from bench.calibration import CalibrationError
     from bench.config.bench_file.file import FileMistakes
     from bench.model.effects import ExpressionError
@@ -59,7 +59,7 @@ def kind_and_words(error: BaseException) -> str:
 
 
 def sentence(error: Exception) -> str:
-    """Return the sentence for an error that ends the work on one run and not on the others."""
+    """Return the sentence by which an error is reported to the user."""
     if isinstance(error, Refused):
         return error.typed
     if expected(error):
@@ -70,9 +70,9 @@ def sentence(error: Exception) -> str:
 
 
 def quantity(option: str, text: str, kind: QuantityKind, *, plain: bool = True) -> float:
-    """Return the SI value of an option; a `plain` number is in the SI unit already.
+    """Return the value of an option in the SI unit; with `plain`, a number without a unit is in SI already.
 
-    Raises `Refused` with the option for anything else.
+    Raises `Refused`, naming the option, for any other text.
     """
     from bench.base.units import parse_quantity  # pydantic is slow to import
 

@@ -23,7 +23,7 @@ from bench.config.model_file import load_model
 from bench.config.procedure.load import Procedure, check, load_procedure
 from bench.config.shipped import find_procedure
 from bench.run.assembly.served import Assembly, dry_bench, real_bench
-from bench.run.early_warning import watcher_of
+from bench.run.early_warning import EarlyWarning, watcher_of
 from bench.run.events import (
     ENDED,
     Event,
@@ -48,11 +48,12 @@ from bench.run.folder import (
 from bench.run.instruments import with_notes
 from bench.run.interrupts import Interrupts
 from bench.run.listening import Asker, ClockWatch, WishListener
+from bench.run.live import LiveSignals
 from bench.run.person import NOBODY_KNOWN, ControlFile, WishAuthor, agree, at_the_shell
 from bench.run.power import Feeding
 from bench.run.record import History, Record, is_being_written, read_history, resume_point
 from bench.run.resume import PlanProgress
-from bench.run.runner import People, Recorder, RunAborted, Runner
+from bench.run.runner import Observer, People, Recorder, RunAborted, Runner
 from bench.run.samples import SLOW_AFTER_S
 from bench.run.sentences import TERMINAL, RunLog, sentence
 from bench.run.terminal import ProgressBar, TerminalPerson
@@ -75,7 +76,7 @@ MOST_RECALLED: Final = 500
 
 @dataclass(frozen=True)
 class NewRun:
-    """A run that may begin: its folder, what its manifest says, and the files that it is begun with.
+    """A checked run that has not begun: its folder, its manifest, and its input files (content by name).
 
     `notes` are sentences for the person who begins the run.
     """
@@ -86,14 +87,14 @@ class NewRun:
     notes: tuple[str, ...] = ()
 
     def record(self, shield: Callable[[], AbstractContextManager[None]] | None = None) -> Record:
-        """Make the folder and return its record; `shield` keeps a line from being cut in two by Ctrl-C."""
+        """Create the run's folder and return its record; `shield` gives a context that delays Ctrl-C."""
         if shield is None:
             return Record.create(self.folder, self.manifest, self.inputs, utc_now)
         return Record.create(self.folder, self.manifest, self.inputs, utc_now, shield)
 
 
 def new_run(request: RunRequest) -> NewRun:
-    """Check a procedure against a bench and return the run that it makes.
+    """Check a procedure against a bench and return the run to begin.
 
     Raises `FileMistakes` and `Refused` with all mistakes found.
     """
@@ -173,21 +174,21 @@ def _judged(request: RunRequest, bench: Path) -> VerdictAsked | None:
 
 
 def _other_unit(stated: str, serial: str, bench: str) -> tuple[str, ...]:
-    """Return a note where a run is of another unit than its bench file names."""
+    """Return a note if a run measures another unit than its bench file names."""
     if serial == stated:
         return ()
     return (f"this run is of unit {serial}, as --unit says; the bench file {bench} names unit {stated}",)
 
 
 def _included(procedure: Procedure) -> dict[str, bytes]:
-    """The files that a procedure includes, numbered, since two may have one name."""
+    """Return the files that a procedure includes, numbered because two may have the same name."""
     return {
         f"include-{n}-{path.name}": path.read_bytes() for n, path in enumerate(procedure.files[1:], start=1)
     }
 
 
 def _free_name(procedure: str, runs: Path) -> str:
-    """Return a name that no run has: the procedure and the time, and a number where that is taken."""
+    """Return an unused name for a run: the procedure and the time, with a number if that name is taken."""
     stem = re.sub(r"[^\w.+-]", "-", procedure)
     base = f"{stem}-{utc_now().astimezone():%Y%m%d-%H%M%S}"
     name, number = base, 2
@@ -198,9 +199,10 @@ def _free_name(procedure: str, runs: Path) -> str:
 
 @dataclass(frozen=True)
 class AnswerChannels:
-    """How people reach a run.
+    """The channels between people and a run.
 
-    `wishes` reads the wishes left in the run's folder; `asker` asks its person (None: the run asks nobody).
+    `wishes` reads the requests (pause, skip, …) left in the run's folder. `asker` puts questions to a person; it
+    is None for a run that asks nobody.
     """
 
     wishes: WishListener
@@ -210,7 +212,7 @@ class AnswerChannels:
 def heard_in(
     run: Run, record: Record, history: History | None, wishes: WishListener, out: Console, *, away: bool
 ) -> AnswerChannels:
-    """Return the channels by which people reach a run, new or (with its `history`) resumed.
+    """Return the channels between people and a run, which is new or (with its `history`) resumed.
 
     With `away`, no questions are asked at the terminal. A resumed dry run asks the person who resumes it.
     """
@@ -230,9 +232,9 @@ def heard_in(
 
 
 def is_away(answers: str | None, *, panel: bool) -> bool:
-    """Return whether questions are answered in the run's folder alone: on request, or by a `panel` alone.
+    """Return whether questions are answered in the run's folder only: on request, or with a panel and no terminal.
 
-    Raises `Refused` for an unknown place.
+    Raises `Refused` for an unknown place in `answers`.
     """
     if answers not in (None, "terminal", "folder"):
         raise Refused(f"--answers {answers}: questions are answered at the terminal or in the folder")
@@ -256,7 +258,10 @@ def refuse_contradictions(request: RunRequest) -> None:
 def started(
     request: RunRequest, out: Console, announce: Callable[[NewRun], None]
 ) -> Iterator[tuple[Run, Interrupts]]:
-    """Carry out a new run, which is announced before; yield it once it is finished, signals still being heard."""
+    """Carry out a new run and yield it when it is finished, while signals are still handled.
+
+    `announce` receives the run before it begins.
+    """
     away = is_away(request.answers, panel=request.panel)
     new = new_run(request)
     announce(new)
@@ -273,9 +278,9 @@ def started(
 def resumed(
     request: ResumeRequest, out: Console, announce: Callable[[Run], None]
 ) -> Iterator[tuple[Run, Interrupts]]:
-    """Resume a run, which is announced before; yield it once it is finished, signals still being heard.
+    """Resume a run and yield it when it is finished, while signals are still handled.
 
-    One that has finished and lacks results is yielded as it is.
+    `announce` receives the run before it is resumed. A finished run that only lacks results is yielded as it is.
     """
     away = is_away(request.answers, panel=request.panel)
     run = unfinished_run(request.name, runs_folder(request.runs), results_too=True)
@@ -298,7 +303,7 @@ def resumed(
 
 
 def accept_changes(run: Run, asker: Asker | None, out: Console) -> None:
-    """Print the changes since the run began; on a real bench a person must agree to go on in spite of them."""
+    """Print which input files changed since the run began; on a real bench, a person must agree to continue."""
     changes = []
     for kind, copy in (("procedure", PROCEDURE), ("bench", BENCH)):
         original = Path(str(run.manifest.get(kind)))
@@ -321,9 +326,10 @@ def carry_out(
     interrupts: Interrupts | None = None,
     heard: AnswerChannels | None = None,
 ) -> None:
-    """Carry out a run to its end; if it stops before, say which readings are kept. A resumed run has a `history`.
+    """Carry out a run to its end. If it stops early, raise `Refused` with the number of readings kept.
 
-    `interrupts` handles signals meanwhile, `heard` are the channels by which people reach the run.
+    A resumed run has a `history`. `interrupts` handles signals during the run, `heard` are the channels to
+    people.
     """
     signals = interrupts or Interrupts()
     write_whole(run.folder / RESULTS, to_text({"made": None}))
@@ -346,12 +352,13 @@ def carry_out(
     try:
         with _assembly(run, bench, history, wire, out, signals.haste, heard.asker) as (assembly, bar):
             bar.recall(history.progress.chosen if history else ())
-            # who resumes a dry run that stopped is there to be asked
+            # a stopped dry run is resumed by a person, who can be asked
             decider = heard.asker if history else None
             people = People(assembly.person, decider, heard.asker, heard.wishes, hold_signals=signals.hold)
+            live = _live(run, bench, watcher, heard.asker)
             recorder = Recorder(
                 record,
-                observers=(*assembly.observers, watcher.observe, bar, RunLog(run.folder, run.plan)),
+                observers=(*assembly.observers, watcher.observe, *live, bar, RunLog(run.folder, run.plan)),
                 progress=history.progress.copy() if history else PlanProgress(),
                 clocks=None if run.simulated else ClockWatch(utc_now, assembly.clock.now_s),
             )
@@ -379,6 +386,16 @@ def carry_out(
         record.close()
 
 
+def _live(run: Run, bench: BenchFile, watcher: EarlyWarning, asker: Asker | None) -> list[Observer]:
+    """Have the signals shown while a question waits, where a person is asked; return the observers for that."""
+    if asker is None:
+        return []
+    shown = (lambda line: None) if asker.terminal is None else asker.terminal.show_live
+    least_v_g = min(abs(scale) for scale in bench.unit_under_test.scale_factors.values)
+    asker.live = LiveSignals(run.folder, run.plan, watcher, least_v_g, shown)
+    return [asker.live.observe]
+
+
 def _on_certificates(
     bench: BenchFile, *, simulated: bool
 ) -> Callable[[Mapping[str, str]], Sequence[str]] | None:
@@ -402,7 +419,7 @@ def _chooser(run: Run, bench: BenchFile) -> Callable[[int, PlanProgress], dict[s
 
 
 def _setup(bench: BenchFile, assembly: Assembly) -> BenchSetup:
-    """Return the instruments with what the bench file says of them."""
+    """Return the instruments with the settings that the bench file states for them."""
     feed, supply, chamber = (
         bench.unit_under_test.supply,
         bench.instruments.power_supply,
@@ -417,6 +434,7 @@ def _setup(bench: BenchFile, assembly: Assembly) -> BenchSetup:
         least_samples=bench.least_samples,
         setting_u_rad=bench.stand_distributions()["setting_error"].u,
         slow_chamber_s=chamber.slow_after if isinstance(chamber, ControlledChamberForm) else SLOW_AFTER_S,
+        aside=assembly.aside,
         feeding=None if feed is None or supply is None else Feeding(feed, supply.limits),
     )
 
@@ -431,7 +449,7 @@ def _assembly(
     haste: Haste,
     asker: Asker | None,
 ) -> Iterator[tuple[Assembly, ProgressBar]]:
-    """Put the bench together with the progress bar; a question at the terminal pauses the bar."""
+    """Yield the assembled bench and its progress bar, which pauses while a question is asked at the terminal."""
     supply = bench.unit_under_test.supply
     step_s = [run.plan.step_duration_s(step, bench.line_frequency, supply) for step in run.plan.steps]
     bar = ProgressBar(run.plan, out, step_s)
@@ -454,7 +472,7 @@ def _assembly(
 
 
 def _elapsed_s(history: History) -> float:
-    """Bench time now: on a real bench the time between two programs has passed as well."""
+    """Return the present bench time of a real bench: the last event's, plus the civil time since then, s."""
     if not history.events:
         return 0.0
     last = history.events[-1]
@@ -462,7 +480,7 @@ def _elapsed_s(history: History) -> float:
 
 
 def _refuse_renamed(record: Record) -> None:
-    """Raise `Refused` where the folder of a finished run is not where it was: its results would go nowhere."""
+    """Raise `Refused` if the folder of a finished run was renamed or moved, as results cannot be written there."""
     place = record.whereabouts()
     if place == record.folder:
         return
@@ -475,7 +493,7 @@ def _refuse_renamed(record: Record) -> None:
 
 
 def _recorded(record: Record) -> str:
-    """Say how much is kept, and where; the folder may have been renamed while the run went on."""
+    """Return a sentence on how many readings are kept, and where; the folder may have been renamed meanwhile."""
     place = record.whereabouts()
     if place is None:
         return f"{record.folder} was moved or deleted while the run went on"
@@ -521,9 +539,10 @@ def taken_up(
     *,
     results_too: bool = False,
 ) -> tuple[Record, History]:
-    """Open a run to go on with it; with `results_too` it may have finished and lack results.
+    """Open the record of an unfinished run for writing; return it with its history.
 
-    Raises `Refused` for another that has ended, `RecordError` as `Record.reopen`.
+    With `results_too`, a finished run that lacks results is opened as well. Raises `Refused` for any other run
+    that has ended, `RecordError` as `Record.reopen`.
     """
     record, history = Record.reopen(run.folder, utc_now, shield)
     if history.state in ENDED and not (results_too and _lacks_results(run, history.state)):
@@ -537,7 +556,7 @@ def _lacks_results(run: Run, state: RunState | None) -> bool:
 
 
 def _idle_at(run: Run, digests: Digests) -> RunState | None:
-    """Return the state of a run begun here that no program is carrying out; None for any other run."""
+    """Return the state of a run that no program is carrying out; None for any other or an imported run."""
     try:
         state = None if run.imported else digests.of(run).state
     except (RecordError, ValueError):
@@ -546,7 +565,7 @@ def _idle_at(run: Run, digests: Digests) -> RunState | None:
 
 
 def refuse_missing_devices(run: Run) -> None:
-    """Raise `Refused` where a driver that the run was begun with is not here."""
+    """Raise `Refused` if a driver with which the run was begun is missing here."""
     came_from = run.manifest.get("devices", {})
     missing = [
         f"the driver '{name}'" + (f" (it came from {came_from[name]})" if name in came_from else "")
@@ -560,9 +579,10 @@ def refuse_missing_devices(run: Run) -> None:
 
 
 def give_up(run: Run, who: WishAuthor = NOBODY_KNOWN) -> tuple[str, ...]:
-    """End a run for good that no program carries out; return a sentence on each thing left to do.
+    """End an unfinished run for good; return a sentence on each thing left to do.
 
-    Raises `Refused` for one that has ended, `RecordError` where another program writes it or it was changed.
+    Raises `Refused` for a run that has ended, `RecordError` if another program writes its record or the record
+    was changed.
     """
     record, history = taken_up(run)
     try:

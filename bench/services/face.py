@@ -1,8 +1,8 @@
-"""The functions that `import bench` offers: each result names the bench file and the data that it rests on.
+"""The functions that `import bench` offers; each result names the bench file and the data behind it.
 
-Nothing is printed, and nothing is written unless it is asked for (the thresholds of a diagnosis stay in the user's
-cache folder). Functions raise `Refused`, `ReadingsError`, `FileMistakes`, `RecordError` or
-`CalibrationError`; each text says why and what to do.
+Functions print nothing. They write files only if asked, except for thresholds of a diagnosis, which are cached in
+the user's cache folder. They raise `Refused`, `ReadingsError`, `FileMistakes`, `RecordError` or
+`CalibrationError`; each message states the reason and the remedy.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
 @checked(bench=NAME)
 def load_bench(bench: str | Path) -> BenchFile:
-    """Read a bench file, by path or shipped name; numbers in SI, angles in rad. Raises `FileMistakes`."""
+    """Read a bench file, by path or shipped name; numbers are in SI units, angles in rad. Raises `FileMistakes`."""
     return find_bench_file(str(bench)).file
 
 
@@ -56,8 +56,8 @@ def read_readings(
 ) -> Readings:
     """Read a readings file, or a pandas DataFrame with the same columns (`angle_deg`, `ux_v`, …).
 
-    The bench file says which installations there are. Raises `ReadingsError` with every bad row, unless those are
-    to be skipped: `Readings.skipped` lists them then.
+    The bench file states the installations. Raises `ReadingsError` with every bad row. With `skip_bad_rows`, bad
+    rows are instead left out and listed in `Readings.skipped`.
     """
     given = str(bench) if isinstance(bench, Path) else bench
     if isinstance(readings, str | Path):
@@ -70,16 +70,18 @@ def read_readings(
 
 
 def _calibrate(request: Calibrate) -> CalibrationResult:
-    """Return the twelve coefficients of U = K a + U0 with their uncertainty, as `bench calibrate` finds them.
+    """Return the twelve coefficients of U = K a + U0 with their uncertainty, as `bench calibrate` computes them.
 
-    `bench` gives the errors of the stand and local gravity; without it a run is evaluated with the bench file that
-    it recorded, all else with that of BENCH_FILE, a readings file with the one that the file beside it names
-    (`bench export` writes it), or the shipped paper-stand; `result.bench` says which. `g` is
-    local gravity in m/s² in place of the bench file's, `model` a model file with effects beside the paper's terms,
-    `effects` files with formulas of effects of the user's own,
-    `runs` the folder of runs (BENCH_RUNS, or ./runs). `join_free` lets free positions (F) join by |a| = 1 g,
-    `join_verification` the verification points, `nominal_angles` takes the target angles; `prior` is a file of
-    `bench fleet prior`: the coefficients expected from units of the block's type.
+    `bench` is the bench file, which states the errors of the stand and local gravity. Without it, a run is
+    evaluated with the bench file that it recorded. Other readings are evaluated with the file in BENCH_FILE, else
+    with the one that the origin file beside them names (`bench export` writes it), else with the shipped
+    paper-stand. `result.bench` names the file used.
+
+    `g` is local gravity in m/s² in place of the bench file's. `model` is a model file with effects beside the
+    paper's terms, `effects` are files with formulas of the user's own effects. `runs` is the folder of runs
+    (default: BENCH_RUNS, else ./runs). `join_free` adds the free positions (F) to the fit by |a| = 1 g,
+    `join_verification` the verification points. `nominal_angles` uses the target angles in place of those read
+    back. `prior` is a file of `bench fleet prior` with the coefficients expected of units of the block's type.
     """
     with knowing_effects_in(request.effects):
         (source,) = load_sources(reading(request, request.source))
@@ -87,13 +89,14 @@ def _calibrate(request: Calibrate) -> CalibrationResult:
 
 
 def _verify(request: Verify) -> VerificationResult:
-    """Return Δg (in g) at the verification points against the limit (g), as `bench verify` finds it.
+    """Return Δg (in g) at the verification points and the verdict against the limit (g), as `bench verify` does.
 
-    `coefficients` are those of another day: a result, or a file of `bench calibrate --json`; without them those of
-    the same readings. `rule` is "simple" (|Δg| within the limit), "guarded" (|Δg| + w, where w is U or
-    `guard_band` times U) or "non-binary"; `population` the mean and the standard deviation of Δg over many blocks,
-    g, which enter the risks. What is not given of these is the bench file's; a rule that nobody states is the
-    non-binary one with 5 % of false acceptance at most. Else as in `calibrate`.
+    `coefficients` are the result of an earlier calibration, or its file (`bench calibrate --json`); without them
+    they are estimated from the same readings. `rule` is "simple" (|Δg| within the limit), "guarded" (|Δg| + w
+    within the limit, where w is U or `guard_band` times U) or "non-binary". `population` is the mean and the
+    standard deviation of Δg over many blocks, in g, which enter the risks. Options left out are as stated by the
+    run or its bench file; a rule that neither states is the non-binary one with at most 5 % false acceptance. The
+    other parameters are those of `calibrate`.
     """
     VerdictOptions.of(request)
     with knowing_effects_in(request.effects):
@@ -106,20 +109,21 @@ verify = python_call(Verify, _verify)
 
 
 def _diagnose(request: Diagnose) -> Diagnosed:
-    """Return where readings and model disagree, and which effects are missing, as `bench diagnose` finds them.
+    """Return where readings and model disagree and which effects are missing, as `bench diagnose` reports them.
 
-    A list of sources is one body of readings, on one bench: of `one_block`, or of a block each; where nobody says
-    (None), names and readings tell. The result is a `DiagnosisResult`, of free positions alone a
-    `FreeDiagnosisResult`, and a `MistakesResult` where mistakes leave too little to fit. With `write=True` all is
-    written that `bench diagnose` writes, into `out` where that is given. All else as in `calibrate`.
+    A list of sources is diagnosed as one body of readings from one bench. `one_block` is True for readings of one
+    block, False for a different block in each source; None leaves the decision to the names of the blocks, then
+    to the readings. The result is a `DiagnosisResult`, for free positions alone a `FreeDiagnosisResult`, and a
+    `MistakesResult` if the readings free of mistakes are too few to fit. `write=True` writes all files of `bench
+    diagnose`, into the folder `out` if given. The other parameters are those of `calibrate`.
     """
     return diagnosed_alone(request, whole_body(request))
 
 
 def _diagnose_each(request: Diagnose) -> list[Diagnosed | Failed]:
-    """Return the diagnosis of each source by itself, side by side; a `Failed` for each that could not be.
+    """Return the diagnosis of each source by itself, computed in parallel; a `Failed` for a source that fails.
 
-    The error of a single source is raised. All else as in `diagnose`.
+    If there is only one source, its error is raised. The other parameters are those of `diagnose`.
     """
     return diagnosed(request, single_bodies(request))
 
@@ -129,9 +133,9 @@ diagnose_each = python_call(Diagnose, _diagnose_each)
 
 
 def _confirm(request: Confirm) -> ConfirmationResult:
-    """Return whether new readings confirm a model file that was found in others, as `bench confirm` finds it.
+    """Return whether new readings confirm a model file that was found in other readings, as `bench confirm` does.
 
-    All else as in `calibrate`.
+    The other parameters are those of `calibrate`.
     """
     (source,) = load_sources(reading(request, request.source))
     return confirmation_of(source)
@@ -158,12 +162,12 @@ class DryRun:
 
     @cached_property
     def calibration(self) -> CalibrationResult:
-        """The coefficients of these readings. Raises `CalibrationError` where they do not give them."""
+        """The calibration from these readings. Raises `CalibrationError` if they do not determine it."""
         return calibration_of(self.source)
 
     @cached_property
     def verification(self) -> VerificationResult | None:
-        """Δg at the verification points; None where the procedure has none."""
+        """Δg at the verification points; None if the procedure has none."""
         return verification_of(self.source, self.calibration) if len(self.readings.verification()) else None
 
     def __repr__(self) -> str:
@@ -175,10 +179,10 @@ class DryRun:
 
 
 def _dry_run(request: DryRunRequest) -> DryRun:
-    """Run a procedure on simulated instruments over the same drivers and wire, with a virtual clock.
+    """Run a procedure on simulated instruments, through the real drivers and message protocol, in virtual time.
 
-    `seed` gives the random numbers, `model` a model file with effects that the simulated bench has. The record is
-    kept in the folder `runs` if one is given. Raises `Refused` with all mistakes of the procedure.
+    `seed` is the seed of the random numbers, `model` a model file with effects that the simulated bench has. The
+    record is kept in the folder `runs` if that is given. Raises `Refused` with all mistakes of the procedure.
     """
     from bench.run.folder import Run
     from bench.services.execution import carry_out, new_run

@@ -1,4 +1,4 @@
-"""Evaluations of many runs: of one bench, of one block over time; and of noise at rest."""
+"""Evaluations of many runs of one bench, of one block over time, and of noise at rest."""
 
 from __future__ import annotations
 
@@ -71,7 +71,11 @@ OF_THE_REPEATS: Final = (
 
 @dataclass(frozen=True)
 class LearningResult:
-    """The result of `bench learn`: `learned` holds the sizes, `sources` all runs, also those that contradict."""
+    """The result of `bench learn`: sizes of the bench's errors (`learned`), and all runs (`sources`).
+
+    `sources` include the runs that contradict the others. `effects` are the effects written to the learned file,
+    which is valid until `expires`.
+    """
 
     learned: Learned
     sources: tuple[Source, ...]
@@ -82,7 +86,7 @@ class LearningResult:
 
     @property
     def bench(self) -> str:
-        """The bench file of the bench that the runs are of."""
+        """The name of the bench, as its bench file states it."""
         return self.sources[0].bench.name
 
     @property
@@ -92,7 +96,7 @@ class LearningResult:
 
     @property
     def behind(self) -> tuple[Source, ...]:
-        """The runs behind the sizes."""
+        """The runs from which the sizes are estimated."""
         return tuple(source for source in self.sources if source.name in self.learned.runs)
 
     @property
@@ -129,7 +133,10 @@ class LearningResult:
         return self.result.to_dict()
 
     def write(self, path: str | Path) -> None:
-        """Write the learned file. Raises `Refused` where it exists or the runs are no one bench, `OSError`."""
+        """Write the learned file.
+
+        Raises `Refused` if the file exists or more than a third of the runs contradict the others, `OSError`.
+        """
         path = Path(path)
         if path.exists():
             raise Refused(
@@ -181,22 +188,22 @@ class LearningResult:
         }
 
     def print_on(self, out: Console) -> None:
-        """Print what contradicts first, then the sizes, then what these runs do not tell."""
+        """Print the contradicting runs, then the sizes, then the quantities that these runs do not determine."""
         print_learned(self.learned, self.result, out)
 
     def __repr__(self) -> str:
-        """Return what `bench learn` prints."""
+        """Return the output of `bench learn`."""
         return as_text(self.print_on)
 
 
 def learning_of(request: Learn, sources: Sequence[Source] | None = None) -> LearningResult:
-    """Return the sizes that the runs of one bench share, as `bench learn` finds them.
+    """Return the sizes of the errors that the runs of one bench share, as `bench learn` estimates them.
 
-    The method `write` of the result makes the learned file. `model` is a model file with effects of the
-    bench, found in many runs together; the learned file contains them. `by_installation` gives each
-    installation its own mean angles. The file is valid until `expires` (a year by default). All else is as in
-    `calibrate`. `sources` are the sources of the request if they are already read. Raises `Refused` for runs
-    of several benches, `CalibrationError` as `bench.history.learning.learn` does.
+    The method `write` of the result writes the learned file. `model` is a model file with effects of the bench,
+    found in many runs together; the learned file contains them. `by_installation` gives each installation its own
+    mean angles. The file is valid until `expires` (a year by default). The other parameters are those of
+    `calibrate`. `sources` are the sources of the request if they are already read. Raises `Refused` for runs of
+    several benches, `CalibrationError` as `bench.history.learning.learn` does.
     """
     made = utc_now().date()
     until = _until(request.expires, made)
@@ -237,16 +244,19 @@ def _until(expires: datetime.date | str | None, made: datetime.date) -> datetime
 
 
 def _certified(source: Source) -> Source:
-    """Return a source as certificates have it, and with no effects but those of a model that was asked for."""
+    """Return a source corrected by certificates alone, whose model has no effects unless a model was asked for."""
     plain = source.model if source.request.model else ForwardModel(source.bench.installation_models())
     return replace(source.as_certified(), model=plain)
 
 
 def _effects_of_model(sources: Sequence[Source]) -> tuple[AppliedEffect, ...]:
-    """Return the effects of the model file asked for that are of the bench. Raises `Refused` for a block's."""
+    """Return the effects of the model file asked for; none without one.
+
+    Raises `Refused` for an effect of a block or of a single mounting, which is not of the bench.
+    """
     if sources[0].request.model is None:
         return ()
-    # a source that the model was found in has its values without u; as found they stand in the file
+    # read from the file, because a source in which the model was found has the values without u
     file = load_model(sources[0].request.model, sources[0].model.installations)
     effects = file.applied_effects()
     of_block = [a.effect.name for a in effects if a.effect.subsystem is Subsystem.BLOCK]
@@ -264,7 +274,7 @@ def _effects_of_model(sources: Sequence[Source]) -> tuple[AppliedEffect, ...]:
 
 
 def _circle(found: Learned) -> list[AppliedEffect]:
-    """Return the head's eccentricity and ellipticity where they are shown, with u, as effects of the bench."""
+    """Return the head's eccentricity and ellipticity as effects with u, as far as the runs show them."""
     m = len(found.keys)
     u: Floats = np.sqrt(np.diag(found.covariance))
     effects = []
@@ -319,9 +329,10 @@ NOT_VOLTS: Final = "differences between the voltmeters: the signals are in {unit
 
 
 def differences_of(sources: Sequence[Source]) -> MeterDifferences | str:
-    """Return the differences of the voltmeters of a bench by its runs, or why these runs do not determine them.
+    """Return the learned differences between the voltmeters of a bench, or why these runs do not determine them.
 
-    The calibrations that it takes are with the stated limits of the stand, in whose rows' lengths these hardly are.
+    They are computed from calibrations with the stated limits of the stand, which hardly affect the lengths of
+    the rows of K.
     """
     if sources[0].readings.unit != "V":
         return NOT_VOLTS.format(unit=sources[0].readings.unit)
@@ -347,7 +358,7 @@ def _by_channel(source: Source) -> tuple[str, str, str] | None:
 
 
 def _day(source: Source) -> float | None:
-    """Return the day of a record, counted from year 1; None where it is not recorded."""
+    """Return the start of a record in days since 1970-01-01; None if it is not recorded."""
     try:
         return datetime.datetime.fromisoformat(source.made_at or "").timestamp() / 86400.0
     except ValueError:
@@ -369,7 +380,7 @@ def _meter_run(source: Source, meters: tuple[str, str, str], day: float) -> Mete
 
 
 def written_meters(found: MeterDifferences) -> dict[str, Any]:
-    """Return the section of a learned file; covariances are widened for the few degrees of freedom."""
+    """Return the voltmeters' section of a learned file; covariances are widened for few degrees of freedom."""
     return {
         "meters": list(found.meters),
         "group": list(found.group),
@@ -408,11 +419,11 @@ class ComparisonResult:
         return self.result.to_dict()
 
     def __repr__(self) -> str:
-        """Return what `bench compare` prints."""
+        """Return the output of `bench compare`."""
         return as_text(lambda out: print_compare(self.result, out))
 
     def files(self, folder: Path) -> Files:
-        """Yield what `bench compare --out` writes."""
+        """Yield the files that `bench compare --out` writes into a folder."""
         yield "result", folder / "compare.json", to_text(self.result.to_dict())
         yield "figure", folder / "compare.svg", history_figure(self.found)
 
@@ -420,7 +431,7 @@ class ComparisonResult:
 def compared(request: asked.Compare) -> ComparisonResult:
     """Compare results, runs and readings files of one block.
 
-    Raises `Refused` for dates that do not fit, `CalibrationError` where there is nothing to compare.
+    Raises `Refused` for invalid dates, `CalibrationError` if there is nothing to compare.
     """
     taken: list[tuple[str, BenchTaken]] = []
     snapshots = [one for name in request.sources for one in _snapshots(str(name), request, taken)]
@@ -435,7 +446,7 @@ compare = python_call(asked.Compare, compared, "compare")
 def _snapshots(name: str, request: asked.Compare, taken: list[tuple[str, BenchTaken]]) -> list[Snapshot]:
     """Return the calibration of a run or readings file, or those in a result of `calibrate --json`.
 
-    Which bench file is taken for readings is added to `taken`.
+    The bench file used for readings is appended to `taken`.
     """
     path = Path(name)
     if path.is_file() and path.suffix.lower() == ".json" and path.name != MANIFEST:
@@ -465,7 +476,7 @@ def _dated(snapshots: list[Snapshot], dates: Sequence[str]) -> list[Snapshot]:
 
 @dataclass(frozen=True)
 class RecordAtRest:
-    """The noise and drift of a static record, with the bench file used, notes on that, and the run if any."""
+    """The noise and drift of a static record, with the bench file used, notes on its choice, and the run if any."""
 
     found: Stability
     taken: BenchTaken
@@ -482,7 +493,7 @@ class RecordAtRest:
         return self.result.to_dict()
 
     def __repr__(self) -> str:
-        """Return what `bench stability` prints."""
+        """Return the output of `bench stability`."""
         return as_text(lambda out: print_stability(self.found, out))
 
     def files(self, out: Path | None) -> Files:
@@ -497,10 +508,10 @@ class RecordAtRest:
 
 
 def at_rest(request: asked.Stability) -> RecordAtRest:
-    """Return noise, drift and the averaging that a reading deserves.
+    """Return noise and drift of a static record, and the averaging that a reading needs.
 
-    Raises `Refused` for a size or an integration time that cannot be, or a run in which the block was turned;
-    `ReadingsError` and `CalibrationError` as the reading of a record does.
+    Raises `Refused` for an invalid size or integration time, and for a run in which the block was turned;
+    `ReadingsError` and `CalibrationError` as the reader of a record does.
     """
     size, runs = request.size, runs_folder(request.runs)
     if size is not None and not (math.isfinite(size) and size > 0):
@@ -524,7 +535,7 @@ stability = python_call(asked.Stability, at_rest, "stability")
 
 
 def _bench_of(record: str, runs: Path, bench: Bench) -> tuple[BenchTaken, tuple[str, ...]]:
-    """Return the bench file asked for, else that of the run or told beside the record, else the usual one."""
+    """Return the bench file asked for, else that of the run or of the origin file, else the default; notes."""
     given = str(bench) if isinstance(bench, Path) else bench
     if Path(record).is_file():
         return bench_of(record, None, origin_beside(Path(record)), given)
@@ -533,7 +544,7 @@ def _bench_of(record: str, runs: Path, bench: Bench) -> tuple[BenchTaken, tuple[
 
 
 def _record_at_rest(name: str, runs: Path, bench: BenchFile) -> tuple[StaticRecord, Run | None, float | None]:
-    """Return the record, and its run with how long each sample integrated where it is one."""
+    """Return the record; if it is a run, also the run and the integration time of a sample, s (else None, None)."""
     path = Path(name)
     if path.is_file():
         return read_static(path), None, None

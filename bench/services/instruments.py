@@ -52,7 +52,7 @@ from drivers.person import Answer, Person, Prompt
 from drivers.wire.replay import WireLog, logged_wire
 
 _LONGEST_S: Final = 180.0
-"""Time in s after which a driver is reported that has not given up by its own timeouts."""
+"""Time (s) after which a driver is reported as lost if its own timeouts have not ended it."""
 
 _BY_HAND: Final = "manual"
 _NO_TEST: Final = "none"
@@ -69,7 +69,7 @@ class _HasScale(Protocol):
 
 
 class _Nobody:
-    """A `Person` who is not asked: manual instruments are left alone."""
+    """A `Person` that answers no question, so that manual instruments are left alone."""
 
     def ask(self, prompt: Prompt) -> Answer:
         """Raise `NoAnswer`."""
@@ -97,12 +97,12 @@ class InstrumentLook:
 
     @property
     def test_failed(self) -> bool:
-        """Whether the self-test found something."""
+        """Whether the self-test reported a fault."""
         return self.self_test not in ("", _NO_TEST, _BY_HAND, _PASSED)
 
     @property
     def failures(self) -> list[BenchError]:
-        """All that is wrong, the self-test included."""
+        """All faults, including that of the self-test."""
         found = [self.failure] if self.failure is not None else []
         if self.test_failed:
             remedy = "take the cables off its input and test again; if it fails again, have it serviced"
@@ -113,14 +113,14 @@ class InstrumentLook:
 
     @property
     def absent(self) -> bool:
-        """Whether it could not be opened, or was lost while it was looked at."""
+        """Whether the instrument could not be opened, or was lost while it was tested or read."""
         return self.failure is not None and (
             self.identity is None or isinstance(self.failure, InstrumentLost)
         )
 
     @property
     def part(self) -> InstrumentPart:
-        """The row as the result has it."""
+        """The row as a part of the result."""
         return InstrumentPart.from_object(self, failures=[FailurePart.from_object(f) for f in self.failures])
 
 
@@ -137,7 +137,7 @@ def look_at(file: BenchFile, wire: WireLog | None, haste: Haste | None = None) -
 
 
 def _row(file: BenchFile, instrument: Instrument) -> InstrumentLook:
-    """Return the row of an instrument with what the bench file says of it."""
+    """Return the row of an instrument with its address and settings from the bench file."""
     section = next(section for section in file.instruments.all() if section.name == instrument.name)
     address = getattr(section, "resource", None)
     settings = ""
@@ -157,7 +157,7 @@ def _row(file: BenchFile, instrument: Instrument) -> InstrumentLook:
 def _look_at_all(
     instruments: Sequence[Instrument], rows: Sequence[InstrumentLook], range_v: float, clock: Clock
 ) -> None:
-    """Look at every instrument in a thread of its own, so that none waits for another."""
+    """Open, test, read and close each instrument in a thread of its own, so that none waits for another."""
     threads = [
         threading.Thread(target=_look_at, args=(instrument, row, range_v), name=row.name, daemon=True)
         for instrument, row in zip(instruments, rows, strict=True)
@@ -207,7 +207,7 @@ def _look_at(instrument: Instrument, row: InstrumentLook, range_v: float) -> Non
 
 
 def _read(instrument: Instrument, row: InstrumentLook, range_v: float) -> None:
-    """Take one reading: a voltmeter's, the position of a head, a temperature, volts of a supply, a level's."""
+    """Take one reading of a voltmeter, chamber, supply, thermometer, level or head, and note it in its row."""
     if isinstance(instrument, Voltmeter):
         instrument.configure(VoltmeterSettings(range_v, QUICK_NPLC, row.samples))
         row.settings = f"{range_v:g} V, {QUICK_NPLC:g} NPLC"
@@ -263,10 +263,10 @@ def free_folder(now: datetime) -> Path:
 
 
 def commission(setting: CommissioningPlan) -> dict[str, Any]:
-    """Carry out the commissioning; return its result, which is also written beside its page and wire log.
+    """Carry out a commissioning; return its result, which is also written beside its page and wire log.
 
     The bench is left safe and the page written whatever happens. Raises `Refused` for a folder that cannot be
-    had, `BenchError` for a simulated bench that cannot be.
+    used, `BenchError` for a bench that cannot be simulated.
     """
     _take(setting.folder)
     began = utc_now()
@@ -296,7 +296,7 @@ def commission(setting: CommissioningPlan) -> dict[str, Any]:
 
 
 def _take(folder: Path) -> None:
-    """Make the folder. Raises `Refused` where it cannot be, or another commissioning is in it."""
+    """Create the folder of a commissioning. Raises `Refused` if that fails or it holds another commissioning."""
     if (folder / PAGE).exists() or (folder / WIRE_LOG).exists():
         raise Refused(f"{folder}: holds a commissioning already; name another folder with --out")
     try:

@@ -1,4 +1,4 @@
-"""The user's own effects around an evaluation or a run; unnamed terms that get a name."""
+"""The user's own effects in evaluations and runs; names for unnamed terms of a model file."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 @contextmanager
 def knowing_effects_of(*sources: Source) -> Iterator[None]:
-    """Make the user's own effects of sources known in a context. Raises `Refused` where two of a name differ."""
+    """Register the user's own effects of sources within a context. Raises `Refused` if two of a name differ."""
     with ExitStack() as known:
         try:
             known.enter_context(CATALOGUE.also(effect for source in sources for effect in source.effects))
@@ -37,12 +37,12 @@ def knowing_effects_of(*sources: Source) -> Iterator[None]:
 
 
 def knowing_effects_in(files: str | Path | Sequence[str | Path] | None) -> AbstractContextManager[None]:
-    """Know the effects in a file, or in several. Raises `FileMistakes` with every mistake in it."""
+    """Return a context in which the effects of files are registered. Raises `FileMistakes` with all mistakes."""
     return CATALOGUE.also(effects_in([files] if isinstance(files, str | Path) else files or ()))
 
 
 def effects_for_record() -> dict[str, bytes]:
-    """Return the file that a record keeps of the user's own effects; nothing where none is known."""
+    """Return the record's file of the user's own effects as {name: content}; empty if there are none."""
     if not CATALOGUE.own:
         return {}
     return {
@@ -51,15 +51,19 @@ def effects_for_record() -> dict[str, bytes]:
 
 
 def knowing_effects_on_record(run: Run) -> AbstractContextManager[None]:
-    """Know the user's own effects that a run was begun with. Raises `FileMistakes` where one differs by now."""
+    """Return a context in which the effects recorded with a run are registered.
+
+    Raises `FileMistakes` if a known effect of the same name differs.
+    """
     file = run.folder / EFFECTS
     return CATALOGUE.also(load_effects(file) if file.is_file() else ())
 
 
 def accept_terms(request: Accept) -> tuple[Path, Path]:
-    """Write the effect, and the model with it in place of the terms; return both files, that of the effect first.
+    """Write the effect file of the newly named terms and a model file that uses it; return both paths.
 
-    Nothing is overwritten. Raises `Refused`, `FileMistakes`.
+    Raises `Refused` for invalid terms or an invalid name and if a file exists, `FileMistakes` for an invalid
+    model file.
     """
     model, name = request.model, request.name
     file = load_model(model)
@@ -99,9 +103,9 @@ def accept_terms(request: Accept) -> tuple[Path, Path]:
 
 
 def simulated_truth(bench: BenchFile, model: Path | None) -> ForwardModel:
-    """Return the model that the simulated world obeys: effects of the bench file and of the model file.
+    """Return the model that the simulated bench obeys: the effects of the bench file and of the model file.
 
-    Raises `Refused` where one is of single passes: the world is read from outside, and knows of no pass.
+    Raises `Refused` for an effect of a single pass, because the simulated instruments do not know the pass.
     """
     installations = bench.installation_models()
     effects = bench.applied_effects()

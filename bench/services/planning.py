@@ -87,9 +87,9 @@ MOST_ANGLES: Final = 72
 
 
 def planned(request: PlanPoints) -> PlannedPoints:
-    """Return the test points that reach goals in the least bench time, or the most in a given time.
+    """Return the test points that reach goals in the least bench time, or the least uncertainty in a given time.
 
-    Raises `Refused` for what cannot be asked, `CalibrationError` for goals that nothing reaches, `FileMistakes`.
+    Raises `Refused` for invalid options, `CalibrationError` for goals that no test points reach, `FileMistakes`.
     """
     _refuse_contradictions(request)
     taken = find_bench_file(request.bench)
@@ -166,7 +166,10 @@ def _goals(request: PlanPoints, stand: Stand, bench: BenchFile) -> list[Goal]:
 
 
 def delta_g_of(stand: Stand, asked_g: float, option: str) -> list[Goal]:
-    """Return the goals of Δg at the verification points of the bench, as an option asks for them."""
+    """Return the goals for u(Δg), `asked_g` in g, at the verification points of the bench.
+
+    Raises `Refused`, naming the `option`, if the bench file has no installation V.
+    """
     if VERIFICATION not in stand.model.installations:
         raise Refused(
             f"{option} needs the installation V of the verification points; state it in the bench file"
@@ -179,7 +182,7 @@ def delta_g_of(stand: Stand, asked_g: float, option: str) -> list[Goal]:
 
 
 def _size(text: str) -> tuple[str, float]:
-    """Read "Kyx=20e-6" or "Kyx=20 uV/g": a plain number is in V/g, of a bias in V."""
+    """Return name and SI value of "Kyx=20e-6" or "Kyx=20 uV/g"; a plain number is in V/g, for a bias in V."""
     name, size = named("--u", text, "Kyx=20e-6 (a standard uncertainty, V/g)")
     return name, quantity("--u", size, VOLTAGE if name.startswith("U0") else SCALE_FACTOR)
 
@@ -221,7 +224,7 @@ def mountings(bench: BenchFile, installations: str | None, visits: int) -> list[
 
 
 def even_angles(bench: BenchFile, count: int) -> Floats:
-    """Return the angles of an even turn that the head may come to from both sides, rad."""
+    """Return `count` even angles of a turn, rad, without those that the head cannot approach from both sides."""
     angles = 2 * np.pi * np.arange(count) / count
     if bench.head_limits_rad is None:
         return angles
@@ -234,7 +237,7 @@ def even_angles(bench: BenchFile, count: int) -> Floats:
 
 
 def _of_paper(stand: Stand, goals: Sequence[Goal]) -> tuple[int, dict[str, float]]:
-    """Return how many settings the paper's procedure has, and the largest u that it gives of goals by name."""
+    """Return the number of settings in the paper's procedure, and the largest u that it reaches by goal name."""
     settings = fitted(settings_of(load_procedure(find_procedure("paper")).expand()))
     promise = stand.promise(settings, goals)
     u: dict[str, float] = {}
@@ -273,13 +276,13 @@ def _remarks(points: ChosenPoints, bench: BenchFile, *, asked: bool) -> str:
 
 
 def budget_of(request: Budget) -> BudgetResult:
-    """Return what each error of a bench contributes to the coefficients and to any measured acceleration.
+    """Return the contribution of each bench error to the coefficients and to any measured acceleration.
 
-    `procedure` says which readings a calibration is of, `coefficients` (a result of `bench calibrate --json`)
-    of which block, `trials` how many Monte Carlo trials judge the linear result (0: none), `limit` the limit of
-    Δg in g and `rule` ("simple", "guarded" or "non-binary", with `guard_band` in U) how it is judged, the bench
-    file's unless given; `same_voltmeters` that the block is used with those of the calibration, `g` local gravity
-    in m/s². Raises `Refused`, `CalibrationError`, `FileMistakes`.
+    `procedure` states the readings of the calibration, `coefficients` (a result of `bench calibrate --json`) the
+    block, by default that of the bench file. `trials` is the number of Monte Carlo trials that check the linear
+    propagation (0: none). `limit` of Δg in g, `rule` ("simple", "guarded" or "non-binary") and `guard_band` in U
+    replace those of the bench file. `same_voltmeters` states that the block will be used with the voltmeters of
+    the calibration. `g` is local gravity in m/s². Raises `Refused`, `CalibrationError`, `FileMistakes`.
     """
     check_gravity(request.g)
     estimator = in_a_budget(request.estimator).name
@@ -315,7 +318,7 @@ def _check_trials(trials: int) -> None:
 
 
 def _with_gravity(taken: BenchTaken, g_m_s2: float | None) -> BenchFile:
-    """Return the bench, with the gravity asked for in place of its own."""
+    """Return the bench file, with local gravity `g_m_s2` if given. Raises `Refused` if neither states gravity."""
     bench = taken.file
     if g_m_s2 is not None:
         bench = bench.model_copy(update={"gravity": g_m_s2})
@@ -362,9 +365,9 @@ ACCELERATIONS: Final = frozenset({ACCELERATION_OF, MODULUS_OF})
 
 
 def requirements(request: Require) -> Requirements:
-    """Return how large each error of a bench may be for k u of a quantity to keep to an accuracy.
+    """Return the largest size of each bench error for which k u of a quantity stays within an accuracy.
 
-    Raises `Refused` for what cannot be asked, `FileMistakes`, `CalibrationError`.
+    Raises `Refused` for invalid options, `FileMistakes`, `CalibrationError`.
     """
     estimator = in_a_budget(request.estimator).name
     taken = find_bench_file(request.bench)
@@ -394,7 +397,7 @@ def requirements(request: Require) -> Requirements:
         )
     if not (request.with_reading or of in COEFFICIENTS):
         left_out.append("the reading in use (--with-reading)")
-    # what was not counted adds by itself: other sources, and the reading in use
+    # the variance not counted: that of the other sources and of the reading in use
     whole = replace(asked, sources=tuple(every), target=_target(request, file, reading=True)[0])
     reached, shares = asked.reached(), asked.shares()
     result = RequireResult.from_object(
@@ -422,7 +425,7 @@ def requirements(request: Require) -> Requirements:
 
 
 def _target(request: Require, bench: BenchFile, *, reading: bool) -> tuple[Target, str, QuantityKind]:
-    """Return the required quantity, its unit, and the form in which its accuracy is written."""
+    """Return the quantity with a required accuracy, its unit, and the kind of quantity that the accuracy is."""
     of, up_to = request.of, request.up_to
     if up_to is not None and of not in ACCELERATIONS:
         raise Refused("--up-to belongs to --of acceleration and --of modulus")
@@ -449,7 +452,7 @@ def _up_to_g(up_to: str | None, bench: BenchFile) -> float:
 
 
 def _costs(share: str, given: Sequence[str], names: Sequence[str]) -> dict[str, float] | None:
-    """Return the weights of costs, None for equal parts of the variance."""
+    """Return the cost weights by error; None for equal parts of the variance. Raises `Refused` for invalid ones."""
     if share not in {"equal", "cost"}:
         raise Refused(f"--share is equal or cost, not {share!r}")
     if given and share != "cost":
@@ -471,7 +474,7 @@ def _costs(share: str, given: Sequence[str], names: Sequence[str]) -> dict[str, 
 
 
 def _alternatives(asked: Requirement, bench: BenchFile, plan: Plan) -> Iterator[AlternativePart]:
-    """Yield the other estimators on the procedure, then other procedures that the bench can carry out."""
+    """Yield the results of other estimators with this procedure, then of other procedures for this bench."""
     shares = asked.shares()
     dominant = next(s for s in asked.sources if s.name == max(shares, key=shares.__getitem__))
     for estimator in tracked(ESTIMATORS, "other estimators"):
@@ -491,7 +494,7 @@ def _alternatives(asked: Requirement, bench: BenchFile, plan: Plan) -> Iterator[
 def _alternative(
     asked: Requirement, dominant: ErrorSource, plan: Plan, bench: BenchFile
 ) -> Iterator[AlternativePart]:
-    """Yield the result of an alternative; nothing where the estimator cannot use such readings."""
+    """Yield the result of an alternative, or nothing if its estimator cannot use the readings."""
     try:
         reached, limit = asked.reached(), asked.alone(dominant)
     except CalibrationError:

@@ -71,7 +71,7 @@ def run_summary(run: Run, digest_of: Callable[[Run], Digest] = Digest.of) -> Run
 
 
 def show_run(run: Run, request: ShowRun) -> ShowResult:
-    """Return what a run holds, and what its record proves where that is asked. Raises as `proof_of`."""
+    """Return the content of a run and, if asked for, the evidence for its record. Raises as `proof_of`."""
     told: list[str] = []
     problems = list(run.history.problems)
     if request.proved and not problems:
@@ -89,9 +89,9 @@ def supply_in_words(run: Run) -> str:
 
 
 def _verdict(run: Run) -> str | None:
-    """Return the verdict that stands in a run's folder, None where there is none.
+    """Return the verdict in a run's result file; None if there is none.
 
-    Results of versions before have no statement: they passed or failed.
+    Results of earlier versions have no statement, only passed or failed.
     """
     try:
         found = json.loads(read_regular(run.folder / f"{VERIFY}.json").decode())
@@ -102,7 +102,7 @@ def _verdict(run: Run) -> str | None:
 
 
 def _state_and_next(run: Run, digest: Digest) -> tuple[str, str]:
-    """Return the state of a run in words, and the command that goes on with it."""
+    """Return the state of a run in words, and the command that continues it (empty if nothing is to be done)."""
     if digest.problems:
         return "damaged", f"bench show {run.name} --verify"
     if run.imported:
@@ -131,9 +131,10 @@ class SealResult:
 
 
 def seal_run(request: SealRun, passphrase: Callable[[], bytes]) -> SealResult:
-    """Seal a run that has ended; a server that gives no time stamp leaves it without one.
+    """Seal a run that has ended; if the server gives no time stamp, the seal is written without one.
 
-    Raises `RecordError` for a run or a key that is not fit for it, `Refused` where the seal cannot be written.
+    Raises `RecordError` for a run that cannot be sealed or an unusable key, `Refused` if the seal cannot be
+    written.
     """
     run, key, server = find_run(request.run, runs_folder(request.runs)), request.key, request.timestamp
     if server is not None:
@@ -157,7 +158,7 @@ def proof_of(run: Run, request: ShowRun) -> tuple[list[str], list[str]]:
     """Return the evidence for a record and the problems with it, a sentence each.
 
     The record is checked against its seal, and against a head, a public key and an authority that were kept
-    elsewhere. Raises `Refused` for a head that is none, `RecordError` for a key that cannot be read.
+    elsewhere. Raises `Refused` for an invalid head, `RecordError` for a key that cannot be read.
     """
     head, key, authority = request.head, request.key, request.authority
     if head is not None and re.fullmatch(r"[0-9a-f]{64}", head.lower()) is None:
@@ -193,7 +194,7 @@ def proof_of(run: Run, request: ShowRun) -> tuple[list[str], list[str]]:
 
 
 def _signature(seal: Seal, given: Ed25519PublicKey | None, told: list[str], problems: list[str]) -> bool:
-    """Add sentences on who signed the seal, and whether the signature is by the given key."""
+    """Add sentences on the signature to `told` or `problems`; return whether the given key signed the seal."""
     if not seal.signature:
         told.append(
             f"sealed at {seal.events} events, not signed: who can write the folder can write such a seal"
@@ -217,7 +218,7 @@ def _signature(seal: Seal, given: Ed25519PublicKey | None, told: list[str], prob
 
 
 def _time_stamp(seal: Seal, authority: Path | None, told: list[str], problems: list[str]) -> bool:
-    """Add sentences on the latest time at which the seal was made, and whether a trusted authority confirms it."""
+    """Add sentences on the time stamp to `told` or `problems`; return whether a trusted authority made it."""
     if not seal.time_stamp:
         told.append(f"no time stamp: that it was sealed at {seal.sealed} is what the computer's clock said")
         if authority is not None:

@@ -63,10 +63,10 @@ LEAST_GRAVITY, MOST_GRAVITY = 9.75, 9.85
 
 @dataclass(frozen=True)
 class Request:
-    """The request that all analyses share: the readings, and the options that replace the defaults.
+    """The sources of an analysis, and the options that replace the defaults.
 
-    `runs` is the folder of runs by name. `bench` is a bench file by path, name or content. `out` is a folder
-    for files derived from the readings.
+    `runs` is the folder of runs by name. `bench` is a bench file by path, name or content. `out` is a folder for
+    files derived from the readings.
     """
 
     sources: Sequence[Given]
@@ -79,7 +79,7 @@ class Request:
 
 
 def reading(asked: OnReadings, *sources: Given | Path, out: Path | None = None) -> Request:
-    """Return what reads the sources of a request; relative places are those of where the program was called."""
+    """Return the `Request` to read `sources` with the options of a command; `out` replaces its output folder."""
     model, place = getattr(asked, "model", None), out or getattr(asked, "out", None)
     return Request(
         [str(source) if isinstance(source, Path) else source for source in sources],
@@ -96,13 +96,12 @@ def reading(asked: OnReadings, *sources: Given | Path, out: Path | None = None) 
 class Source:
     """The readings of one run, file or table, with bench and model. `run` is None for readings without a run.
 
-    `taken` is the bench file with the reason for it; `bench` is its content for the unit of these readings.
-    `origin` is the origin of the readings, None where it is not recorded. `readings` are corrected by the
+    `taken` is the bench file with the reason for its choice; `bench` is its content, with the unit that was
+    measured. `origin` is the origin of the readings, None if it is not recorded. `readings` are corrected by the
     certificates of the instruments (`traced`) and by learned differences of the voltmeters; `as_read` are the
-    uncorrected ones. `effects` are the user's own effects: those known to the program, and those whose
-    formulas are in the bench file or the model file. `known` are stand and noise as learned from other runs,
-    None without any. `known_meters` are the learned differences of the voltmeters, `learned_of` says from
-    what.
+    uncorrected ones. `effects` are the user's own effects, known to the program or written as formulas in the
+    bench file or the model file. `known` are stand and noise as learned from other runs, None if none were.
+    `known_meters` are the learned differences of the voltmeters, identified by `learned_of`.
     """
 
     name: str
@@ -123,26 +122,26 @@ class Source:
 
     @property
     def simulated(self) -> bool:
-        """Whether the readings come from simulated instruments, as far as anybody says where they come from."""
+        """Whether the readings are recorded as simulated; False if their origin is not recorded."""
         return self.origin is not None and self.origin.simulated
 
     @property
     def meters(self) -> tuple[str, ...]:
-        """Which voltmeters read: what each answered, and where on which bench; empty where nobody recorded it.
+        """The identity, address and bench of each voltmeter; empty if one of them was not recorded.
 
-        Many answer without a serial number, so that the identity alone is that of all of their kind.
+        The address is included because many voltmeters identify themselves without a serial number.
         """
         told = {} if self.origin is None else self.origin.instruments
         meters = self.bench.instruments.voltmeters
         if not all(told.get(meter.name) for meter in meters):
             return ()
-        # errors cancel between two calibrations where both took the same of them away
+        # meter errors cancel between two calibrations only if both removed the same learned differences
         taken = f", {self.learned_of} taken away" if self.known_meters is not None else ""
         return tuple(f"{told[m.name]} at {m.resource} of {self.bench.name}{taken}" for m in meters)
 
     @property
     def block_name(self) -> str:
-        """Type and serial number of the block; empty where neither a run nor a bench file asked for says it."""
+        """Type and serial number of the block; empty if no origin and no bench file asked for states them."""
         if self.origin is None and not (self.request.bench or os.environ.get("BENCH_FILE")):
             return ""
         unit = self.bench.unit_under_test
@@ -150,12 +149,12 @@ class Source:
 
     @property
     def made_at(self) -> str | None:
-        """Civil time at which the run was begun (ISO 8601); None where nobody recorded it."""
+        """Civil time at which the run was begun (ISO 8601); None if it was not recorded."""
         return self.origin.begun or None if self.origin is not None else None
 
     @property
     def what_if(self) -> bool:
-        """Whether a run is evaluated with other options than it recorded; its own results then stay."""
+        """Whether a run is evaluated with other options than it recorded; results then go to a separate folder."""
         if self.run is None:
             return False
         asked = self.request
@@ -165,12 +164,12 @@ class Source:
 
     @property
     def stand_u(self) -> dict[str, float]:
-        """Standard uncertainties of the stand's errors by name, rad; the voltmeter's only for signals in V."""
+        """Standard uncertainties of the stand's errors by name, rad; the voltmeter's in V, 0 for other signals."""
         sizes = {name: d.u for name, d in self.bench.stand_distributions().items()}
         return sizes if self.readings.unit == VOLTS else sizes | {"voltmeter_error": 0.0}
 
     def made_from(self) -> dict[str, Any]:
-        """Return the members by which a result says what it was made from."""
+        """Return the members by which a result states its source, bench, date, unit and certificates."""
         unit = self.bench.unit_under_test
         return {
             "source": self.name,
@@ -182,17 +181,18 @@ class Source:
         }
 
     def as_certified(self) -> Source:
-        """Return the source without what was learned: readings corrected by certificates alone, stated limits."""
+        """Return the source without learned values: corrected by certificates alone, with the stated limits."""
         readings = corrected(self.as_read, self.traced.by_certificates)
         return replace(
             self, known=None, known_meters=None, readings=replace(readings, notes=self.readings.notes)
         )
 
     def output(self, command: str, suffix: str, *, what_if: bool = False) -> Path:
-        """Return the file that a command writes for this source.
+        """Return the path of the file that a command writes for this source.
 
-        In the run's folder, in `--out`, or in a folder named after the command beside the readings file. What would
-        be, were something else than what the run recorded (`what_if`), goes into a folder of its own in the run's.
+        The file lies in the folder of `--out`, else in the run's folder, else in a folder named after the command
+        beside the readings file. With `what_if`, it lies in the folder `what-if` of the run, unless `--out` is
+        given.
         """
         file = _output(self.name, self.run, self.request.out, command, suffix)
         aside = what_if and self.run is not None and self.request.out is None
@@ -200,14 +200,14 @@ class Source:
 
 
 def load_sources(request: Request) -> list[Source]:
-    """Read all sources. Raises the first mistake found, as the readers do."""
+    """Read all sources of a request. The first source that cannot be read raises its error."""
     check_gravity(request.g_m_s2)
     check_places(request)
     return [_load(given, request) for given in request.sources]
 
 
 def check_places(request: Request) -> None:
-    """Raise `Refused` for sources of which one would overwrite the files of another."""
+    """Raise `Refused` if two sources would write the same files, or if `out` is an existing file."""
     if request.out is not None and request.out.exists() and not request.out.is_dir():
         raise Refused(f"--out {request.out}: a file of that name is there; give a folder")
     places = []
@@ -226,7 +226,7 @@ def _output(name: str, run: Run | None, out: Path | None, command: str, suffix: 
 
 
 def data_sha256(readings: Readings) -> str:
-    """Return the SHA-256 by which a model file knows readings: that of the readings file they make."""
+    """Return the SHA-256 that identifies readings in a model file: that of the readings written as CSV."""
     return _hash(readings, to_the_bit=False)
 
 
@@ -237,7 +237,7 @@ def _hash(readings: Readings, *, to_the_bit: bool = True) -> str:
 
 
 def _knows(stated: str | None, readings: Readings) -> bool:
-    """Whether these readings are among those of a model file's hashes; earlier versions hashed every bit."""
+    """Return whether a model file's hashes include these readings; earlier versions hashed every bit."""
     hashes = (stated or "").split()
     return bool(hashes) and (data_sha256(readings) in hashes or _hash(readings) in hashes)
 
@@ -285,7 +285,7 @@ def _load(given: Given, request: Request) -> Source:
 
 
 def _on_power(own: Iterable[Effect], readings: Readings) -> tuple[str, ...]:
-    """Return a note where formulas count from when the block was switched on, and the readings do not say when."""
+    """Return a note if formulas use the time since power-on and the readings do not contain it."""
     names = [e.name for e in own if isinstance(e, FormulaEffect) and SINCE_POWER_ON in names_in(e.expression)]
     if not names or SINCE_POWER_ON_S in readings.extra:
         return ()
@@ -322,7 +322,7 @@ def _learned(
 
 
 def _on_check_block(run: Run) -> tuple[str, ...]:
-    """Return notes on the check block where it spoke against the run when that began."""
+    """Return a note if a run was begun although the check block was not in control."""
     told = run.manifest.get("check_block")
     if told is None or "said" not in told or told.get("state") == "in control":
         return ()
@@ -332,7 +332,7 @@ def _on_check_block(run: Run) -> tuple[str, ...]:
 
 
 def _of_unit(bench: BenchFile, origin: Origin | None) -> tuple[BenchFile, tuple[str, ...]]:
-    """Return the bench with the unit that the readings are of, and a note where its file names another."""
+    """Return the bench with the unit that was measured, and a note if the bench file names another unit."""
     stated = bench.unit_under_test
     unit = origin.unit_under_test if origin is not None else None
     if unit is None or (unit.type, unit.serial) == (stated.type, stated.serial):
@@ -359,9 +359,10 @@ def _readings_of(given: Given, run: Run | None, bench: BenchFile, *, skip_bad_ro
 def _of_model_file(
     file: ModelFile, readings: Readings, plain: ForwardModel
 ) -> tuple[ForwardModel, tuple[str, ...]]:
-    """Return the model of a file for these readings, with a note where they are what it was found in.
+    """Return the model of a model file, with notes.
 
-    Its values have then seen the readings: as priors they would count them twice.
+    If the model was found in these readings, its values are estimated anew: as priors they would count the
+    readings twice.
     """
     model = replace(plain, effects=file.applied_effects(), name=file.name)
     dark: tuple[str, ...] = ()
@@ -377,7 +378,7 @@ def _of_model_file(
 
 
 def _run_of(name: str, runs: Path) -> Run | None:
-    """Return the run of this name; None for a readings file. Raises `Refused` for a missing readings file."""
+    """Return the run of this name; None for a readings file. Raises `Refused` if that does not exist."""
     path = Path(name)
     if path.is_file() and path.name != MANIFEST:
         return None
@@ -387,7 +388,7 @@ def _run_of(name: str, runs: Path) -> Run | None:
 
 
 def check_gravity(g_m_s2: float | None) -> None:
-    """Refuse a value of local gravity that is none on Earth. Raises `Refused`."""
+    """Raise `Refused` for a local gravity (m/s²) that does not occur on Earth."""
     if g_m_s2 is not None and not LEAST_GRAVITY <= g_m_s2 <= MOST_GRAVITY:
         raise Refused(f"--g {g_m_s2:g}: local gravity lies between 9.75 and 9.85 m/s² on Earth")
 
@@ -397,7 +398,7 @@ def check_gravity(g_m_s2: float | None) -> None:
 
 @dataclass(frozen=True)
 class Failed:
-    """A source that could not be evaluated, and why, in a sentence."""
+    """A source that could not be evaluated; `problem` is the reason, in a sentence."""
 
     name: str
     problem: str
@@ -407,7 +408,7 @@ class Failed:
         return FailedPart(source=self.name, problem=self.problem).to_dict()
 
     def __str__(self) -> str:
-        """Return the sentence, with the source named once."""
+        """Return the sentence, which begins with the name of the source."""
         return self.problem if self.problem.startswith(self.name) else f"{self.name}: {self.problem}"
 
 
@@ -420,7 +421,7 @@ def attempted(name: str, work: Callable[[], R]) -> R | Failed:
 
 
 def load_each(request: Request) -> list[Source | Failed]:
-    """Read several sources, each by itself; the error of a single source is raised, as by `load_sources`."""
+    """Read each source by itself and return a `Failed` for one that fails; a single source raises its error."""
     if len(request.sources) == 1:
         return [*load_sources(request)]
     check_gravity(request.g_m_s2)
@@ -442,7 +443,7 @@ def each(loaded: Sequence[Source | Failed], work: Callable[[Source], R]) -> list
 
 
 def done(results: Iterable[T | Failed]) -> list[T]:
-    """Return the results that are no `Failed`."""
+    """Return the results without the `Failed` ones."""
     return [one for one in results if not isinstance(one, Failed)]
 
 
@@ -455,7 +456,7 @@ def failures(results: Iterable[object]) -> list[Failed]:
 
 
 def provenance(source: Source) -> dict[str, str]:
-    """Return what the report says of where its numbers come from, in the order in which it says it."""
+    """Return the provenance of a result for the report: texts by label, in the order in which they are printed."""
     run, origin = source.run, source.origin
     stated = {
         "source": source.name,

@@ -40,10 +40,9 @@ _NOTHING: Final = "it states no correction"
 class Traced:
     """The certificates of a bench for readings of a day, and the corrections of the readings.
 
-    Each entry is a certificate with the reason why it corrects nothing, empty where it does. `recorded` says
-    whether a run recorded the readings; other readings are assumed to be as the instruments showed them. `by`
-    are the corrections added to the readings; `by_certificates` is the part by certificates, the rest was
-    learned.
+    Each entry is a certificate with the reason why it corrects nothing, empty if it does correct. `recorded` says
+    whether a run recorded the readings; other readings are assumed to be as the instruments showed them. `by` are
+    all corrections of the readings, `by_certificates` those from certificates; the rest was learned.
     """
 
     day: datetime.date
@@ -53,7 +52,7 @@ class Traced:
     by_certificates: Corrections = NO_CORRECTIONS
 
     def notes(self) -> Iterator[str]:
-        """Yield what a reader of a result must know of the certificates, a sentence each."""
+        """Yield notes on the certificates for the reader of a result, a sentence each."""
         for standing, _ in self.entries:
             yield from standing.remarks()
         applied = [
@@ -70,15 +69,15 @@ class Traced:
                 yield f"readings not corrected by the certificate of {', '.join(names)}: {why}"
 
     def parts(self) -> list[CorrectionPart]:
-        """Return what a result says of each certificate."""
+        """Return the part of a result for each certificate."""
         return [CorrectionPart(**one) for one in self.to_json()]
 
     def to_json(self) -> list[dict[str, Any]]:
-        """Return what a result says of each certificate."""
+        """Return the members of a result for each certificate."""
         return [standing.to_json(why_not=why_not) for standing, why_not in self.entries]
 
     def stated(self) -> dict[str, str]:
-        """Return what a page says of each certificate, by its instrument."""
+        """Return a description of each certificate for the page, by its instrument."""
         return {f"certificate of {s.instrument}": _in_words(s, why_not) for s, why_not in self.entries}
 
 
@@ -98,7 +97,7 @@ def _in_words(standing: Standing, why_not: str) -> str:
 def trace(
     taken: BenchTaken, bench: BenchFile, readings: Readings, origin: Origin | None
 ) -> tuple[BenchFile, Readings, Traced]:
-    """Return the bench without certificates of other instruments, the readings corrected, and what was done."""
+    """Return the bench without certificates of other instruments, the corrected readings, and the certificates."""
     day = _day(origin)
     found = standings(bench, day, _answered(bench, origin))
     entries = tuple((standing, _why_not(standing, taken, readings, origin)) for standing in found)
@@ -109,7 +108,7 @@ def trace(
 
 
 def remarks(bench: BenchFile, serials: Mapping[str, str] | None = None) -> list[str]:
-    """Return what is to be said today of the certificates of a bench; `serials` answered, by name."""
+    """Return today's remarks on the certificates of a bench; `serials` are the reported serial numbers by name."""
     return [words for standing in standings(bench, utc_now().date(), serials) for words in standing.remarks()]
 
 
@@ -122,7 +121,10 @@ def _day(origin: Origin | None) -> datetime.date:
 
 
 def _answered(bench: BenchFile, origin: Origin | None) -> dict[str, str]:
-    """Return the serial numbers of the instruments by name; without a recorded one, that found in the identity."""
+    """Return the serial numbers that the instruments reported, by name; none for a simulated run.
+
+    A serial number that was not recorded is the certificate's, if the recorded identity contains it.
+    """
     if origin is None or origin.simulated:
         return {}
     stated = {s.name: s.certificate.serial for s in bench.instruments.all() if s.certificate is not None}
@@ -158,7 +160,7 @@ def _why_not(standing: Standing, taken: BenchTaken, readings: Readings, origin: 
 def voltmeter_names(
     bench: BenchFile, taken: BenchTaken, origin: Origin | None, readings: str
 ) -> dict[str, str]:
-    """Return the voltmeter of each channel by the record and its bench file; empty where they do not state it."""
+    """Return the name of the voltmeter that read each channel; empty if record and bench file do not state it."""
     recorded = None if origin is None else _recorded(bench, taken, origin, readings)
     if origin is None or recorded is None:
         return {}
@@ -175,7 +177,10 @@ def voltmeter_names(
 
 
 def _recorded(bench: BenchFile, taken: BenchTaken, origin: Origin, readings: str) -> BenchFile | None:
-    """Return the bench file of the record: one that was asked for in its place may have the meters otherwise."""
+    """Return the bench file with which readings were recorded; None if it is not found.
+
+    The bench file of the evaluation may differ from it and assign other voltmeters to the channels.
+    """
     if taken.sha256 == origin.bench.sha256:
         return bench
     path = origin.bench_file(Path(readings))
@@ -186,7 +191,7 @@ def _recorded(bench: BenchFile, taken: BenchTaken, origin: Origin, readings: str
 
 
 def learned_meters(entry: MetersEntry) -> LearnedMeters:
-    """Return the section of a learned file as a calibration takes it."""
+    """Return the voltmeters' section of a learned file in the form that a calibration uses."""
     gain, zero = (
         LearnedDifferences(np.array(one.values), np.array(one.covariance), entry.group)
         for one in (entry.gain, entry.offset_v)
@@ -254,9 +259,10 @@ def take_learned(
 
 
 def learned_for_run(bench: BenchFile, path: Path, created: str, *, simulated: bool | None) -> LearnedTaken:
-    """Return what counts for a run created at a civil time, by its bench file and where that lies.
+    """Return the learned sizes that are valid for a run created at a time (ISO 8601), by the bench file at `path`.
 
-    A run's own copies say the same whenever it is looked at. Raises `FileMistakes`.
+    If `path` is the run's own copy, later changes of the original files do not change the result. Raises
+    `FileMistakes`.
     """
     file = BenchTaken(bench, str(path), "", "").learned()
     return take_learned(file, datetime.datetime.fromisoformat(created).date(), VOLTS, simulated=simulated)
@@ -272,7 +278,7 @@ def with_effects(model: ForwardModel, effects: tuple[AppliedEffect, ...]) -> For
 def with_meters(
     found: LearnedTaken, file: LearnedFile, bench: BenchFile, day: datetime.date, meters: Mapping[str, str]
 ) -> LearnedTaken:
-    """Return what was taken with the differences of a bench's voltmeters, by who read each channel."""
+    """Return `found` with learned differences of the voltmeters; `meters` names each channel's voltmeter."""
     if file.meters is None:
         return found
     if not meters:

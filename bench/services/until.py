@@ -1,4 +1,4 @@
-"""Runs that measure until their goals are reached: goals, floors and choices; the outlook of any run."""
+"""Runs that measure until goals are reached: goals, floors of uncertainty, choices; the outlook of any run."""
 
 from __future__ import annotations
 
@@ -95,7 +95,10 @@ _PARTS_TOLD: Final = 3
 
 
 def stated_aim(texts: Sequence[str], stand: Stand, bench: BenchFile) -> Aim:
-    """Return the goals of `--until`, several in a text with commas between. Raises `Refused` with all mistakes."""
+    """Return the goals that `--until` states; a text may hold several, separated by commas.
+
+    Raises `Refused` with all mistakes.
+    """
     wanted: list[UntilGoal] = []
     limit_s: float | None = None
     sizes: dict[bool, dict[str, float]] = {False: {}, True: {}}
@@ -169,14 +172,14 @@ def chooser_of(
     model = with_effects(ForwardModel(bench.installation_models()), learned.effects)
     try:
         whole = stand_of(bench, model, learned.known)
-        # of an angle whose size nobody stated the readings' own uncertainty holds nothing
+        # u from the readings alone does not include the angles whose size nobody stated
         told = set() if learned.known is None else {kind for kind, _ in learned.known.keys}
         silent = assumed_stand(bench).keys() - told
         stated = {name: u for name, u in whole.sizes.items() if name not in silent}
         stand = replace(whole, sizes=stated, hidden=())
         aim = stated_aim(texts, stand, bench)
         pool = pool_of(plan, bench.line_frequency)
-        # where it is asked for, points that show such an angle are worth their time
+        # if combined u is asked for, points that show such an angle are worth their time
         by = replace(whole, hidden=()) if all(w.combined or w.goal.loose for w in aim.wanted) else stand
         aim = with_hidden(aim, by, whole, pool)
         _refuse_below_floor(floors(aim, stand, whole, pool))
@@ -187,7 +190,7 @@ def chooser_of(
 
 
 def _refuse_below_floor(found: Sequence[Floor]) -> None:
-    """Raise `Refused` for goals that no number of readings reaches, with the floor and what makes it."""
+    """Raise `Refused` for goals that no number of readings reaches, stating the floor of u and its main causes."""
     if not found:
         return
     worst = max(found, key=lambda floor: floor.u / floor.wanted.goal.asked)
@@ -226,7 +229,7 @@ class Until:
         self._point_of = {point.reads[0]: point for point in self._chooser.pool.points}
 
     def __call__(self, index: int, progress: PlanProgress) -> dict[str, Any] | None:
-        """Return the choice at a step; None where there is nothing to choose."""
+        """Return the choice before step `index` as JSON data; None if there is nothing to choose."""
         pool = self._chooser.pool
         last = progress.chosen[-1] if progress.chosen else None
         refused = frozenset(v.mount for v in pool.visits if v.mount_step in progress.skipped)
@@ -240,14 +243,14 @@ class Until:
                 own = {step for point in visit.points for step in point.steps} | set(visit.steps)
                 needless = frozenset(own - progress.left_out - progress.done)
         again = any(step >= index and not progress.settled(step) for step in progress.redone)
-        if (index < comes and not needless) or again:  # what is taken again counts in the choice
+        if (index < comes and not needless) or again:  # a reading to be repeated counts in the choice
             return None
         visited = -1 if last is None else int(last["visit"])
         choice = self._chooser.choose(self._standing(visited, refused, progress))
         return replace(choice, left_out=choice.left_out | needless).to_json()
 
     def _standing(self, visit: int, refused: frozenset[Mounting], progress: PlanProgress) -> Standing:
-        """Return the present standing of the run by its record on the disk."""
+        """Return the state of the run that the choice depends on, read from its record on disk."""
         history = Run(self._run.folder).trusted_history()
         taken = {step: r for step, r in history.readings.items() if step in self._point_of}
         done: Counter[Site] = Counter()
@@ -271,7 +274,7 @@ class Until:
         return self._with_noise(standing, history) if taken else standing
 
     def _with_noise(self, standing: Standing, history: History) -> Standing:
-        """Add what the readings tell of the noise, and what a calibration from them states."""
+        """Return the state with the noise of the readings and the uncertainties of a calibration from them."""
         (source,) = load_sources(Request([str(self._run.folder)], self._run.folder.parent))
         readings = source.readings.select(source.readings.installation != VERIFICATION)
         standing = replace(standing, scale=scale_of(self._chooser.stand, readings))
@@ -283,7 +286,7 @@ class Until:
         return replace(standing, reached=self._reached(result), apart=apart)
 
     def _telling_apart(self, standing: Standing) -> frozenset[Site]:
-        """Return the sites of this mounting, not read yet, that tell apart what may explain a misfit."""
+        """Return the unread sites of this mounting that best distinguish possible causes of a lack of fit."""
         open_sites = {standing.site_of(p) for p in self._chooser.open_points(standing.visit, standing)}
         sites = sorted(open_sites - set(standing.done))
         if not sites:
@@ -303,7 +306,10 @@ class Until:
 
 
 def noted_goals(manifest: Manifest, plan: Plan, bench: BenchFile, texts: Sequence[str]) -> tuple[str, ...]:
-    """Keep the goals in the manifest; return how long a run for them will take, as a sentence. Raises `Refused`."""
+    """Note the goals in the manifest; return sentences on the learned sizes used and on the expected duration.
+
+    Raises `Refused` for invalid goals.
+    """
     manifest["until"] = [*texts]
     learned = learned_for_run(
         bench, Path(manifest["bench"]), manifest["created"], simulated=bool(manifest["dry_run"])
@@ -314,7 +320,7 @@ def noted_goals(manifest: Manifest, plan: Plan, bench: BenchFile, texts: Sequenc
 def outlook_until(
     plan: Plan, bench: BenchFile, texts: Sequence[str], learned: LearnedTaken = NOTHING_LEARNED
 ) -> TimeOutlook:
-    """Return how long a run for these goals will take at the noise that the bench file states, or was learned."""
+    """Return the expected duration of a run to these goals, at the noise stated by the bench file or learned."""
     found = time_outlook(chooser_of(plan, bench, texts, learned))
     return replace(found, learned=learned.known is not None and learned.known.noise is not None)
 
@@ -389,7 +395,7 @@ def _find(plan: Plan, bench: BenchFile, runs: Path) -> Findings:
 
 
 def _hints(bench: BenchFile) -> Iterator[str]:
-    """Return hints on likely mistakes for a real bench that a simulated one allows, and on the certificates."""
+    """Yield remarks on certificates, and hints on likely mistakes that only a real bench would reveal."""
     yield from remarks(bench)
     for meter in bench.instruments.voltmeters:
         if is_serial(meter.resource) and meter.interface == "lan":
@@ -400,7 +406,7 @@ def _hints(bench: BenchFile) -> Iterator[str]:
 
 
 def _outlook(plan: Plan, bench: BenchFile) -> Outlook | None:
-    """Return what a calibration from the plan leaves undetermined; None where an installation is not known."""
+    """Return the outlook on what the plan leaves undetermined, with remedies; None for an unknown installation."""
     settings = settings_of(plan)
     installations = bench.installation_models()
     if not {s.mount.installation for s in settings} <= set(installations):

@@ -40,7 +40,8 @@ from bench.services.source import Source
 class VerdictOptions:
     """Options of a verdict that replace the values of the bench file; None keeps a value.
 
-    `limit_g` of |Δg| in g, `rule` and its guard band in U, `population` (mean, standard deviation of Δg in g).
+    `limit_g` is the limit of |Δg| in g, `rule` the name of the decision rule, `guard_band` its guard band in
+    multiples of U. `population` is the mean and the standard deviation of Δg over many blocks, in g.
     """
 
     limit_g: float | None = None
@@ -50,19 +51,19 @@ class VerdictOptions:
 
     @classmethod
     def of(cls, request: Judging) -> VerdictOptions:
-        """Return what a request asks for. Raises `Refused` as `check`."""
+        """Return the verdict options of a request. Raises `Refused` for invalid ones."""
         asked = cls(request.limit, request.rule, request.guard_band, request.population)
         asked.check()
         return asked
 
     @classmethod
     def of_run(cls, run: Run | None) -> VerdictOptions:
-        """Return what was asked for when a run was begun."""
+        """Return the verdict options with which a run was begun; for None, no options."""
         recorded = {} if run is None else run.manifest.get("verdict", {})
         return cls(recorded.get("limit_g"), recorded.get("rule"), recorded.get("guard_band"))
 
     def recorded(self) -> VerdictAsked:
-        """Return what was asked for as a run keeps it, empty where nothing was. Raises `Refused`."""
+        """Return the options that are set, as the record of a run keeps them. Raises `Refused` for invalid ones."""
         self.check()
         record: VerdictAsked = {}
         if self.limit_g is not None:
@@ -74,7 +75,7 @@ class VerdictOptions:
         return record
 
     def check(self) -> None:
-        """Refuse, all at once, a limit, a rule, a guard band or a population that is none. Raises `Refused`."""
+        """Raise `Refused` with all invalid values among limit, rule, guard band and population."""
         mistakes = []
         if self.limit_g is not None and not (math.isfinite(self.limit_g) and self.limit_g > 0):
             mistakes.append(f"--limit {self.limit_g}: a limit is a positive number of g, such as 3e-4")
@@ -104,7 +105,7 @@ class Judgement:
     population: Population | None
 
     def but(self, asked: VerdictOptions) -> Judgement:
-        """Return the judgement with the options asked for; a guard band is kept only with its own rule."""
+        """Return the judgement with the options `asked` applied; naming another rule discards the guard band."""
         rule = self.rule
         if asked.guard_band is not None:
             rule = DecisionRule.of(asked.rule or rule.name, asked.guard_band)
@@ -121,10 +122,10 @@ class Judgement:
 def judgement_of(
     bench: BenchFile, *asked: VerdictOptions, default: DecisionRule = NOBODY_STATED_ONE
 ) -> Judgement:
-    """Return the basis of a verdict: the options asked for, of which the last count first, else the bench file.
+    """Return the basis of a verdict: the values of the bench file, replaced by the options asked for.
 
-    Where neither names a rule, the rule is the `default`. Raises `Refused` as `Asked.check`, and
-    `CalibrationError` for a guard band with a rule that has none.
+    Later options override earlier ones. `default` is the rule if none is named. Raises `Refused` for invalid
+    options, and `CalibrationError` for a guard band with a rule that has none.
     """
     stated, known = bench.verification, bench.verification.population
     judgement = Judgement(
@@ -139,9 +140,9 @@ def judgement_of(
 
 
 def own_judgement(source: Source, *asked: VerdictOptions, agreed: DecisionRule | None = None) -> Judgement:
-    """Return the basis of the verdict on a source: for a run as stated when it was begun, unless options differ.
+    """Return the basis of the verdict on a source: options `asked`, else those of the run, else the bench file.
 
-    `agreed` holds where neither the run nor its bench file names a rule.
+    `agreed` is the decision rule if none of these names one.
     """
     return judgement_of(
         source.bench, VerdictOptions.of_run(source.run), *asked, default=agreed or _default_of(source.run)
@@ -160,8 +161,8 @@ def _default_of(run: Run | None) -> DecisionRule:
 class VerificationResult:
     """Δg at the verification points of a source against the limit.
 
-    `warnings` are sentences on the coefficients used, `said` on their uncertainty. `fit` is the lack of fit
-    where the coefficients are from the same readings.
+    `warnings` are sentences on the coefficients used, `said` on their uncertainty. `fit` is the lack-of-fit test
+    of coefficients from the same readings, None for coefficients of an earlier calibration.
     """
 
     source: Source
@@ -172,7 +173,7 @@ class VerificationResult:
 
     @property
     def accepted(self) -> bool:
-        """Whether it passed, by coefficients of these readings that are accepted, or by those of another day."""
+        """Whether the verification passed, with coefficients whose own fit, if it is known, is accepted."""
         return self.passed and (self.fit is None or self.fit.accepted())
 
     @property
@@ -182,7 +183,10 @@ class VerificationResult:
 
     @property
     def statement(self) -> str:
-        """pass, conditional pass, conditional fail, fail; inconclusive where U exceeds the limit; not complete."""
+        """The overall statement: pass, conditional pass, conditional fail, fail, inconclusive or not complete.
+
+        It is inconclusive if U exceeds the limit, and not complete if a point was not measured.
+        """
         return str(self.verification.statement)
 
     @property
@@ -193,22 +197,22 @@ class VerificationResult:
 
     @property
     def bench(self) -> str:
-        """Which bench file gave the limit, the rule, the errors of the stand and gravity; and why that one."""
+        """The name of the bench file used for limit, rule, errors of the stand and gravity; why it was used."""
         return self.source.taken.words
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """What the statements mean, what can be done, and what the rule does to all blocks."""
+        """Sentences on the meaning of the statements, on remedies, and on the global risk of the rule."""
         return (*advice(self.verification), *global_risk_in_words(self.verification))
 
     @property
     def _against(self) -> tuple[str, ...]:
-        """Reasons against coefficients that were found from the same readings."""
+        """Sentences on a lack of fit of coefficients that were estimated from the same readings."""
         return () if self.fit is None else self.fit.diagnose(self.source.name)
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What a reader of the result should know, a sentence each."""
+        """Notes for the reader of the result, a sentence each."""
         return (*self.source.readings.notes, *self.source.readings.skipped, *self.sentences)
 
     def result(self) -> VerifyResult:
@@ -225,11 +229,11 @@ class VerificationResult:
         return self.result().to_dict()
 
     def verdict(self) -> str:
-        """Return the verdict in one line, and why it is not accepted where the coefficients are not."""
+        """Return the verdict in one line, with the lack of fit of the coefficients if it speaks against them."""
         return "; ".join((verdict_line(self.source.name, self.verification), *self._against))
 
     def print_on(self, out: Console) -> None:
-        """Print Δg at each verification point, and what a reader should know."""
+        """Print Δg at each verification point, and the notes."""
         print_verification(self.verification, self.notes, out)
 
     def __repr__(self) -> str:
@@ -257,9 +261,10 @@ def judged(
     own: Calibration | None = None,
     warnings: tuple[str, ...] = (),
 ) -> VerificationResult:
-    """Judge the verification points of a source with coefficients; `own` is their calibration by its readings.
+    """Return the verification of a source with the coefficients `taken`.
 
-    Raises `CalibrationError` where there is no verification point.
+    `own` is the calibration behind them if they are from the source's own readings. Raises `CalibrationError` if
+    there is no verification point.
     """
     said: tuple[str, ...] = ()
     if own is None:
@@ -284,9 +289,10 @@ def judged(
 
 
 def _of_another_day(taken: Coefficients, source: Source) -> tuple[Floats, tuple[str, ...]]:
-    """Return the covariance of |a| at the points for coefficients of another day, and what is to be said of it.
+    """Return the covariance of |a| at the points with coefficients of an earlier calibration, and a sentence on it.
 
-    The errors of meters that are the same cancel on one day, and less the longer they may have drifted.
+    Errors of meters used on both occasions cancel on the same day. They cancel the less, the longer the meters
+    may have drifted in between.
     """
     known = taken.covariance if taken.same_meters is None else taken.same_meters
     part = drifted((taken.meters, _when(taken.made_at)), (source.meters, _when(source.made_at)))
@@ -315,7 +321,7 @@ def _of_another_day(taken: Coefficients, source: Source) -> tuple[Floats, tuple[
 
 
 def _when(text: str | None) -> datetime | None:
-    """Return the civil time that a result states; None where it states none."""
+    """Return an ISO 8601 time as a datetime with a time zone; None for an empty or invalid text."""
     try:
         return datetime.fromisoformat(text or "").astimezone()
     except ValueError:

@@ -1,4 +1,4 @@
-"""Statistics that know nothing of a bench; here: adjusted p-values of several tests, contrasts within groups.
+"""Statistics without reference to a bench; this module: adjusted p-values, and contrasts within groups.
 
 Source: S. Holm, "A simple sequentially rejective multiple test procedure", Scand. J. Statist. 6 (1979) 65.
 """
@@ -11,7 +11,7 @@ from bench.base.arrays import Floats, Ints
 
 
 def holm(p: Floats) -> Floats:
-    """Return probabilities (m,) adjusted for m tests: p_(k) times (m - k), never falling, at most 1."""
+    """Return Holm's adjusted p-values: p_(k), k from 0, times (m - k), made non-decreasing, at most 1."""
     order = np.argsort(p)
     stepped = np.maximum.accumulate(p[order] * np.arange(len(p), 0, -1))
     adjusted = np.empty_like(p)
@@ -20,7 +20,7 @@ def holm(p: Floats) -> Floats:
 
 
 def contrasts_within(group: Ints) -> Floats:
-    """Return an orthonormal basis (n, k) of the differences within groups (n,); the mean of a group is none."""
+    """Return an orthonormal basis (n, k) of the differences within groups, for group numbers (n,)."""
     left = np.eye(len(group))
     for number in np.unique(group):
         own = (group == number).astype(np.float64)

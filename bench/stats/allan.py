@@ -1,4 +1,4 @@
-"""Overlapping Allan deviation with its degrees of freedom, and the five noise terms behind it."""
+"""Overlapping Allan deviation with its degrees of freedom, and a fit of five noise terms to it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from bench.base.arrays import Floats, Ints, Mask, u_of
 from bench.base.computing import CalibrationError
 
 LONGEST_PART: Final = 4
-"""Longest averaging time as record length over this: beyond it, one or two values decide."""
+"""Record length over the longest averaging time: beyond it, one or two values decide."""
 CONFIDENCE: Final = 0.95
 LAGS: Final = 100
 """Greenhall and Riley's J_max: largest number of windows whose correlations are summed one by one."""
@@ -23,7 +23,10 @@ LONG_RECORD: Final = {0: (2.0 / 3.0, 1.0 / 3.0), -1: (0.852, 0.375), -2: (1.079,
 
 @dataclass(frozen=True)
 class AllanCurve:
-    """An Allan curve: `deviation` (k,) at `tau_s` (k,), averages of `multiples` (k,) samples of `samples`."""
+    """An Allan curve: `deviation` (k,) at averaging times `tau_s` (k,).
+
+    `multiples` (k,) are the averaging times in samples, `samples` is the length of the record.
+    """
 
     tau_s: Floats
     deviation: Floats
@@ -31,15 +34,15 @@ class AllanCurve:
     samples: int
 
     def freedom(self, alpha: Floats) -> Floats:
-        """Equivalent degrees of freedom (k,), 1 at least, where the noise's spectrum goes as f^alpha.
+        """Return the equivalent degrees of freedom (k,), at least 1, for noise with a spectrum f^alpha.
 
-        alpha (k,) is 2 (quantisation), 0 (white), -1 (flicker) or -2 (random walk); `KeyError` for another.
+        alpha (k,) is 2 (quantisation), 0 (white), -1 (flicker) or -2 (random walk). Raises `KeyError` for another.
         """
         rows = zip(self.multiples.tolist(), np.asarray(alpha).tolist(), strict=True)
         return np.array([max(_freedom(int(a), m, self.samples), 1.0) for m, a in rows], dtype=np.float64)
 
     def limits(self, freedom: Floats) -> tuple[Floats, Floats]:
-        """Return lower and upper limit (k,) of the deviation at 95 % (chi-square with these degrees)."""
+        """Return lower and upper 95 % limits (k,) of the deviation, by chi-square with `freedom` (k,)."""
         tail = (1.0 - CONFIDENCE) / 2.0
         low = self.deviation * np.sqrt(freedom / special.chdtri(freedom, tail))
         high = self.deviation * np.sqrt(freedom / special.chdtri(freedom, 1.0 - tail))
@@ -49,9 +52,9 @@ class AllanCurve:
 def allan_curve(signal: Floats, interval_s: float, multiples: Sequence[int] | None = None) -> AllanCurve:
     """Return the overlapping Allan deviation of samples (n,), one every `interval_s`.
 
-    At averages of 1, 2, 4, … samples up to a quarter of the record, or of `multiples`, in order, as far as the
-    record has two differences of such averages. Raises `CalibrationError` when the record is too short, when
-    the signal never changes, and when a sample is not a number.
+    The averages are over 1, 2, 4, … samples up to a quarter of the record, or over those `multiples` of which the
+    record has two differences. Raises `CalibrationError` if the record is too short, the signal never changes, or a
+    sample is not a number.
     """
     if not np.all(np.isfinite(signal)):
         raise CalibrationError("a sample is not a number; an Allan deviation needs a record without holes")
@@ -64,7 +67,7 @@ def allan_curve(signal: Floats, interval_s: float, multiples: Sequence[int] | No
     found = asked[(asked > 0) & (2 * asked < len(signal))].astype(np.int64)
     if not len(found):
         raise CalibrationError(f"{len(signal)} samples are too few for two differences of such averages")
-    # sums of what is left beside the mean: those of a large mean would swallow the noise's last digits
+    # without the mean: in running sums a large mean would swallow the last digits of the noise
     sums = np.concatenate([[0.0], np.cumsum(signal - signal.mean())])
     deviation = [_deviation(sums, m) for m in found.tolist()]
     tau_s = found.astype(np.float64) * interval_s
@@ -78,10 +81,10 @@ def _deviation(sums: Floats, m: int) -> float:
 
 
 def _freedom(alpha: int, m: int, samples: int) -> float:
-    """Return degrees of freedom at m samples: Greenhall and Riley's cases 2 and 4, for d = 2, F = S = m."""
+    """Return the degrees of freedom at m samples: Greenhall and Riley's cases 2 and 4, with d = 2, F = S = m."""
     windows = samples + 1 - 2 * m
     r = windows / m
-    if alpha == 2:  # windows of white phase noise are alike one and two averages apart only
+    if alpha == 2:  # white phase noise correlates windows only one and two averages apart
         one, two = max(1.0 - 1.0 / r, 0.0), max(1.0 - 2.0 / r, 0.0)
         return windows / (1.0 + 2.0 * (16.0 * one + two) / 36.0)
     a0, a1 = LONG_RECORD[alpha]
@@ -92,7 +95,7 @@ def _freedom(alpha: int, m: int, samples: int) -> float:
 
 
 def _summed(alpha: int, lags: int, windows: int, stride: float, width: float) -> float:
-    """Return the degrees of freedom from the correlations of windows 0 … lags strides apart: their eq. 10."""
+    """Return the degrees of freedom from window correlations at 0 … `lags` strides (Greenhall, Riley, eq. 10)."""
     j = np.arange(lags + 1)
     alike = _covariance(j / stride, alpha, width)
     weight = 2.0 * (1.0 - j / windows)
@@ -101,9 +104,10 @@ def _summed(alpha: int, lags: int, windows: int, stride: float, width: float) ->
 
 
 def _covariance(t: Floats, alpha: int, width: float) -> Floats:
-    """Return the covariance, up to a factor, of second differences t (…) averages apart: their eq. 7 to 9.
+    """Return the covariance (…), up to a factor, of second differences `t` averages apart.
 
-    The averages have `width` samples each; an infinite width means a continuous signal.
+    The averages have `width` samples each; an infinite width means a continuous signal. Source: Greenhall and
+    Riley, eq. 7 to 9.
     """
     apart = np.asarray(t)[..., None] + np.arange(-2.0, 3.0)
     if np.isinf(width):
@@ -115,7 +119,7 @@ def _covariance(t: Floats, alpha: int, width: float) -> Floats:
 
 
 def _kernel(t: Floats, alpha: int) -> Floats:
-    """Return the covariance, up to its sign, of phase t (…) apart: |t|^(3 - alpha), times ln |t| if even."""
+    """Return the covariance, up to its sign, of phases t (…) apart: |t|^(3 - alpha), times ln |t| for odd alpha."""
     size = np.abs(t)
     power = size ** (3 - alpha)
     return np.asarray(power if alpha % 2 == 0 else special.xlogy(power, size), dtype=np.float64)
@@ -125,8 +129,8 @@ def _kernel(t: Floats, alpha: int) -> Floats:
 class NoiseTerm:
     """A noise term: its symbol, name, unit relative to the signal's, and contribution to sigma^2.
 
-    sigma^2 = `factor` x^2 tau^`power`; `alpha` is the power of frequency in its spectrum; `alike` the
-    correlation of the Allan variances at tau and 2 tau where it prevails (found by simulation).
+    A term of size x contributes `factor` x^2 tau^`power`. `alpha` is the power of frequency in its spectrum.
+    `alike` is the correlation of the Allan variances at tau and 2 tau where this term prevails (from simulation).
     """
 
     symbol: str
@@ -146,7 +150,7 @@ TERMS: Final = (
     NoiseTerm("R", "drift", "/s", 0.5, 2, -2, 0.95),
 )
 SHOWN: Final = 2.0
-"""A term is shown when its square is more than this many standard uncertainties above zero."""
+"""A term is shown if its square is more than this many standard uncertainties above zero."""
 ROUNDS: Final = 50
 MISFIT_P: Final = 0.001
 
@@ -155,10 +159,9 @@ MISFIT_P: Final = 0.001
 class NoiseTerms:
     """Fitted noise terms: squares of Q, N, B, K, R (5,) with covariance (5, 5), and the test of the fit.
 
-    `freedom` (k,) are the degrees of freedom of the curve's values; `p` is the probability of a misfit so large:
-    it is small where
-    lines in the spectrum (vibration) do not fit these terms. Below 0.001 the covariance
-    is widened by the misfit (Birge's ratio).
+    `freedom` (k,) are the degrees of freedom of the curve's values. `p` is the p-value of the misfit; it is small
+    if the spectrum has lines (vibration), which these terms do not describe. Below 0.001 the covariance is widened
+    by the misfit (Birge ratio).
     """
 
     squares: Floats
@@ -188,11 +191,11 @@ class NoiseTerms:
         return np.asarray(np.sqrt(self.squares + 2.0 * u_of(self.covariance)), dtype=np.float64)
 
     def deviation(self, tau_s: Floats | float) -> Floats:
-        """Return the Allan deviation from the terms at averaging times (…)."""
+        """Return the Allan deviation of the fitted terms at averaging times (…)."""
         return np.asarray(np.sqrt(_columns(np.asarray(tau_s, dtype=np.float64)) @ self.squares))
 
     def slope(self, tau_s: Floats | float) -> Floats:
-        """Return d log sigma / d log tau at averaging times (…): -1/2 where white noise prevails."""
+        """Return d log sigma / d log tau at averaging times (…), such as -1/2 where white noise prevails."""
         tau = np.asarray(tau_s, dtype=np.float64)
         parts = _columns(tau) * self.squares
         powers = np.array([term.power for term in TERMS])
@@ -210,7 +213,7 @@ def fit_terms(curve: AllanCurve) -> NoiseTerms:
     for _ in range(ROUNDS):
         predicted = columns @ squares
         kind = np.argmax(columns * squares, axis=1)
-        # quantisation would have thousands of degrees at any time: no record of something real does
+        # pure quantisation would give thousands of degrees of freedom, which no real record has
         freedom = np.minimum(white, curve.freedom(np.array([TERMS[k].alpha for k in kind])))
         weight = np.sqrt(freedom / 2.0) / predicted
         scaled, scale = _unit_columns(columns * weight[:, None])
@@ -224,7 +227,7 @@ def fit_terms(curve: AllanCurve) -> NoiseTerms:
     weighted = (columns * weight[:, None]) / scale
     free = squares > 0
     covariance = np.zeros((len(TERMS), len(TERMS)))
-    # a term at its bound of nothing leaves the others as they are; how large it could be, all five tell
+    # terms at zero do not affect the covariance of the others; their own is from a fit of all five
     for solved, of in ((np.ones_like(free), ~free), (free, free)):
         solver = np.zeros((len(TERMS), len(measured)))
         solver[solved] = np.linalg.pinv(weighted[:, solved]) * weight
@@ -240,14 +243,14 @@ def fit_terms(curve: AllanCurve) -> NoiseTerms:
 
 
 def _columns(tau_s: Floats) -> Floats:
-    """Return the Allan variance by a unit of each square at averaging times (…), shape (…, 5)."""
+    """Return the Allan variance per unit square of each term at averaging times (…), shape (…, 5)."""
     powers = np.array([float(term.power) for term in TERMS])
     factors = np.array([term.factor for term in TERMS])
     return np.asarray(factors * tau_s[..., None] ** powers, dtype=np.float64)
 
 
 def _start(curve: AllanCurve, columns: Floats, measured: Floats) -> Floats:
-    """Return start values with equal terms at the middle of the curve, so that none begins at its bound."""
+    """Return start values with equal contributions at the middle of the curve, so that none starts at zero."""
     middle = len(measured) // 2
     return np.asarray(measured[middle] / columns[middle] / len(TERMS), dtype=np.float64)
 

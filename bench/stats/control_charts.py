@@ -24,7 +24,7 @@ from bench.base.arrays import Floats, u_of
 from bench.base.computing import CalibrationError
 
 NODES: Final = 96
-"""Number of points of the Gauss-Legendre quadrature: six digits of the ARL with smoothing from 0.03 on."""
+"""Number of Gauss-Legendre quadrature points: they give six digits of the ARL for smoothing of 0.03 or more."""
 LEAST_SMOOTHING: Final = 0.03
 """Least smoothing: below it the published tables end, and the quadrature needs more points."""
 
@@ -35,7 +35,7 @@ def shewhart_arl(k: float, shift: float = 0.0) -> float:
 
 
 def ewma_arl(smoothing: float, k: float, shift: float = 0.0) -> float:
-    """Return the ARL of a two-sided EWMA that begins at the centre, with asymptotic limits throughout.
+    """Return the ARL of a two-sided EWMA chart that starts at the centre, with asymptotic limits throughout.
 
     The limits are k sqrt(smoothing/(2 - smoothing)) standard deviations of one value from the centre; the mean is
     off by `shift` standard deviations from the first value on (Crowder 1987, equation 3).
@@ -55,10 +55,10 @@ def ewma_arl(smoothing: float, k: float, shift: float = 0.0) -> float:
 
 
 def mewma_arl(smoothing: float, limit: float, dimensions: int) -> float:
-    """Return the in-control ARL of a multivariate EWMA that begins at the centre.
+    """Return the in-control ARL of a multivariate EWMA chart that starts at the centre.
 
-    It signals where Z' V^-1 Z is above `limit`, V = smoothing/(2 - smoothing) times the covariance of one value
-    (Rigdon 1995, equation 8, over the length of Z rather than its square, after Knoth 2017).
+    It signals if Z' V^-1 Z exceeds `limit`, where V is smoothing/(2 - smoothing) times the covariance of one value
+    (Rigdon 1995, equation 8, integrated over the length of Z rather than its square, after Knoth 2017).
     """
     if smoothing == 1.0:
         return float(1.0 / special.chdtrc(dimensions, limit))
@@ -76,25 +76,25 @@ def mewma_arl(smoothing: float, limit: float, dimensions: int) -> float:
 
 
 def shewhart_k(arl: float) -> float:
-    """Return the limit of a two-sided Shewhart chart, in standard deviations, that has an in-control ARL."""
+    """Return the limit of a two-sided Shewhart chart with this in-control ARL, in standard deviations."""
     return float(-special.ndtri(0.5 / arl))
 
 
 @cache
 def ewma_k(smoothing: float, arl: float) -> float:
-    """Return the limit of an EWMA, in its own standard deviations, that has an in-control ARL."""
+    """Return the limit of an EWMA chart with this in-control ARL, in standard deviations of the EWMA."""
     return _root(lambda k: ewma_arl(smoothing, k), arl, shewhart_k(arl))
 
 
 @cache
 def mewma_limit(smoothing: float, arl: float, dimensions: int) -> float:
-    """Return the limit of a multivariate EWMA that has an in-control ARL."""
+    """Return the limit of a multivariate EWMA chart with this in-control ARL."""
     most = float(special.chdtri(dimensions, 1.0 / arl))
     return _root(lambda limit: mewma_arl(smoothing, limit, dimensions), arl, most)
 
 
 def _root(length: Callable[[float], float], arl: float, most: float) -> float:
-    """Return the limit at which a rising run length is `arl`; `most`, the limit without memory, bounds it."""
+    """Return the limit at which the increasing run length is `arl`; `most`, the limit without memory, bounds it."""
     return float(
         scipy.optimize.brentq(lambda limit: np.log(length(limit) / arl), 0.2 * most, 1.01 * most, xtol=1e-6)
     )
@@ -109,9 +109,9 @@ BASES: Final = ("stated", "scaled", "scatter")
 class Centre:
     """The centre from a baseline of m runs: `value` (…, p) with `covariance` (p, p), and the true size of u.
 
-    `scale` (…,) is the factor on the stated covariance: 1 where it is believed, else the square
-    of the Birge ratio. `scatter` (…, p, p) is the sample covariance where that alone counts, None else. `dof` are
-    the degrees of freedom of either, infinite where u is believed. Leading axes are charts side by side.
+    `scale` (…,) is the factor on the stated covariance: 1 if that is believed, else the squared Birge ratio.
+    `scatter` (…, p, p) is the sample covariance if the limits rest on it alone, else None. `dof` are the degrees of
+    freedom of `scale` or `scatter`, infinite if u is believed. Leading axes are separate charts.
     """
 
     value: Floats
@@ -127,13 +127,13 @@ class Centre:
         return int(self.value.shape[-1])
 
     def p_single(self, z: Floats) -> Floats:
-        """Return two-sided probabilities of deviations `z` of one coefficient, in its own u."""
+        """Return the two-sided p-values of deviations `z` of one coefficient, in units of its u."""
         if np.isinf(self.dof):
             return np.asarray(special.erfc(np.abs(z) / np.sqrt(2.0)))
         return np.asarray(2.0 * special.stdtr(self.dof, -np.abs(z)))
 
     def p_joint(self, t2: Floats) -> Floats:
-        """Return the probabilities of joint statistics `t2` at least as large."""
+        """Return the p-values of joint statistics `t2`."""
         p = self.dimensions
         if np.isinf(self.dof):
             return np.asarray(special.chdtrc(p, t2))
@@ -161,9 +161,9 @@ class Centre:
 
 @dataclass(frozen=True)
 class JudgedDeviations:
-    """Deviations from the centre (…, n, p) with their `u`, `z` = deviation/u with its probability `p`.
+    """Deviations from the centre (…, n, p) with their `u`, `z` = deviation/u and its p-value `p`.
 
-    `t2` (…, n) is the joint statistic of all coefficients, `p_joint` its probability.
+    `t2` (…, n) is the joint statistic T² of all coefficients, `p_joint` its p-value.
     """
 
     deviation: Floats
@@ -175,14 +175,14 @@ class JudgedDeviations:
 
 
 def least_runs(basis: Basis, dimensions: int) -> int:
-    """Return how many runs a baseline must have at least: with scatter alone, more than there are coefficients."""
+    """Return the least number of runs in a baseline; scatter alone needs more runs than coefficients."""
     return {"stated": 1, "scaled": 3, "scatter": dimensions + 2}[basis]
 
 
 def centre_of(values: Floats, covariances: Floats, basis: Basis) -> Centre:
-    """Return the centre, and the size of u, from runs (…, m, p) with covariances (m, p, p).
+    """Return the centre and the size of u from runs (…, m, p) with covariances (m, p, p).
 
-    Raises `CalibrationError` where they are fewer than the basis needs.
+    Raises `CalibrationError` if the basis needs more runs.
     """
     runs, p = values.shape[-2:]
     if runs < (least := least_runs(basis, p)):
@@ -218,9 +218,9 @@ def judge(
 ) -> JudgedDeviations:
     """Judge runs (…, n, p), in their order, with covariances (n, p, p) against a centre.
 
-    With `smoothing` below 1 it is their EWMA, Z_t = smoothing r_t + (1 - smoothing) Z_{t-1} of the deviations r
-    from the centre, Z_0 = 0. `shared` (n, p, q) is the change of each run by errors of size u that all runs
-    share. `settled` uses the asymptotic variance of the EWMA from the first value on, as published tables do.
+    With `smoothing` below 1 their EWMA is judged: Z_t = smoothing r_t + (1 - smoothing) Z_{t-1} of the deviations r
+    from the centre, Z_0 = 0. `shared` (n, p, q) is the change of each run by errors of size u that all runs share.
+    With `settled` the EWMA has its asymptotic variance from the first value on, as in published tables.
     """
     weight = 1.0 - smoothing
     deviation = _filtered(values - centre.value[..., None, :], smoothing, weight, -2)
@@ -237,7 +237,7 @@ def judge(
         covariance = random
     scale = centre.scale[..., None]
     if shared is not None:
-        # these errors are as they are stated, whatever the baseline says of those that come anew
+        # shared errors keep their stated size: the baseline shows only errors that differ between runs
         common = _filtered(shared, smoothing, weight, 0)
         covariance = scale[..., None, None] * covariance + common @ np.swapaxes(common, -1, -2)
         scale = np.ones_like(scale)
@@ -250,8 +250,7 @@ def judge(
 
 
 def without_one(values: Floats, covariances: Floats, basis: Basis) -> Floats | None:
-    """Return how probable each run (m, p) of a baseline is beside the others, (m,); None where these are too
-    few."""
+    """Return the p-value (m,) of each run of a baseline (m, p) against the others; None if these are too few."""
     runs, p = values.shape
     if runs - 1 < least_runs(basis, p) or runs < 2:
         return None
@@ -279,7 +278,7 @@ DEFAULT_SMOOTHING: Final = 0.2
 class ChartDesign:
     """Design of a chart: average run length between false alarms, smoothing of the EWMA, basis of limits.
 
-    The three statistics that reject share the alarm rate equally: rates of rare alarms add up.
+    The three statistics that reject share the false-alarm rate equally: rates of rare alarms add up.
     """
 
     arl: float = DEFAULT_ARL
@@ -297,7 +296,7 @@ class ChartDesign:
         return 1.0 / self.each_arl
 
     def alpha_ewma(self, dimensions: int) -> float:
-        """Return the probability of chi-square beyond the limit of T² of the EWMA that has its run length."""
+        """Return the chi-square tail probability at the limit of the EWMA's T² that has `each_arl`."""
         return float(special.chdtrc(dimensions, mewma_limit(self.smoothing, self.each_arl, dimensions)))
 
     def alpha_single(self, dimensions: int) -> float:
@@ -316,9 +315,9 @@ ALIKE_P = 0.01
 
 @dataclass(frozen=True)
 class ShortTerm:
-    """Short-term standard deviations with `dof` (n,), against `pooled` of the baseline with `pooled_dof`.
+    """Short-term standard deviations `s` with `dof` (n,), against the baseline's `pooled` with `pooled_dof`.
 
-    `f` is the square of their ratio, `p` the probability of more by chance (F test, one-sided).
+    `f` is the squared ratio of both, `p` its p-value (one-sided F test).
     """
 
     s: Floats
@@ -344,7 +343,7 @@ def short_term(s: Floats, dof: Floats, baseline_s: Floats, baseline_dof: Floats)
     pooled_dof = float(baseline_dof.sum())
     pooled = float(np.sqrt((baseline_dof @ baseline_s**2) / pooled_dof))
     f = (s / pooled) ** 2
-    # what has no degrees of freedom is no estimate: nothing can be said of it
+    # without degrees of freedom there is no estimate to test
     p = np.where(dof > 0, special.fdtrc(np.maximum(dof, 1.0), pooled_dof, f), 1.0)
     return ShortTerm(s, dof, pooled, pooled_dof, f, p)
 
@@ -353,12 +352,12 @@ def short_term(s: Floats, dof: Floats, baseline_s: Floats, baseline_dof: Floats)
 class Components:
     """The variability of each coefficient (p,) in a baseline of `runs` runs.
 
-    `noise` is the part from reading noise (level 1), `stated` the u of one run from everything that comes
-    anew with it; `scatter` is the standard deviation between runs, with `runs` - 1 degrees of freedom, `f`
-    the square of its ratio to `stated` and `p` the probability of more by chance, `between` what it holds
-    beyond stated u, and `between_most` the most that it may hold (95 %). `birge2` is the same ratio of all
-    coefficients together, with `birge_dof` and two-sided `birge_p`; `alike_p` tells whether stated u is as
-    right in every direction.
+    `noise` is the part from reading noise (level 1). `stated` is the u of one run from all errors that differ
+    between runs, `scatter` the standard deviation between runs, with `runs` - 1 degrees of freedom. `f` is the
+    squared ratio of scatter to stated, `p` its one-sided p-value. `between` is the scatter beyond stated u,
+    `between_most` its upper limit (95 %). `birge2` is the same ratio for all coefficients together, with
+    `birge_dof` and two-sided p-value `birge_p`. `alike_p` is the p-value of stated u being equally right in every
+    direction.
     """
 
     runs: int
@@ -381,13 +380,13 @@ class Components:
 
 
 def components_of(values: Floats, covariance: Floats, noise: Floats) -> Components:
-    """Return the components of a baseline (m, p), m above 1, of which each run has `covariance` (p, p)."""
+    """Return the components of a baseline (m, p), m above 1, in which each run has `covariance` (p, p)."""
     runs, p = values.shape
     left = values - values.mean(axis=0)
     stated, scatter = u_of(covariance), values.std(axis=0, ddof=1)
     f = (scatter / stated) ** 2
     excess = np.maximum(0.0, scatter**2 - stated**2)
-    # a variance found from few runs may be so much larger than it seems
+    # the upper 95 % limit of a variance estimated from few runs
     largest = (runs - 1) * scatter**2 / special.chdtri(runs - 1, 0.95)
     scale, axes = np.linalg.eigh(covariance / np.outer(stated, stated))
     squares = ((left / stated) @ axes / np.sqrt(scale)) ** 2
@@ -427,7 +426,7 @@ class DriftSeen:
 
 
 def drift_of(years: Floats, values: Floats, u: Floats, dof: float) -> DriftSeen:
-    """Return straight lines through coefficients (n, p) at times (n,), each value with u (p,) of `dof`."""
+    """Return straight lines through coefficients (n, p) at times (n,); each value has u (p,) with `dof`."""
     centred = years - years.mean()
     spread = float(centred @ centred)
     slope = centred @ values / spread

@@ -1,13 +1,14 @@
-"""Crossed random effects of units and benches: one coefficient of many calibrations.
+"""Crossed random effects of units and benches on one coefficient of many calibrations.
 
-value = mean of its group + unit effect + bench effect + excess + error of the calibration of stated u, all normal
-and independent. A group is a type of unit on a connected set of benches. Sizes maximise the restricted
-likelihood.
-Units are many and benches few. Units are eliminated one by one (Woodbury), which leaves a matrix of groups
-and benches (Schur complement). So the work is in proportion to the number of values.
+value = mean of its group + unit effect + bench effect + excess + calibration error of stated u, all normal and
+independent. A group is a type of unit on a connected set of benches. The sizes maximise the restricted likelihood.
+
+Units are many, benches few. Units are eliminated one by one (Woodbury), which leaves a matrix of groups and benches
+(Schur complement). So the work is proportional to the number of values.
+
 Sources: S. R. Searle, G. Casella, C. E. McCulloch, Variance Components (1992), ch. 6 and 7 (equations, prediction);
-A. R. Gilmour, R. Thompson, B. R. Cullis, Biometrics 51 (1995) 1440 (average information); R. N. Kackar,
-D. A. Harville, J. Am. Stat. Assoc. 79 (1984) 853 (u of predictions whose sizes are estimates).
+A. R. Gilmour, R. Thompson, B. R. Cullis, Biometrics 51 (1995) 1440 (average information); R. N. Kackar, D. A.
+Harville, J. Am. Stat. Assoc. 79 (1984) 853 (u of predictions whose sizes are estimates).
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ TRIED: Final = 0.1
 
 @dataclass(frozen=True)
 class Crossing:
-    """The design of n values: `unit` and `bench` (n,) count from 0, `kind` (n,) is the unit's type."""
+    """The design of n values: `unit` and `bench` (n,) are numbers from 0, `kind` (n,) is the unit's type."""
 
     unit: Ints
     bench: Ints
@@ -40,23 +41,23 @@ class Crossing:
 
     @cached_property
     def units(self) -> int:
-        """Their number."""
+        """Number of units."""
         return int(self.unit.max()) + 1
 
     @cached_property
     def benches(self) -> int:
-        """Their number."""
+        """Number of benches."""
         return int(self.bench.max()) + 1
 
     @cached_property
     def cells(self) -> tuple[Ints, Ints, Ints]:
-        """The cell of each value (n,), and unit and bench of each cell (m,), in the order of units."""
+        """The cells (pairs of unit and bench): that of each value (n,), then unit and bench of each cell (m,)."""
         keys, cell = np.unique(self.unit * self.benches + self.bench, return_inverse=True)
         return cell, keys // self.benches, keys % self.benches
 
     @cached_property
     def pairs(self) -> tuple[Ints, Ints]:
-        """All pairs of cells (k,) of one unit, each once."""
+        """Index pairs (k,) of different cells of the same unit, each pair once."""
         _, unit, _ = self.cells
         first, second = [], []
         start = np.searchsorted(unit, np.arange(self.units))
@@ -71,7 +72,7 @@ class Crossing:
 
     @cached_property
     def component(self) -> Ints:
-        """The connected set that each bench (B,) belongs to: benches are joined by units measured on both."""
+        """The connected set of each bench (B,): units measured on two benches connect them."""
         _, unit, bench = self.cells
         ones = np.ones(len(unit))
         at = (np.concatenate([unit, self.units + bench]), np.concatenate([self.units + bench, unit]))
@@ -91,7 +92,7 @@ class Crossing:
 
     @cached_property
     def groups(self) -> int:
-        """Their number."""
+        """Number of groups."""
         return int(self.group.max()) + 1
 
     @cached_property
@@ -107,11 +108,11 @@ class Crossing:
 
 @dataclass(frozen=True)
 class MixedModelEquations:
-    """The mixed model equations at given sizes for groups and benches, with the units eliminated.
+    """The solved mixed model equations for groups and benches at given `sizes`, with the units eliminated.
 
-    `w` (n,) are weights, `W` (U,) their sums over units, `s` (U,) the terms subtracted by eliminating a
-    unit; `lower` (T + B, T + B) the Cholesky factor, of columns of benches times their size; `solution` (T +
-    B,); `likelihood` the restricted one, up to a constant.
+    `w` (n,) are weights, `W` (U,) their sums over units, `s` (U,) the terms subtracted by eliminating a unit.
+    `lower` (T + B, T + B) is the Cholesky factor, with the columns of benches times their size. `solution` (T + B,)
+    are the unknowns in these columns; `likelihood` is the restricted log likelihood, up to a constant.
     """
 
     crossing: Crossing
@@ -130,7 +131,7 @@ class MixedModelEquations:
 
     @cached_property
     def bench_covariance(self) -> Floats:
-        """Covariance (B, B) of the prediction errors of benches, for known sizes."""
+        """Covariance (B, B) of the prediction errors of bench effects, for known sizes."""
         inverse = linalg.cho_solve((self.lower, True), np.eye(len(self.lower)))
         own = inverse[self.crossing.groups :, self.crossing.groups :]
         return np.asarray(self.sizes[BENCH] ** 2 * own)
@@ -142,11 +143,11 @@ class MixedModelEquations:
         sums = np.bincount(self.crossing.unit, self.w * left, self.crossing.units)
         variance = self.sizes[UNIT] ** 2
         part = variance / (1.0 + variance * self.W)
-        # what groups and benches are off by is small beside a unit's own error, and left out
+        # errors of groups and benches are small beside a unit's own error, and neglected
         return part * sums, variance - part
 
     def project(self, x: Floats) -> Floats:
-        """Return P x (n, k) for x (n, k): V^-1 x less its part along the means of groups."""
+        """Return P x (n, k) for x (n, k): V^-1 x without its part along the means of groups."""
         own = self._without_units(x)
         crossing = self.crossing
         right = np.stack([_sums(crossing, column, self.sizes[BENCH]) for column in own.T], axis=1)
@@ -156,7 +157,7 @@ class MixedModelEquations:
         return np.asarray(own - self._without_units(at_group + at_bench))
 
     def _without_units(self, x: Floats) -> Floats:
-        """Return the inverse of the units' part of V times x (n, k)."""
+        """Return V^-1 x for x (n, k), where V lacks the variance of benches."""
         crossing = self.crossing
         weighed = self.w[:, None] * x
         sums = np.stack([np.bincount(crossing.unit, c, crossing.units) for c in weighed.T], axis=1)
@@ -178,13 +179,13 @@ class MixedModelEquations:
 
 
 def _sums(crossing: Crossing, weighed: Floats, size: float) -> Floats:
-    """Return the sums of values (n,) over groups and benches, (T + B,)."""
+    """Return the sums of values (n,) over groups, then over benches times `size`, (T + B,)."""
     groups = np.bincount(crossing.group[crossing.unit], weighed, crossing.groups)
     return np.concatenate([groups, size * np.bincount(crossing.bench, weighed, crossing.benches)])
 
 
 def solve(crossing: Crossing, y: Floats, variance: Floats, sizes: Floats) -> MixedModelEquations:
-    """Return the solved equations, for values `y` (n,) of stated `variance` (n,) and sizes (3,), 1 sigma.
+    """Solve the equations for values `y` (n,) with stated `variance` (n,) and sizes (3,), 1 sigma.
 
     An infinite size of units makes the units fixed effects: then only differences within units count.
     """
@@ -227,9 +228,10 @@ def solve(crossing: Crossing, y: Floats, variance: Floats, sizes: Floats) -> Mix
 
 @dataclass(frozen=True)
 class Crossed:
-    """The sizes found for one coefficient: `at` has the equations there, for values `y` (n,) less `centre`.
+    """The estimated sizes for one coefficient; `at` has the equations at these sizes.
 
-    `variance` (n,) are the stated ones, `variance_covariance` (3, 3) is that of the squares of the sizes.
+    `y` (n,) are the values less `centre`, `variance` (n,) their stated variances; `variance_covariance` (3, 3) is
+    the covariance of the squared sizes.
     """
 
     at: MixedModelEquations
@@ -245,7 +247,7 @@ class Crossed:
 
     @property
     def u_sizes(self) -> Floats:
-        """Standard uncertainties of the sizes (3,); NaN of one that is zero."""
+        """Standard uncertainties of the sizes (3,); NaN for a size of zero."""
         u = np.sqrt(np.diag(self.variance_covariance))
         return np.where(self.sizes > 0, u / (2.0 * np.where(self.sizes > 0, self.sizes, 1.0)), np.nan)
 
@@ -271,7 +273,7 @@ class Crossed:
         return about @ self.at.bench, about @ own @ about.T
 
     def unit(self) -> tuple[Floats, Floats]:
-        """Return predicted effects of units (U,), and the same over their standard deviations."""
+        """Return predicted effects of units (U,), and these effects over their standard deviations."""
         effect, spread = self.at.unit(self.y)
         return effect, effect / np.sqrt(np.where(spread > 0, spread, np.inf))
 
@@ -318,7 +320,7 @@ def fit(
 
 
 def most(found: Crossed, which: int) -> float:
-    """Return the upper 95 % limit of one of the three sizes, by the profile of the restricted likelihood."""
+    """Return the upper 95 % limit of size `which` (unit, bench or excess), by the profile likelihood."""
     at = found.at
     fixed = np.isinf(found.sizes)
 
@@ -333,7 +335,7 @@ def most(found: Crossed, which: int) -> float:
 
 
 def scales_of(crossing: Crossing, y: Floats, variance: Floats) -> Floats:
-    """Return scales (3,) of the sizes: what units differ by, what their values scatter by."""
+    """Return scales (3,) of the sizes: the spread of unit means, and the scatter within units for the others."""
     count = np.bincount(crossing.unit, minlength=crossing.units)
     mean = np.bincount(crossing.unit, y, crossing.units) / count
     kind = crossing.group
@@ -355,6 +357,6 @@ def _variance_covariance(at: MixedModelEquations, y: Floats) -> Floats:
 
 
 def about_sets(crossing: Crossing) -> Floats:
-    """Return the map (B, B) of effects of benches to those about the mean of their connected set."""
+    """Return the map (B, B) that subtracts from bench effects the mean of their connected set."""
     alike = crossing.component[:, None] == crossing.component[None, :]
     return np.asarray(np.eye(crossing.benches) - alike / alike.sum(axis=1, keepdims=True))

@@ -1,10 +1,10 @@
 """Restricted maximum likelihood of variance components.
 
-y = X b + sum over k of Z_k e_k, the e_k of variance theta_k: V = sum of theta_k Z_k Z_k^T + what is known. With
-P = V^-1 - V^-1 X (X^T V^-1 X)^-1 X^T V^-1 the score of theta_k is 1/2 (y^T P V_k P y - tr(P V_k)), its information
-1/2 tr(P V_k P V_l). Steps take the average information 1/2 y^T P V_k P V_l P y, without products of matrices.
-Sources: D. A. Harville, J. Am. Stat. Assoc. 72 (1977) 320; A. R. Gilmour, R. Thompson, B. R. Cullis,
-Biometrics 51 (1995) 1440.
+y = X b + sum over k of Z_k e_k, where e_k has the variance theta_k: V = sum of theta_k Z_k Z_k^T + a known
+covariance. With P = V^-1 - V^-1 X (X^T V^-1 X)^-1 X^T V^-1 the score of theta_k is 1/2 (y^T P V_k P y - tr(P V_k)),
+its information 1/2 tr(P V_k P V_l). Steps use the average information 1/2 y^T P V_k P V_l P y, which needs no
+products of matrices. Sources: D. A. Harville, J. Am. Stat. Assoc. 72 (1977) 320; A. R. Gilmour, R. Thompson, B. R.
+Cullis, Biometrics 51 (1995) 1440.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ AT_REST: Final = 3e-3
 """Convergence limit: no parameter moves by more than this part of itself."""
 MOST_CHANGE: Final = 4.0
 LEAST: Final = 1e-6
-"""Least variance of a component, as a part of its scale: there it counts as zero."""
+"""Least variance of a component, as a fraction of its scale: at this bound it counts as zero."""
 
 
 @dataclass(frozen=True)
 class ComponentColumns:
-    """The sparse columns of all components: `whole` (N, q); each component begins at `starts` (k,)."""
+    """The sparse columns of all components: `whole` (N, q); component k begins at column `starts[k]`."""
 
     whole: sparse.csc_array
     starts: Ints
@@ -42,11 +42,11 @@ class ComponentColumns:
         return cls(sparse.csc_array(np.concatenate(list(Z), axis=1)), np.cumsum([0, *widths[:-1]]))
 
     def sums(self, by_column: Floats) -> Floats:
-        """Return the sums over the columns of each component of (..., q), shape (..., k)."""
+        """Return the sums of `by_column` (..., q) over the columns of each component, shape (..., k)."""
         return np.asarray(np.add.reduceat(by_column, self.starts, axis=-1))
 
     def sized(self, sizes: Floats) -> sparse.csc_array:
-        """Return the columns times the size of their component (k,), without those of size zero."""
+        """Return the columns times the size (k,) of their component, without those of size zero."""
         by_column = np.repeat(sizes, np.diff([*self.starts, self.whole.shape[1]]))
         kept = np.flatnonzero(by_column)
         return sparse.csc_array(self.whole[:, kept] @ sparse.diags_array(by_column[kept]))
@@ -95,7 +95,7 @@ class Projection:
         return cls(P, P @ mixed.y)
 
     def scores(self, Z: ComponentColumns) -> Floats:
-        """Return the slope of ln L by each variance, shape (k,)."""
+        """Return the derivatives of ln L by the variances, shape (k,)."""
         traces = Z.sums(np.asarray(Z.whole.multiply(self.P @ Z.whole).sum(axis=0)).ravel())
         return np.asarray(0.5 * (self._squares(Z) - traces))
 
@@ -103,7 +103,7 @@ class Projection:
         return Z.sums((Z.whole.T @ self.Py) ** 2)
 
     def moments(self, Z: ComponentColumns) -> tuple[Floats, Floats, Floats]:
-        """Return the slopes of ln L (k,), tr(P V_k) (k,) and the information 1/2 tr(P V_k P V_l) (k, k)."""
+        """Return the scores (k,), tr(P V_k) (k,) and the information 1/2 tr(P V_k P V_l) (k, k)."""
         crossed = Z.whole.T @ (self.P @ Z.whole)
         traces = Z.sums(np.diag(crossed))
         information = 0.5 * Z.sums(Z.sums(crossed**2).T)
@@ -130,8 +130,8 @@ def scoring_step(
 ) -> Floats:
     """Return variances (…, k) after one more scoring step, in relative steps, none below `least`.
 
-    The information (…, k, k) is widened by a part `damping` of its diagonal and `ridge` of its trace. No variance
-    changes by more than a factor of `most_change`; one at `least` stays there where the likelihood falls.
+    The diagonal of the information (…, k, k) is raised by a fraction `damping` of itself and `ridge` of the trace.
+    No variance changes by more than a factor of `most_change`; one at `least` stays there if the score is negative.
     """
     slope = score * theta
     free = (theta > least) | (slope > 0)
@@ -139,7 +139,7 @@ def scoring_step(
     curvature = np.where(both, information * theta[..., :, None] * theta[..., None, :], 0.0)
     own = np.diagonal(curvature, axis1=-2, axis2=-1)
     wider = damping * own + ridge * own.sum(axis=-1, keepdims=True) + 1e-300
-    # a variance that is held has an equation of its own
+    # a variance that is held gets the equation step = 0
     curvature = curvature + np.where(free, wider, 1.0)[..., None] * np.eye(theta.shape[-1])
     step = np.linalg.solve(curvature, np.where(free, slope, 0.0)[..., None])[..., 0]
     return np.asarray(np.maximum(theta * np.clip(1.0 + step, 1 / most_change, most_change), least))
@@ -150,8 +150,8 @@ def maximise(
 ) -> tuple[Floats, Projection]:
     """Return the non-negative variances (k,) that maximise the restricted likelihood, and P there.
 
-    `start` (k,) where to begin, `scale` (k,) sizes below a millionth of which count as nothing, `believed` (k,) the
-    least that is believed of each.
+    `start` (k,) are start values. A variance below 1e-5 of `scale` (k,) counts as zero. `believed` (k,) are lower
+    limits of the variances, by default zero.
     """
     bottom = np.zeros_like(start) if believed is None else believed
     least = np.maximum(LEAST * scale, bottom)
@@ -170,10 +170,10 @@ def maximise(
 
 @dataclass(frozen=True)
 class ComponentsAsked:
-    """Tests of components that the model does not yet include, (k,) each.
+    """Tests of k components that the model does not yet include.
 
-    `chance` is the probability of such a score where there is none; `expected` the mean of the variance that the
-    readings leave open, all sizes alike likely before, normal about one step of the likelihood, never negative.
+    `chance` (k,) is the p-value of the score for a variance of zero. `expected` (k,) is the posterior mean of the
+    variance: the prior is flat above zero, the likelihood is normal about one scoring step.
     """
 
     chance: Floats
@@ -183,13 +183,13 @@ class ComponentsAsked:
 def asked_for(at: Projection, Z: ComponentColumns, inside: int, dof: float) -> ComponentsAsked:
     """Return the tests of the components after the first `inside`.
 
-    The first `inside` components are those whose variances are being estimated: what they take is taken off the
-    score and the information, for their estimates come from the repeats alone and are not those of the greatest
-    likelihood (the C(alpha) test: J. Neyman, in Probability and Statistics: The Harald Cramer Volume (1959) 213).
-    A quadratic form over its mean is taken as chi-square over its degrees of freedom, which its mean and variance
-    give (Satterthwaite, Biometrics Bull. 2 (1946) 110), and as F for the sizes inside are estimates, with `dof`
-    degrees of freedom at most: of few degrees of either kind, as a drift and few repeats have, large values are
-    not rare.
+    The variances of the first `inside` components are being estimated. Their share is taken off score and
+    information, for their estimates come from the repeats alone and do not maximise the likelihood (the C(alpha)
+    test: J. Neyman, in Probability and Statistics: The Harald Cramer Volume (1959) 213). A quadratic form over its
+    mean is taken as chi-square over its degrees of freedom, which match its mean and variance (Satterthwaite,
+    Biometrics Bull. 2 (1946) 110). It is tested as F, with at most `dof` denominator degrees of freedom, because
+    the inside sizes are estimates. With few degrees of freedom of either kind, as for a drift or few repeats, large
+    values are not rare.
     """
     scores, traces, whole = at.moments(Z)
     scale = np.sqrt(np.diag(whole)[:inside])
@@ -202,7 +202,7 @@ def asked_for(at: Projection, Z: ComponentColumns, inside: int, dof: float) -> C
     told = left > 1e-6 * own
     size = np.where(told, score / np.sqrt(np.where(told, left, 1.0)), -np.inf)
     freedom = traces[inside:] ** 2 / (2.0 * own)
-    # were the score F - 1 of freedom over `within`, this part of its information would be left
+    # if the score is F - 1, these denominator degrees of freedom leave just this part of its information
     part = np.clip(np.where(told, left / own, 1.0), 0.0, 1.0 - 1e-6)
     within = np.minimum(freedom * part / (1.0 - part), dof)
     ratio = np.maximum(1.0 + size * np.sqrt(2.0 / freedom + 2.0 / within), 0.0)
@@ -228,10 +228,10 @@ LIMIT_AT_REST: Final = 0.01
 
 @dataclass(frozen=True)
 class Profile:
-    """A restricted likelihood along one size, 1 sigma; the other variances follow by the information.
+    """A profile of the restricted likelihood along one size, 1 sigma; the other variances follow linearly.
 
-    That is exact near the greatest likelihood, which is at `variances` (k,). `follow` (k,) is the change of
-    each variance with the variance of size `which`; `scale` is a start value.
+    That is exact near the maximum, which is at `variances` (k,). `follow` (k,) is the change of each variance per
+    change of the variance of size `which`; `scale` is a start value.
     """
 
     likelihood: Callable[[Floats], float]
@@ -242,12 +242,12 @@ class Profile:
 
     @cached_property
     def greatest(self) -> float:
-        """The logarithm of the greatest likelihood."""
+        """The maximum of the log likelihood."""
         return self.likelihood(self.variances)
 
     @property
     def middle(self) -> float:
-        """The size of greatest likelihood."""
+        """The size of maximum likelihood."""
         return float(np.sqrt(self.variances[self.which]))
 
     def lost(self, size: float) -> float:
@@ -256,7 +256,7 @@ class Profile:
         return self.greatest - self.likelihood(np.maximum(moved, 0.0))
 
     def beyond(self, loss: float) -> float:
-        """Return a size at which at least `loss` is lost; infinite where there is no such size."""
+        """Return a size at which the loss of log likelihood is at least `loss`; infinite if there is none."""
         end = max(1.2 * self.middle, 0.2 * self.scale)
         while self.lost(end) < loss:
             end *= 1.5
@@ -276,7 +276,7 @@ class Profile:
         )
 
     def mean(self) -> float:
-        """Return the root of the mean square over what the likelihood leaves; the greatest where it leaves all."""
+        """Return the root mean square of the size, weighted by the likelihood; `middle` if that has no end."""
         end = self.beyond(GONE)
         if not np.isfinite(end):
             return self.middle
@@ -294,9 +294,9 @@ def profile_of(
     free: Sequence[int],
     scale: float,
 ) -> Profile:
-    """Return the profile along size `which`, where the variances `free` were estimated and the others are held.
+    """Return the profile along size `which`; the variances `free` were estimated, all others are held.
 
-    `information` (k, k) is that of the variances (k,) at the greatest likelihood.
+    `information` (k, k) is that of the variances (k,) at the maximum of the likelihood.
     """
     others = [j for j in free if j != which]
     follow = np.zeros(len(variances))

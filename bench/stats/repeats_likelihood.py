@@ -1,10 +1,11 @@
 """The restricted likelihood of repeats of readings, maximised for many runs at once.
 
-Deviations of repeats from the mean of their group have a covariance R = diag(v_x, v_y, v_z) + v_phi d d^T each
-group. Fisher scoring: information 1/2 tr(R^-1 R_k R^-1 R_l), score 1/2 tr(R^-1 R_k R^-1 (S - f R)), with R^-1 in
-closed form (Sherman and Morrison). A score test, at equal sizes, decides if the channels have one size.
-Sources: D. A. Harville, J. Am. Stat. Assoc. 72 (1977) 320, sections 4 and 5; C. R. Rao, Proc. Camb. Phil. Soc.
-44 (1948) 50; Y. Chung, S. Rabe-Hesketh et al., Psychometrika 78 (2013) 685, for priors of sizes that go to zero.
+In each group the deviations of repeats from their mean have a covariance R = diag(v_x, v_y, v_z) + v_phi d d^T.
+Fisher scoring uses the information 1/2 tr(R^-1 R_k R^-1 R_l) and the score 1/2 tr(R^-1 R_k R^-1 (S - f R)), with
+R^-1 in closed form (Sherman and Morrison). A score test, at equal sizes, decides whether the channels have one
+size. Sources: D. A. Harville, J. Am. Stat. Assoc. 72 (1977) 320, sections 4 and 5; C. R. Rao, Proc. Camb. Phil.
+Soc. 44 (1948) 50; Y. Chung, S. Rabe-Hesketh et al., Psychometrika 78 (2013) 685, for priors of sizes that go to
+zero.
 """
 
 from __future__ import annotations
@@ -19,26 +20,26 @@ from bench.base.arrays import Floats, Ints, Mask
 from bench.stats.reml import scoring_step
 
 LEAST_DOF: Final = 4.0
-"""Degrees of freedom with which a size of the noise enters at least: a prior stands for those that readings lack.
+"""Least degrees of freedom of a noise size in use: a prior supplies those that the readings lack.
 
-Four are those of a size that is known to about 35 % (JCGM 100:2008, G.4.2).
+A size with four degrees of freedom is known to about 35 % (JCGM 100:2008, G.4.2).
 """
 
 OWN: Final = np.eye(4)
-"""Parameters are the variances of x, y, z and of the setting."""
+"""Design matrix for separate parameters: the variances of x, y, z and of the setting."""
 COMMON: Final = np.array([[1.0, 0.0], [1.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
-"""Parameters are one variance for all three channels, and that of the setting."""
+"""Design matrix for two parameters: one variance for all three channels, and that of the setting."""
 
 LEAST_SETTING: Final = 1e-6
-"""Least variance of the setting, as it shows in the signals, as a part of that of the reading."""
+"""Least variance of the setting, as seen in the signals, as a fraction of the variance of the reading."""
 LEAST_CHANNEL: Final = 1e-6
-"""Least variance of a channel as a part of the mean of the three: below it the sums cancel."""
+"""Least variance of a channel as a fraction of the mean of the three: below it the sums cancel."""
 ROUNDS: Final = 60
 EQUAL_P: Final = 0.2
-"""Least p-value with which channels count as of one size: a wrong size would enter every u."""
+"""P-value from which channels count as of one size; it is high, as a wrong size would enter every u."""
 
 DIGITS: Final = 4.0
-"""A variance below this multiple of that of the last digit shows rounding, not the channel."""
+"""A variance below this multiple of the squared last digit shows rounding, not the channel."""
 
 AT_REST: Final = 1e-4
 """Convergence limit: no parameter moves by more than this part of itself."""
@@ -55,11 +56,11 @@ def sizes_of(
 ) -> Floats:
     """Return the variances of x, y, z (unit^2) and of the setting (rad^2) of many runs, shape (runs, 4).
 
-    `scatter` (runs, groups, 3, 3) are sums of squares and products, `freedom` (groups,), `slope`
-    (runs, groups, 3) du/dphi, unit/rad; `floor` (runs,) or one number the least noise believed; `by` one of
-    `OWN`, `COMMON`; `start` (runs, 4) where to begin. A run without any slope has a setting error of zero.
-    `about` (runs,) gives each variance of a channel a scaled inverse chi-square prior about that of its run, with
-    `LEAST_DOF` degrees of freedom: none goes to zero.
+    `scatter` (runs, groups, 3, 3) are sums of squares and products, `freedom` (groups,) their degrees of freedom,
+    `slope` (runs, groups, 3) is du/dphi, unit/rad. `floor` (runs,), or one number, is the lower limit of the noise.
+    `by` is `OWN` or `COMMON`; `start` (runs, 4) are start values. A run without any slope has a setting error of
+    zero. `about` (runs,) gives each channel's variance a scaled inverse chi-square prior about this value, with
+    `LEAST_DOF` degrees of freedom, which keeps it from zero.
     """
     weight = freedom.astype(np.float64)
     slope2 = _mean_slope2(slope, weight)
@@ -67,7 +68,7 @@ def sizes_of(
     if start is None:
         own = np.maximum(np.einsum("rgii->ri", scatter) / weight.sum(), least[:, None])
         start = np.concatenate([own, _shown(own.mean(axis=1) / 3, slope2)[:, None]], axis=1)
-    # the mean of what a parameter stands for
+    # a parameter starts at the mean of the variances that it stands for
     theta = start @ (by / by.sum(axis=0))
     least = np.maximum(least, LEAST_CHANNEL * (theta @ by.T)[:, :3].mean(axis=1))
     bottom = np.repeat(least[:, None], theta.shape[1], axis=1)
@@ -88,10 +89,9 @@ def sizes_of(
 
 @dataclass(frozen=True)
 class Sizes:
-    """The accepted variances (runs, 4) of x, y, z and the setting, with degrees of freedom (runs, 3).
+    """The accepted variances (runs, 4) of x, y, z and the setting, with the channels' degrees of freedom (runs, 3).
 
-    `p_equal` (runs,) is the probability of such a difference between the channels where all are of one size:
-    a run has one size for all three where it is not below `EQUAL_P`.
+    `p_equal` (runs,) is the p-value of equal channels; from `EQUAL_P` up a run has one size for all three.
     """
 
     variances: Floats
@@ -107,13 +107,14 @@ class Sizes:
 def believed_sizes(
     scatter: Floats, freedom: Ints | Floats, slope: Floats, floor: float | Floats, *, one_size: bool = False
 ) -> Sizes:
-    """Return the sizes of many runs, of each channel its own where they are not of one size.
+    """Return the noise of many runs, with a size for each channel if the channels differ.
 
-    They are of one size where that is asked for, and where all that is left is the last digit of the replies.
+    The channels have one size with `one_size`, or if only the last digit of the replies varies. The other arguments
+    are those of `sizes_of`.
     """
     common = sizes_of(scatter, freedom, slope, floor, COMMON)
     variances, count = common.copy(), len(common)
-    # two of three signals tell of a common size, the third of the setting
+    # two of three signals determine a common size, the third the setting error
     dof = np.full((count, 3), 2.0 * float(freedom.sum()))
     if one_size:
         return Sizes(variances, dof, np.ones(count))
@@ -126,7 +127,7 @@ def believed_sizes(
         dof[own] = freedom_of(freedom, slope[own], variances[own])[:, :3]
     few = own[np.min(dof[own], axis=1) < LEAST_DOF]
     if len(few):
-        # the setting error can take all that few repeats of a channel scatter: the size of all three is its prior
+        # with few repeats the setting error may absorb a channel's whole scatter: add the common size as a prior
         at_least = np.broadcast_to(floor, (count,))[few]
         variances[few] = sizes_of(
             scatter[few], freedom, slope[few], at_least, OWN, common[few], about=common[few, 0]
@@ -136,10 +137,10 @@ def believed_sizes(
 
 
 def equality(scatter: Floats, freedom: Ints | Floats, slope: Floats, common: Floats) -> Floats:
-    """Return the probability of such a difference between the channels where all are of one size, shape (runs,).
+    """Return the p-value (runs,) of channels of one size, by Rao's score test.
 
-    Rao's score test at the sizes `common` (runs, 4), the greatest likelihood with one size; the setting takes no
-    part where it is at its lower end.
+    The test is at the sizes `common` (runs, 4) that maximise the likelihood with one size. The setting takes no
+    part if it is at its lower bound.
     """
     score, information = _score_and_information(scatter, freedom.astype(np.float64), slope, common)
     score, information = score * common, information * common[:, :, None] * common[:, None, :]
@@ -155,13 +156,13 @@ def equality(scatter: Floats, freedom: Ints | Floats, slope: Floats, common: Flo
 def freedom_of(freedom: Ints | Floats, slope: Floats, variances: Floats, prior_dof: float = 0.0) -> Floats:
     """Return the degrees of freedom of the variances (runs, 4) of x, y, z and the setting, shape (runs, 4).
 
-    2 v^2/var(v) with var(v) from the information on all four: what the setting error takes is left out. Each
-    channel has `prior_dof` besides.
+    They are 2 v^2/var(v), with var(v) from the information on all four, so the share of the setting error is not
+    counted. Each channel has `prior_dof` in addition.
     """
     information = _information(_Inverse.of(variances, slope), freedom.astype(np.float64))
     scaled = information * variances[:, :, None] * variances[:, None, :]
     places = np.arange(4)
-    # what no slope shows, or lies at its lower end, takes nothing from the others
+    # a small ridge: a setting variance without slope, or at its bound, must not affect the others
     scaled[:, places, places] += 1e-9 * scaled.max(axis=(1, 2))[:, None]
     scaled[:, places[:3], places[:3]] += prior_dof
     inverted = np.linalg.inv(scaled)
@@ -219,10 +220,10 @@ def _information(inverse: _Inverse, weight: Floats) -> Floats:
 def _score_and_information(
     scatter: Floats, weight: Floats, slope: Floats, variances: Floats
 ) -> tuple[Floats, Floats]:
-    """Return twice the slope of ln L by the four variances (runs, 4), and twice the information (runs, 4, 4)."""
+    """Return twice the gradient of ln L by the variances (runs, 4), and twice the information (runs, 4, 4)."""
     inverse = _Inverse.of(variances, slope)
     by_scatter = inverse.times(scatter)
-    # the diagonal of R^-1 S R^-1, of which R^-1 S has the columns
+    # the diagonal of R^-1 S R^-1, from R^-1 S
     crossed = np.einsum("rgij,rgj->rgi", by_scatter, inverse.by_own) * inverse.part[:, :, None]
     both = np.einsum("rgii->rgi", by_scatter) * inverse.own - crossed * inverse.by_own
     score = np.empty((len(variances), 4))
@@ -237,7 +238,7 @@ def _mean_slope2(slope: Floats, weight: Floats) -> Floats:
 
 
 def _shown(variance: Floats, slope2: Floats) -> Floats:
-    """Return the variance of a setting that shows as so much in the signals; 1 where nothing shows it."""
+    """Return the variance of a setting that shows as `variance` in the signals; 1 where no slope shows it."""
     return np.where(slope2 > 0.0, variance / np.where(slope2 > 0.0, slope2, 1.0), 1.0)
 
 

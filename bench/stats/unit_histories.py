@@ -1,7 +1,7 @@
-"""Values of units measured over years on several benches: scatter, benches, rates and random walks of units.
+"""A model of units measured over years on several benches: scatter, benches, drift rates and random walks.
 
 value = level of the unit + bench effect + rate of the unit x time + random walk + scatter + error of stated u, all
-normal and independent. Only contrasts within units count. Sizes maximise the restricted likelihood.
+normal and independent. Only contrasts within units count. The sizes maximise the restricted likelihood.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from bench.stats.reml import ONE_SIDED, Profile, profile_of
 BENCH, SCATTER, RATE, WALK = 0, 1, 2, 3
 STEADY: Final = (BENCH, SCATTER)
 SHOWN_P: Final = 0.05
-"""Significance level below which a drift of units is removed."""
+"""P-value below which a drift of units is significant, and separated from the scatter."""
 LONGEST: Final = (128, 64, 32, 16)
-"""Choices for the largest number of runs used of a unit, evenly spaced: the first within `MOST_WORK`."""
+"""Choices for the most runs of a unit that are used, evenly spaced: the first one within `MOST_WORK`."""
 MOST_WORK: Final = 5e7
 """Largest sum of the cubes of runs over all units: a likelihood then takes about a tenth of a second."""
 LEAST_PART: Final = 1e-6
@@ -31,10 +31,11 @@ LEAST_PART: Final = 1e-6
 
 @dataclass(frozen=True)
 class SameLength:
-    """The m units with n runs each: places `rows` (m, n) in the table, in order of time; r = n - 1 contrasts.
+    """The m units with n runs each, which have r = n - 1 contrasts.
 
-    `contrast` (r, n); contrasts of time `time` (m, r), of a walk of size one `walk` (m, r, r), of benches `bench`
-    (m, r, B).
+    `rows` (m, n) are their rows in the table, in order of time; `contrast` (r, n) is the contrast matrix. Its
+    products are `time` (m, r), `walk` (m, r, r), the covariance of a random walk of size one, and `bench` (m, r,
+    B), the indicators of benches.
     """
 
     rows: Ints
@@ -46,9 +47,10 @@ class SameLength:
 
 @dataclass(frozen=True)
 class Histories:
-    """The design: contrasts within units. `runs` (U,) counts those of each unit, `benches` is how many there are.
+    """The design of contrasts within units; `alike` groups the units by number of runs.
 
-    At most `longest` runs of a unit are used.
+    `runs` (U,) are the numbers of runs of each unit, `benches` is the number of benches. At most `longest` runs of
+    a unit are used.
     """
 
     alike: tuple[SameLength, ...]
@@ -63,7 +65,7 @@ class Histories:
 
 
 def histories(unit: Ints, bench: Ints, years: Floats) -> Histories:
-    """Return the histories of units (n,) on benches (n,), both counted from 0, at `years` (n,) from any day on."""
+    """Return the histories for unit and bench numbers (n,), from 0, and times `years` (n,) from any origin."""
     order = np.lexsort((years, unit))
     runs = np.bincount(unit)
     start = np.cumsum(runs) - runs
@@ -89,9 +91,9 @@ def histories(unit: Ints, bench: Ints, years: Floats) -> Histories:
 
 @dataclass(frozen=True)
 class HistoryLikelihood:
-    """The restricted likelihood at variances (4,) of benches, scatter, rates and walks, a constant apart.
+    """The restricted log likelihood, up to a constant, at variances (4,) of benches, scatter, rates and walks.
 
-    `slope` (4,) by the variances, `information` (4, 4) the average one.
+    `slope` (4,) is its gradient, `information` (4, 4) the average information.
     """
 
     variances: Floats
@@ -101,7 +103,7 @@ class HistoryLikelihood:
 
 
 Weighed = tuple[SameLength, Floats, Floats, Floats]
-"""Of units alike: contrasts of values and benches, the inverse of their covariance, and both multiplied."""
+"""For units of one length: contrasts of values and benches, their inverse covariance, and the product of both."""
 
 
 @dataclass(frozen=True)
@@ -114,7 +116,7 @@ class Within:
 
     @cached_property
     def _data(self) -> list[tuple[SameLength, Floats, Floats]]:
-        """Contrasts of values, first for the sums over benches, and their stated covariance, by group of units."""
+        """For each length: contrasts of values, then of benches (m, r, 1 + B), and stated covariance (m, r, r)."""
         y = self.y - np.median(self.y)
         return [
             (
@@ -129,7 +131,7 @@ class Within:
 
     @cached_property
     def scales(self) -> Floats:
-        """Scales (4,) of the variances."""
+        """Typical sizes (4,) of the variances, as start values."""
         dof = self.of.dof
         square = sum(float(np.sum(seen[..., 0] ** 2)) for _, seen, _ in self._data) / dof
         square = max(square, float(np.median(self.variance)))
@@ -138,12 +140,12 @@ class Within:
         return np.array([square, square, square / max(time, 1e-12), square / max(walk, 1e-12)])
 
     def at(self, variances: Floats) -> HistoryLikelihood:
-        """Return likelihood, its slope and the information at variances (4,)."""
+        """Return the likelihood, its gradient and the information at variances (4,)."""
         likelihood, kept, G, h, X = self._solved(variances)
         return HistoryLikelihood(variances, likelihood, *_curved(kept, G, h, X))
 
     def likelihood(self, variances: Floats) -> float:
-        """Return the restricted likelihood at variances (4,), a constant apart."""
+        """Return the restricted log likelihood at variances (4,), up to a constant."""
         return self._solved(variances)[0]
 
     def _solved(self, variances: Floats) -> tuple[float, list[Weighed], Floats, Floats, Floats]:
@@ -171,7 +173,7 @@ class Within:
         return likelihood, kept, G, h, X
 
     def fit(self, kept: Sequence[int], scatter: float = 0.0) -> HistoryLikelihood:
-        """Return the greatest likelihood where `kept` sizes alone are above zero, or `scatter` is a variance."""
+        """Maximise the likelihood over the variances `kept`; the others are zero, the scatter is `scatter`."""
         scale = self.scales
         places = list(kept)
 
@@ -191,19 +193,19 @@ class Within:
         return self.at(full(np.where(found.x < LEAST_PART, 0.0, found.x)))
 
     def profile(self, best: HistoryLikelihood, which: int, free: Sequence[int]) -> Profile:
-        """Return the likelihood along one size, from the greatest where `free` sizes are above zero."""
+        """Return the profile along size `which` from the maximum `best`, where `free` variances were estimated."""
         return profile_of(
             self.likelihood, best.variances, best.information, which, free, float(np.sqrt(self.scales[which]))
         )
 
 
 def _over(a: Floats, b: Floats) -> Floats:
-    """Return the sums of products over units and contrasts of (m, r, i) and (m, r, j), (i, j)."""
+    """Return the products of (m, r, i) and (m, r, j), summed over units and contrasts, shape (i, j)."""
     return np.asarray(a.reshape(-1, a.shape[2]).T @ b.reshape(-1, b.shape[2]))
 
 
 def _curved(kept: Sequence[Weighed], G: Floats, h: Floats, X: Floats) -> tuple[Floats, Floats]:
-    """Return slope (4,) and average information (4, 4) by the variances, of parts weighed already."""
+    """Return gradient (4,) and average information (4, 4) by the variances, from the results of `_solved`."""
     size = len(h)
     traces, squares = np.zeros(4), np.zeros(4)
     inner, across = np.zeros((4, 4)), np.zeros((4, size))
@@ -233,10 +235,10 @@ def _curved(kept: Sequence[Weighed], G: Floats, h: Floats, X: Floats) -> tuple[F
 class CalibrationSpread:
     """Scatter of a laboratory's calibrations without the units' own drift, 1 sigma each.
 
-    `scatter` beyond the stated u: the root of the mean square over the sizes that the likelihood leaves, so that
-    few calibrations make it larger; between `scatter_least` and `scatter_most` with 90 %.
-    `bench` with `bench_most` likewise, as the likelihood has it. `rate` (a year) and `walk` (in a year) are what
-    units drift by, zero where `p`, the probability of so much drift by chance, does not show any.
+    `scatter` is beyond the stated u: its root mean square weighted by the likelihood, so that few calibrations make
+    it larger. It lies between `scatter_least` and `scatter_most` with 90 %. `bench` is the spread of benches of
+    maximum likelihood, `bench_most` its upper 95 % limit. `rate` (a year) and `walk` (in a year) are the drifts of
+    units, zero unless significant; `p` is the p-value of no drift.
     """
 
     scatter: float
@@ -255,16 +257,16 @@ class CalibrationSpread:
 
 
 def spread_of(within: Within, *, several: bool, drifts: bool = True) -> CalibrationSpread:
-    """Return scatter and benches (where there are `several`), separated from the drift of units.
+    """Return scatter and benches (if there are `several`), separated from the drift of units.
 
-    A rate or a walk that is not shown is not taken out: what may be either counts as scatter; all of it, where
-    units have too few runs to tell what `drifts`.
+    A rate or walk that is not significant counts as scatter. Without `drifts`, for units with too few runs, any
+    drift does.
     """
     first = STEADY if several else (SCATTER,)
     steady = within.fit(first)
     moving = within.fit((*first, RATE, WALK)) if drifts else steady
     gained = _gained(moving, steady)
-    # two sizes at the ends of their ranges: a quarter of nothing, a half of one degree, a quarter of two
+    # two variances at their bound of zero: chi-square with 0, 1, 2 degrees, weighted 1/4, 1/2, 1/4
     p = 0.5 * float(special.chdtrc(1, gained)) + 0.25 * float(special.chdtrc(2, gained)) if gained else 1.0
     chosen, free = (moving, (*first, RATE, WALK)) if p < SHOWN_P else (steady, first)
     for kept in (RATE, WALK) if p < SHOWN_P else ():
@@ -287,7 +289,7 @@ def _gained(more: HistoryLikelihood, fewer: HistoryLikelihood) -> float:
 
 
 def _least(within: Within, moving: HistoryLikelihood, first: Sequence[int], mean: float) -> float:
-    """Return what the scatter is above with 95 %, whatever of it may be a drift; 0 where none is shown."""
+    """Return the lower 95 % limit of the scatter, whatever part may be drift; 0 if no scatter is significant."""
     others = [j for j in (*first, RATE, WALK) if j != SCATTER]
     end = float(np.sqrt(moving.variances[SCATTER]))
 

@@ -6,7 +6,7 @@ python -m benchmarks.blind_trial.page          # write that part again from the 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -65,11 +65,11 @@ def part(result: Stored) -> str:
     """Return the part of the page: what made it, sums over rows, the tables."""
     size = f"{result['cases']:,} cases, {result['seconds']:,} s{result['on']}"
     made = f"Measured with `{result['command']}` ({size})."
-    return "\n\n".join((made, *sums(result), tables(result)))
+    return "\n\n".join((made, sums(result), short_tables(result)))
 
 
-def sums(result: Stored) -> Iterator[str]:
-    """Yield the sentences on rows of a kind taken together."""
+def sums(result: Stored) -> str:
+    """Return a table of the rows with a single effect by size, and what holds of all rows."""
 
     def sum_of(kind: str, column: str, low: float, high: float) -> str:
         counts = [
@@ -78,40 +78,72 @@ def sums(result: Stored) -> Iterator[str]:
             if row["kind"] == kind and low <= (row["rho"] or 0.0) < high and column in row["score"]
         ]
         share = Share(sum(c[0] for c in counts), sum(c[1] for c in counts))
-        return (
-            f"{share.successes} of {share.of} ({share.successes / share.of:.3f})" if share.of else "none of 0"
-        )
+        return f"{share.successes}/{share.of}" if share.of else "–"
 
-    for told, low, high in (("ρ ≥ 15", 15, np.inf), ("ρ ≥ 8", 8, np.inf), ("ρ = 5", 5, 5.5)):
-        yield (
-            f"All rows of {told} with a single effect taken together: "
-            f"detected {sum_of('single', 'detected', low, high)}; "
-            f"the true name in the set {sum_of('single', 'in the set', low, high)}; "
-            f"the first name right where the data can tell {sum_of('single', 'first name right', low, high)}; "
-            f"a name alone right {sum_of('single', 'alone right', low, high)}."
-        )
-    yield f"With nothing hidden, {sum_of('null', 'agrees', 0, np.inf)} agree."
+    columns = {
+        "detected": "detected",
+        "true name in the set": "in the set",
+        "first name right where the data can tell": "first name right",
+        "a name alone right": "alone right",
+    }
+    lines = ["| single effect | " + " | ".join(columns) + " |", "|---" * (len(columns) + 1) + "|"]
+    for named, low, high in (("ρ ≥ 15", 15, np.inf), ("ρ ≥ 8", 8, np.inf), ("ρ = 5", 5, 5.5)):
+        cells = [sum_of("single", column, low, high) for column in columns.values()]
+        lines.append(f"| {named} | " + " | ".join(cells) + " |")
+    parts = ["\n".join(lines), f"With nothing hidden, {sum_of('null', 'agrees', 0, np.inf)} cases agree."]
     alone = [row["score"][NOT_SHRUNK] for row in result["rows"] if NOT_SHRUNK in row["score"]]
     if alone:
         larger = Share(sum(c[0] for c in alone), sum(c[1] for c in alone))
-        yield f"Named in any row, with a gap on readings held out that is not smaller or not measured: {larger}."
+        parts.append(f"Cases with a single name although the held-out gap did not shrink: {larger}.")
+    return "\n\n".join(parts)
+
+
+def short_tables(result: Stored) -> str:
+    """Return the tables of the page: a column stands in one line for its kind where all rows agree in it."""
+    first = ["| kind | rows | the same in every row |", "|---|---|---|"]
+    parts = []
+    for kind, of_kind in _by_kind(result).items():
+        columns = _columns(of_kind)
+        shares = {c: [Share(*row["score"][c]) for row in of_kind if c in row["score"]] for c in columns}
+        same = [c for c in columns if {share.part for share in shares[c] if share.of} in ({0.0}, {1.0})]
+        keys = [_within_kind(row) for row in of_kind]
+        left = [c for c in columns if c not in same]
+        counts = (f"{c} {sum(s.successes for s in shares[c])}/{sum(s.of for s in shares[c])}" for c in same)
+        first.append(f"| {kind} | {len(keys) if left else '; '.join(keys)} | {'; '.join(counts)} |")
+        if left:
+            parts.append(_table([row for row in of_kind if set(left) & row["score"].keys()], left))
+    return "\n\n".join(["\n".join(first), *parts])
 
 
 def tables(result: Stored) -> str:
-    """Return a table for each kind of case, a line for each row, and one of the gaps."""
-    parts = []
-    for kind in dict.fromkeys(row["kind"] for row in result["rows"]):
-        of_kind = [row for row in result["rows"] if row["kind"] == kind]
-        columns = list(dict.fromkeys(column for row in of_kind for column in row["score"]))
-        lines = [f"| {kind} | " + " | ".join(columns) + " |", "|---" * (len(columns) + 1) + "|"]
-        for row in of_kind:
-            cells = [str(Share(*row["score"].get(column, (0, 0)))) for column in columns]
-            lines.append(f"| {row['row']} | " + " | ".join(cells) + " |")
-        parts.append("\n".join(lines))
-    gaps = [(row["row"], row["gap"]) for row in result["rows"] if row["gap"]]
-    lines = ["| held out, named | cases | before | after |", "|---|---|---|---|"]
-    lines += [f"| {name} | {g['cases']} | {g['before']:.3f} | {g['after']:.3f} |" for name, g in gaps]
-    return "\n\n".join([*parts, "\n".join(lines)])
+    """Return a table for each kind of case with every column, a line for each row."""
+    return "\n\n".join(_table(rows, _columns(rows)) for rows in _by_kind(result).values())
+
+
+def _by_kind(result: Stored) -> dict[str, list[Stored]]:
+    kinds = dict.fromkeys(row["kind"] for row in result["rows"])
+    return {kind: [row for row in result["rows"] if row["kind"] == kind] for kind in kinds}
+
+
+def _columns(rows: Sequence[Stored]) -> list[str]:
+    return list(dict.fromkeys(column for row in rows for column in row["score"]))
+
+
+def _table(rows: Sequence[Stored], columns: Sequence[str]) -> str:
+    """Return a table of rows of a kind, with their gaps where they have any."""
+    gaps = any(row["gap"] for row in rows)
+    head = [rows[0]["kind"], *columns, *(("gap before", "gap after") if gaps else ())]
+    lines = ["| " + " | ".join(head) + " |", "|---" * len(head) + "|"]
+    for row in rows:
+        cells = [str(Share(*row["score"].get(column, (0, 0)))) for column in columns]
+        if gaps:
+            cells += [f"{row['gap'][w]:.3f}" if row["gap"] else "–" for w in ("before", "after")]
+        lines.append(f"| {_within_kind(row)} | " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def _within_kind(row: Stored) -> str:
+    return str(row["row"]).removeprefix(row["kind"]).lstrip(" :")
 
 
 def current_part(page: Path = PAGE) -> str:

@@ -269,7 +269,7 @@ def main(argv: Sequence[str] | None = None, diagnose: Diagnose = diagnose_case) 
     seconds = round(time.perf_counter() - start if kept is None else kept.seconds)
     result = stored(rows, shares, outcomes, _made(given, seconds))
     print(tables(result), file=report)
-    print("\n" + "\n".join(sums(result)), file=report)
+    print(f"\n{sums(result)}", file=report)
     print(f"\n{len(tasks)} cases, seed {given.seed}, {seconds} s", file=report)
     if given.page:
         write(result)

@@ -1,4 +1,4 @@
-"""Facts of each instrument with their source: dialect, limits, accuracy.
+"""Facts about each instrument with their sources: command dialect, limits, accuracy.
 
-Driver, simulation and bench file share it.
+Drivers, simulations and the checks of bench files share them.
 """

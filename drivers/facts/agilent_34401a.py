@@ -1,4 +1,4 @@
-"""What is true of an HP / Agilent / Keysight 34401A, and of the meters of its line where they say so.
+"""Facts about the HP / Agilent / Keysight 34401A; the modules of related meters refer to them.
 
 Sources: 34401A User's Guide (34401-90004), chapter 4, "SCPI command summary", "Output data formats",
 "Triggering", "RS-232 interface configuration"; chapter 8, "DC characteristics".
@@ -6,12 +6,12 @@ Sources: 34401A User's Guide (34401-90004), chapter 4, "SCPI command summary", "
 
 from typing import Final
 
-# --- who it is, and how it speaks -------------------------------------------------------------------
+# --- identity and communication ---------------------------------------------------------------------
 
 MAKERS: Final = r"HEWLETT-PACKARD|HP|Agilent( Technologies)?|Keysight( Technologies)?"
 MODELS: Final = ("34401A",)
 IDENTITY: Final = "HEWLETT-PACKARD,34401A,0,11-5-2"
-"""The pattern of the reply to *IDN?."""
+"""A reply to *IDN?."""
 
 INTERFACES: Final = ("lan", "gpib", "rs232")
 READ_TERMINATION: Final = "\n"
@@ -20,27 +20,27 @@ BAUD_RATES: Final = (300, 600, 1200, 2400, 4800, 9600)
 SERIAL: Final = {
     "baud_rate": 9600, "data_bits": 8, "parity": "none", "stop_bits": 2, "flow": "dtr_dsr", "device_clear": b"\x03",
 }  # fmt: skip
-"""As set to 8 data bits; with a parity it sends 7."""
+"""The settings for 8 data bits; with parity the meter sends 7."""
 
 READING: Final = r"[+-]\d\.\d{8}E[+-]\d\d"
 READING_EXAMPLE: Final = "+1.23456780E+00"
 READING_CHARACTERS: Final = 16
-"""The 15 of a reading and its separator."""
+"""15 characters of a reading and a separator."""
 OVERLOAD_V: Final = 9.9e37
 """The reply for a reading outside the range."""
 ERRORS_KEPT: Final = 20
 SELF_TEST_S: Final = 30.0
-"""The longest self-test of the line takes some 15 s."""
+"""Timeout: the longest self-test of these meters takes some 15 s."""
 STAYS_REMOTE_S: Final = 300.0
-"""Left alone, an RS-232 meter stays remote for longer than this (it was local again after some ten minutes)."""
+"""An idle RS-232 meter stays remote for longer than this (it was local again after some ten minutes)."""
 
-# --- what it measures -------------------------------------------------------------------------------
+# --- measurement ------------------------------------------------------------------------------------
 
 RANGES_V: Final = (0.1, 1.0, 10.0, 100.0, 1000.0)
 OVER_RANGE: Final = 1.2
-"""It reads up to 120 % of its range, but of the highest."""
+"""Every range but the highest reads up to 120 % of its nominal value."""
 UNDER_RANGE: Final = 0.1
-"""Below this part of its range autorange takes the next lower one."""
+"""Below this fraction of a range autorange selects the next lower range."""
 NPLC_BY_RESOLUTION: Final = {3e-7: 100.0, 1e-6: 10.0, 3e-6: 1.0, 1e-5: 0.2, 1e-4: 0.02}
 """Integration in power-line cycles for each resolution, a fraction of the range."""
 RESOLUTION: Final = {nplc: part for part, nplc in NPLC_BY_RESOLUTION.items()}
@@ -50,16 +50,16 @@ MEMORY_READINGS: Final = 512
 LEAST_SAMPLES: Final = 1
 
 SAMPLE_OVERHEAD_S: Final = 0.01
-"""Overhead of a sample beside its two integrations (autozero), s."""
+"""Overhead of a sample in addition to its two integrations (autozero), s."""
 
 ACCURACY_90_DAYS: Final = {
     0.1: (40e-6, 35e-6), 1.0: (30e-6, 7e-6), 10.0: (20e-6, 5e-6), 100.0: (35e-6, 6e-6), 1000.0: (35e-6, 10e-6),
 }  # fmt: skip
-"""Limits of error of DC volts by range, at 23 ± 5 °C: parts of the reading and of the range."""
+"""Limits of error of DC volts by range, at 23 ± 5 °C: fractions of the reading and of the range."""
 ACCURACY_1_YEAR: Final = {
     0.1: (50e-6, 35e-6), 1.0: (40e-6, 7e-6), 10.0: (35e-6, 5e-6), 100.0: (45e-6, 6e-6), 1000.0: (45e-6, 10e-6),
 }  # fmt: skip
-"""The same within a year of its calibration."""
+"""The same within a year of calibration."""
 TEMPERATURE_COEFFICIENT: Final = {
     0.1: (5e-6, 5e-6), 1.0: (5e-6, 1e-6), 10.0: (5e-6, 1e-6), 100.0: (5e-6, 1e-6), 1000.0: (5e-6, 1e-6),
 }  # fmt: skip
@@ -67,4 +67,4 @@ TEMPERATURE_COEFFICIENT: Final = {
 REFERENCE_C: Final = 23.0
 REFERENCE_WIDTH_C: Final = 5.0
 LINEARITY: Final = (2e-6, 1e-6)
-"""Limits of the converter's integral nonlinearity, parts of the reading and of the range."""
+"""Limits of the converter's integral nonlinearity, fractions of the reading and of the range."""

@@ -1,10 +1,10 @@
-"""What is true of the Aim-TTi (Thurlby Thandar) supplies that speak the dialect of `V1 5.0;OP1 1;V1O?`.
+"""Facts about Aim-TTi (Thurlby Thandar) supplies with the command dialect `V1 5.0;OP1 1;V1O?`.
 
-Sources: CPX400DP and PL & PL-P Series Instruction Manuals, "Remote commands", as read in libsigrok,
-`src/hardware/aim-tti-dps` (ranges and steps of the CPX, form of the replies, bits of LSR), PyMeasure,
-`aimttiPL.py`, and QCoDeS, `_AimTTi_PL_P.py` (PL-P). Published drivers know of no over-voltage protection of
-the PL-P. What is not in these is to be checked on yours: the range of the CPX's protection, the numbers of
-EER.
+Sources: CPX400DP and PL & PL-P Series Instruction Manuals, "Remote commands", as quoted in libsigrok,
+`src/hardware/aim-tti-dps` (ranges and steps of the CPX, format of the replies, bits of LSR), PyMeasure,
+`aimttiPL.py`, and QCoDeS, `_AimTTi_PL_P.py` (PL-P). Published drivers have no over-voltage protection for
+the PL-P. Not in these sources, so check on your instrument: the range of the CPX's protection, the error numbers
+of EER.
 """
 
 from typing import Final
@@ -12,7 +12,7 @@ from typing import Final
 MAKERS: Final = r"THURLBY[ -]THANDAR|AIM[ -]TTI"
 MODELS: Final = ("PL303QMD-P", "CPX200DP", "CPX400DP")
 IDENTITY: Final = "THURLBY THANDAR,{model},000000,1.02-1.02"
-"""What one answers to *IDN?."""
+"""Template of the reply to *IDN?."""
 
 INTERFACES: Final = ("lan", "usb", "rs232")
 TCP_PORT: Final = 9221
@@ -35,16 +35,17 @@ OUTPUTS: Final = {
     "CPX200DP": {"1": _CPX200, "2": _CPX200},
     "CPX400DP": {"1": _CPX400, "2": _CPX400},
 }
-"""By model, by number; all are isolated, so that a negative rail is one whose + is grounded, stated as positive."""
+"""By model and output number. The outputs are floating: for a negative rail, ground the + terminal; its voltage
+is still stated as positive."""
 TRACKS: Final = ("CPX200DP", "CPX400DP")
-"""The models that tell by CONFIG? whether their outputs are independent."""
+"""The models that report by CONFIG? whether their outputs are independent or track each other."""
 INDEPENDENT: Final = "2"
 
 REGULATING: Final = 1
 LIMITING: Final = 2
 OVER_VOLTAGE: Final = 4
 OVER_CURRENT: Final = 8
-"""Bits of the limit event register, LSR<n>?, which tells what was since it was last read."""
+"""Bits of the limit event register, LSR<n>?, which collects the events since it was last read."""
 
 POWER_ON: Final = 128
 QUERY_ERROR: Final = 4
@@ -57,4 +58,4 @@ EXECUTION_ERRORS: Final = {
     104: "not while an output is on",
     200: "read only",
 }
-"""What EER? answers."""
+"""Error numbers in the reply to EER?."""

@@ -1,6 +1,6 @@
-"""What is true of an Espec chamber with a P300 or SCP-220 controller.
+"""Facts about Espec chambers with a P300 or SCP-220 controller.
 
-Sources: Espec P300 and SCP-220 communication manuals, as read in ChamberConnectLibrary (`especinteract.py`,
+Sources: Espec P300 and SCP-220 communication manuals, as quoted in ChamberConnectLibrary (`especinteract.py`,
 `p300.py`).
 """
 
@@ -16,6 +16,6 @@ WRITE_TERMINATION: Final = "\r\n"
 SERIAL: Final = {
     "baud_rate": 19200, "data_bits": 8, "parity": "none", "stop_bits": 1, "flow": "none", "device_clear": b"",
 }  # fmt: skip
-"""A P300 as delivered; an SCP-220 has 9600 baud."""
+"""Factory settings of a P300; an SCP-220 has 9600 baud."""
 
 RESOLUTION_C: Final = 0.1

@@ -1,6 +1,6 @@
-"""What is true of the Keysight Truevolt 34460A, 34461A, 34465A, 34470A; all else is as of a 34401A.
+"""Facts about the Keysight Truevolt 34460A, 34461A, 34465A, 34470A where they differ from a 34401A.
 
-Of the integration times of the 34465A and 34470A those stand here that all models share.
+The integration times of the 34465A and 34470A are limited to those that all models share.
 Sources: Truevolt Series Operating and Service Guide, "CONFigure", "SENSe:VOLTage", "FETCh?", "SYSTem:IDENtify",
 "Measurement specifications".
 """
@@ -11,15 +11,15 @@ from drivers.facts import agilent_34401a as line
 
 MODEL: Final = "34461A"
 IDENTITY: Final = "Keysight Technologies,34461A,MY53200001,A.02.17-02.40-02.17-00.52-04-01"
-"""What one answers to *IDN?."""
+"""A reply to *IDN?."""
 INTERFACES: Final = ("lan", "gpib")
-"""It has no RS-232; "lan" stands for USB, too."""
+"""The meters have no RS-232; "lan" includes USB."""
 
 MEMORY_OF_MODEL: Final = {"34461A": 10_000, "34460A": 1_000, "34465A": 50_000, "34470A": 50_000}
-"""Readings that each model keeps, without the option of a larger memory; beyond, the oldest are lost."""
+"""Readings that each model can store without the memory option; further readings overwrite the oldest."""
 MEMORY_READINGS: Final = MEMORY_OF_MODEL[MODEL]
 MOST_SAMPLES: Final = 1_000_000
-"""Of one trigger, whatever the memory keeps of them."""
+"""The most samples per trigger, even if the memory cannot hold them all."""
 
 READ_TERMINATION: Final = line.READ_TERMINATION
 WRITE_TERMINATION: Final = line.WRITE_TERMINATION

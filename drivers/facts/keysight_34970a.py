@@ -1,4 +1,4 @@
-"""What is true of an HP / Agilent / Keysight 34970A or 34972A with 34901A cards; all else is as of a 34401A.
+"""Facts about the HP / Agilent / Keysight 34970A and 34972A with 34901A cards where they differ from a 34401A.
 
 Sources: 34970A User's Guide (34970-90003), chapter 4 "Scanning", "DC Voltage"; chapter 5, "The CONFigure
 Command", "Scanning Commands", "Reading Format Commands", "SYSTem:CTYPe?"; chapter 8, specifications; data sheet.
@@ -11,21 +11,21 @@ from typing import Final
 
 from drivers.facts import agilent_34401a as line
 
-# --- who it is, and how it speaks -------------------------------------------------------------------
+# --- identity and communication ---------------------------------------------------------------------
 
 MODELS: Final = ("34970A", "34972A")
 IDENTITIES: Final = {
     "34970A": "HEWLETT-PACKARD,34970A,0,13-2-2",
     "34972A": "Agilent Technologies,34972A,MY49000001,1.16-1.12-02-02",
 }
-"""What they answer to *IDN?; the 34972A is the one with a LAN."""
+"""Replies to *IDN?; only the 34972A has a LAN interface."""
 INTERFACES: Final = line.INTERFACES
 READ_TERMINATION: Final = line.READ_TERMINATION
 WRITE_TERMINATION: Final = line.WRITE_TERMINATION
 SERIAL: Final = line.SERIAL
 BAUD_RATES: Final = (1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200)
 
-# --- what it measures -------------------------------------------------------------------------------
+# --- measurement ------------------------------------------------------------------------------------
 
 RANGES_V: Final = (0.1, 1.0, 10.0, 100.0, 300.0)
 OVER_RANGE: Final = line.OVER_RANGE
@@ -36,16 +36,16 @@ NPLC_BY_RESOLUTION: Final = {
 RESOLUTION: Final = {nplc: part for part, nplc in NPLC_BY_RESOLUTION.items()}
 NPLC: Final = tuple(sorted(RESOLUTION))
 MEMORY_READINGS: Final = 50_000
-"""Of all channels together."""
+"""Shared by all channels."""
 LEAST_SAMPLES: Final = line.LEAST_SAMPLES
 
 SAMPLE_OVERHEAD_S: Final = 0.03
-"""Overhead of a sample: closing of a relay and time of the meter; a card scans at most 60 channels/s."""
+"""Overhead of a sample: relay closing and meter overhead; a card scans at most 60 channels/s."""
 
 _SHARED: Final = RANGES_V[:-1]
 ACCURACY_90_DAYS: Final = {r: line.ACCURACY_90_DAYS[r] for r in _SHARED} | {300.0: (35e-6, 20e-6)}
 ACCURACY_1_YEAR: Final = {r: line.ACCURACY_1_YEAR[r] for r in _SHARED}
-"""Of the 300 V range the limits of a year were not at hand."""
+"""The one-year limits of the 300 V range were not available."""
 TEMPERATURE_COEFFICIENT: Final = {r: line.TEMPERATURE_COEFFICIENT[r] for r in _SHARED} | {300.0: (5e-6, 3e-6)}
 REFERENCE_C: Final = line.REFERENCE_C
 REFERENCE_WIDTH_C: Final = line.REFERENCE_WIDTH_C
@@ -61,24 +61,24 @@ CHANNELS_TEXT: Final = "101 to 120, 201 to 220, 301 to 320"
 """The channels of a 34901A in each slot that measure volts."""
 LONGEST_CHANNEL_DELAY_S: Final = 60.0
 CHANNEL_DELAY_STEP_S: Final = 1e-3
-"""From the closing of a relay to its sample."""
+"""Resolution of the channel delay, the time from the closing of a relay to its sample."""
 CHANNEL_DELAY_S: Final = 0.1
-"""The default channel delay of the bench."""
+"""The default channel delay of a bench file."""
 
 
 # --- temperature sensors ----------------------------------------------------------------------------
 # Sources: 34970A User's Guide (34970-90003), chapter 4 "Temperature Measurements" (probe types; 4-wire: channel n
 # with n + 10), chapter 5 "CONFigure:TEMPerature", "[SENSe:]TEMPerature:TRANsducer"; chapter 8, specifications: RTD
-# ±0.06 °C, thermistor ±0.08 °C beside the probe. Tolerances of probes: IEC 60751 class B, 0.30 °C + 0.005 |t|;
-# thermistors of the 44000 series, ±0.2 °C. The same commands stand in the 34980A's public help.
+# ±0.06 °C, thermistor ±0.08 °C, without the probe. Tolerances of probes: IEC 60751 class B, 0.30 °C + 0.005 |t|;
+# thermistors of the 44000 series, ±0.2 °C. The 34980A's public help documents the same commands.
 
 
 @dataclass(frozen=True, slots=True)
 class Sensor:
-    """A probe: `configured` is what CONF:TEMP is told, `proved` are questions about a channel and their replies.
+    """A probe: `configured` is the argument of CONF:TEMP, `proved` are verifying queries with expected replies.
 
-    `meter_c` and `probe_c` are limits of error, °C, the probe's grows by `probe_slope` with each degree from 0 °C.
-    With four wires the second pair sits `pair` channels on.
+    `meter_c` and `probe_c` are limits of error, °C; the probe's grows by `probe_slope` per degree from 0 °C.
+    With four wires the sense pair is `pair` channels higher; 0 means two wires.
     """
 
     words: str
@@ -110,7 +110,7 @@ SENSORS: Final = {
     "thermistor-5k": _thermistor(5000),
     "thermistor-10k": _thermistor(10000),
 }
-"""By the name in a bench file."""
+"""The probes by their names in a bench file."""
 PAIRED: Final = range(1, 11)
-"""The channels of a card that a four-wire measurement is named by; its sense wires are on those ten higher."""
+"""The channels of a card for four-wire measurements; the sense wires are ten channels higher."""
 OPEN_C: Final = 9.0e37

@@ -1,9 +1,9 @@
-"""What is true of the Keysight E36300 series: E36311A, E36312A, E36313A.
+"""Facts about the Keysight E36300 series: E36311A, E36312A, E36313A.
 
 Sources: E36300 Series data sheet 5992-2124EN (ratings); E36300 Series Programming Guide, "OUTPut subsystem",
-"[SOURce] subsystem", "STATus subsystem", as read in PyMeasure (`keysightE36311A.py`, `keysightE36312A.py`)
-and other published drivers. That it can be set 3 % beyond its ratings is as with an E3631A; this, the range of the
-protection (110 % of the rating), the steps and the bits of ISUMmary are to be checked on yours.
+"[SOURce] subsystem", "STATus subsystem", as quoted in PyMeasure (`keysightE36311A.py`, `keysightE36312A.py`)
+and other published drivers. The 3 % margin above the ratings is assumed from the E3631A. Check on your instrument:
+this margin, the range of the protection (110 % of the rating), the steps and the bits of ISUMmary.
 """
 
 from typing import Final
@@ -11,7 +11,7 @@ from typing import Final
 MAKERS: Final = r"Keysight( Technologies)?|Agilent( Technologies)?"
 MODELS: Final = ("E36311A", "E36312A", "E36313A")
 IDENTITY: Final = "Keysight Technologies,{model},MY00000000,1.0.4-1.0.0-1.00"
-"""What one answers to *IDN?."""
+"""Template of the reply to *IDN?."""
 
 INTERFACES: Final = ("lan", "usb")
 TCP_PORT: Final = 5025
@@ -38,7 +38,7 @@ OUTPUTS: Final = {
     "E36312A": {"1": _output(6.0, 5.0), "2": _output(25.0, 1.0), "3": _output(25.0, 1.0)},
     "E36313A": {"1": _output(6.0, 10.0), "2": _output(25.0, 2.0), "3": _output(25.0, 2.0)},
 }
-"""By model, by number; the third of an E36311A is negative."""
+"""By model and output number; output 3 of an E36311A is negative."""
 
 LIMITING: Final = 1
 REGULATING: Final = 2

@@ -1,4 +1,4 @@
-"""What is true of an HP / Agilent / Keysight E3631A.
+"""Facts about the HP / Agilent / Keysight E3631A.
 
 Sources: E3631A User's Guide (E3631-90002), chapter 3, "Remote interface configuration"; chapter 4, table 4-1
 "Programming ranges and output identifiers", "Output setting and operation commands", "The SCPI status registers";
@@ -10,7 +10,7 @@ from typing import Final
 MAKERS: Final = r"HEWLETT-PACKARD|HP|Agilent( Technologies)?|Keysight( Technologies)?"
 MODELS: Final = ("E3631A",)
 IDENTITY: Final = "HEWLETT-PACKARD,E3631A,0,1.4-5.0-1.0"
-"""What one answers to *IDN?."""
+"""A reply to *IDN?."""
 
 INTERFACES: Final = ("gpib", "rs232")
 READ_TERMINATION: Final = "\n"
@@ -19,10 +19,10 @@ BAUD_RATES: Final = (300, 600, 1200, 2400, 4800, 9600)
 SERIAL: Final = {
     "baud_rate": 9600, "data_bits": 8, "parity": "none", "stop_bits": 2, "flow": "dtr_dsr", "device_clear": b"\x03",
 }  # fmt: skip
-"""As delivered. Over RS-232 it must be told SYSTem:REMote before anything else."""
+"""Factory settings. Over RS-232 the first command must be SYSTem:REMote."""
 
 SWITCHED_TOGETHER: Final = True
-"""OUTPut[:STATe] is for all three outputs."""
+"""OUTPut[:STATe] switches all three outputs."""
 _P6V = {
     "voltage_v": (0.0, 6.18),
     "current_a": (0.0, 5.15),
@@ -37,11 +37,11 @@ _P25V = {
 }
 _N25V = {**_P25V, "voltage_v": (-25.75, 0.0)}
 OUTPUTS: Final = {"E3631A": {"P6V": _P6V, "P25V": _P25V, "N25V": _N25V}}
-"""By their identifiers; none has an over-voltage protection."""
+"""By model and output identifier; no output has an over-voltage protection."""
 DEFAULT_CURRENT_A: Final = {"P6V": 5.0, "P25V": 1.0, "N25V": 1.0}
-"""The current limits that *RST sets, with 0 V, everything off: also what it is when it is switched on."""
+"""The current limits after power-on and *RST, which also set 0 V and switch the outputs off."""
 
 LIMITING: Final = 1
 REGULATING: Final = 2
 FAILED: Final = 3
-"""What STATus:QUEStionable:INSTrument:ISUMmary<n>:CONDition? answers: 0 is off or unregulated."""
+"""Replies to STATus:QUEStionable:INSTrument:ISUMmary<n>:CONDition?; 0 means off or unregulated."""

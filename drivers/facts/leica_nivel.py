@@ -1,9 +1,9 @@
-"""What is true of a Leica Nivel210 (RS-232) or Nivel220 (RS-485) two-axis inclination sensor.
+"""Facts about the Leica Nivel210 (RS-232) and Nivel220 (RS-485) two-axis inclination sensors.
 
 Sources: NIVEL200 Technical Reference Manual 1.0 (748340), chapters 2 (blocks, check sum, worked examples), 3, 4
-and 6, appendix A; NIVEL200 User Manual, chapters 4.2 (offset by half a turn) and 8 (technical data). Both and a log
-of a real one stand with the public program DfAC/Nivel; the public library applied-geodesy/nivel sends the same.
-Not in them: what a sensor that is out of its range puts into X and Y; that is asked by `G P`.
+and 6, appendix A; NIVEL200 User Manual, chapters 4.2 (offset by half a turn) and 8 (technical data). The public
+program DfAC/Nivel includes both manuals and a log of a real sensor; the public library applied-geodesy/nivel sends
+the same commands. The manuals do not say what X and Y hold when the sensor is out of range: `G P` reports this.
 """
 
 from typing import Final
@@ -16,11 +16,11 @@ MODEL: Final = "Nivel200"
 START: Final = "\x16\x02"
 """<SYN><STX> begins a block."""
 END: Final = "\x03"
-"""<ETX> ends what is said; the two bytes of the check sum follow."""
+"""<ETX> ends the text of a block; the two bytes of the check sum follow."""
 READ_TERMINATION: Final = END
 READ_TAIL: Final = 2
 WRITE_TERMINATION: Final = "\r\n"
-"""It takes any two characters for a check sum."""
+"""Takes the place of the check sum: the sensor accepts any two characters."""
 HOST: Final = "C1"
 """The address of the computer."""
 SERIAL: Final = {
@@ -28,26 +28,26 @@ SERIAL: Final = {
 }  # fmt: skip
 BAUD_RATES: Final = (1200, 2400, 9600, 19200, 38400)
 SLOWEST_REPLY_S: Final = 2.0
-"""It answers within 0.1 to 2 s, and is not to be spoken to before."""
+"""The sensor replies within 0.1 to 2 s; send nothing before."""
 
-# --- what it measures -------------------------------------------------------------------------------
+# --- measurement ------------------------------------------------------------------------------------
 
 MRAD: Final = 1e-3
 RESOLUTION_RAD: Final = 1e-6
 RANGE_RAD: Final = 3.00e-3
 """Range C, the widest."""
 ACCURACY_RAD: Final = ((1.51e-3, 4.7e-6), (2.51e-3, 14.1e-6), (3.00e-3, 47.1e-6))
-"""Ranges A, B, C with the standard deviation of an angle in each."""
+"""The ranges A, B and C, rad, each with the standard deviation of an angle, rad."""
 SCALE_ERROR: Final = 0.005
 DIRECTION_ERROR_DEG: Final = 1.0
 ORTHOGONAL_ERROR_DEG: Final = 2.0
-"""Limits: of the scale, of the axes against the edge of the case, of one axis against the other."""
+"""Limits of error: of the scale, of the axes against the edge of the case, of one axis against the other."""
 ZERO_RAD_PER_K: Final = 4.71e-6
 AVERAGES: Final = 8
 MOST_AVERAGES: Final = 128
-"""Of so many measurements, one a second, each value is the mean: as delivered, and at most."""
+"""Number of measurements, one per second, averaged in each value: factory setting and maximum."""
 
 
 def check_sum(said: str) -> bytes:
-    """Return the sum of the characters from the addressee to the end of what is said, 16 bits, high byte first."""
+    """Return the 16-bit check sum of a block, high byte first; `said` runs from the addressee to <ETX>."""
     return (sum(said.encode("ascii", "replace")) & 0xFFFF).to_bytes(2, "big")

@@ -1,18 +1,18 @@
-"""What is true of a chamber with a Thermotron 8800, 8200, 3800 or 2800.
+"""Facts about chambers with a Thermotron 8800, 8200, 3800 or 2800 controller.
 
-Source: Thermotron 8800 computer interface manual, as read in public drivers.
+Source: Thermotron 8800 computer interface manual, as quoted in public drivers.
 """
 
 from typing import Final
 
 MAKER: Final = "Thermotron"
 IDENTITY: Final = r"2800|3800|8200|8800"
-"""Searched for in the reply to IDEN?."""
+"""Pattern searched for in the reply to IDEN?."""
 
 TCP_PORT: Final = 8888
 READ_TERMINATION: Final = "\n"
 WRITE_TERMINATION: Final = "\n"
-"""An 8200 wants and sends CR."""
+"""An 8200 expects and sends CR."""
 SERIAL: Final = {
     "baud_rate": 9600, "data_bits": 8, "parity": "none", "stop_bits": 1, "flow": "none", "device_clear": b"",
 }  # fmt: skip

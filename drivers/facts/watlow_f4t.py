@@ -1,4 +1,4 @@
-"""What is true of a chamber with a Watlow F4T controller.
+"""Facts about chambers with a Watlow F4T controller.
 
 Sources: Watlow F4T User's Guide, "SCPI commands"; TestEquity F4T manuals.
 """
@@ -8,10 +8,10 @@ from typing import Final
 MAKER: Final = "Watlow"
 MODEL: Final = "F4T"
 IDENTITY: Final = r"F4T"
-"""Searched for in the reply to *IDN?, any case."""
+"""Pattern searched for in the reply to *IDN?, in either case."""
 
 TCP_PORT: Final = 5025
-"""SCPI; the port 502 that one edition of the guide prints is Modbus."""
+"""The SCPI port; port 502 in one edition of the guide is Modbus."""
 READ_TERMINATION: Final = "\n"
 WRITE_TERMINATION: Final = "\n"
 
@@ -21,7 +21,7 @@ RESOLUTION_C: Final = 0.1
 MOST_LOOPS: Final = 4
 MOST_OUTPUTS: Final = 99
 SAFE_C: Final = 23.0
-"""What a chamber without a switching output is set to after a run, unless a bench file says otherwise."""
+"""Set point after a run for a chamber without a switching output, unless the bench file states another."""
 
 FAHRENHEIT_PER_C: Final = 1.8
 FAHRENHEIT_AT_0_C: Final = 32.0

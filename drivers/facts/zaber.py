@@ -1,4 +1,4 @@
-"""What is true of rotary stages with a Zaber controller in its ASCII protocol.
+"""Facts about rotary stages with a Zaber controller and its ASCII protocol.
 
 Source: Zaber ASCII Protocol Manual, sections "Message Format", "Commands", "Device Settings", "Checksumming".
 """
@@ -15,17 +15,17 @@ WRITE_TERMINATION: Final = "\n"
 SERIAL: Final = {
     "baud_rate": 115200, "data_bits": 8, "parity": "none", "stop_bits": 1, "flow": "none", "device_clear": b"",
 }  # fmt: skip
-"""How a port speaks as delivered; the protocol knows no device clear."""
+"""Factory settings of a serial port; the protocol has no device clear."""
 
 RESOLUTION: Final = 64
-"""Microsteps of a full step, as delivered."""
+"""Microsteps per full step, factory setting."""
 MOST_STEPS: Final = 2**31 - 1
 SPEED_UNITS: Final = 1.6384
 """The setting maxspeed is this many per microstep/s."""
 MOST_DEVICES: Final = 99
 MOST_AXES: Final = 9
 MOST_NUMBERS: Final = 99
-"""Message numbers go from 1 to this one."""
+"""The highest message number; the lowest is 1."""
 
 
 def checksum(message: str) -> str:

@@ -1,1 +1,1 @@
-"""One module for each make or model: its driver."""
+"""The instrument drivers, one module for each make or model."""

@@ -1,8 +1,8 @@
 """A rate table with an ACUTROL controller as dividing head: commands over TCP, degrees in plain text.
 
-Every command is answered: a prefix of eight characters, then OK or a number. There is no query for "in
-position": position and rate are polled. Commands `:utility`, `:interlock`, `:mode`, `:demand`, `:read`; sources:
-see its facts.
+Every command has a reply: a prefix of eight characters, then OK or a number. There is no query for "in
+position": position and rate are polled. Commands `:utility`, `:interlock`, `:mode`, `:demand`, `:read`.
+Sources: see `drivers.facts.acutrol`.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ _NUMBER: Final = rf"{_PREFIX} *[+-]?\d+(?:\.\d+)?(?:[eE][+-]?\d+)? *"
 class AcutrolHead(MotorisedHead):
     """A `DividingHead` on one axis of an ACUTROL.
 
-    `still_rad_s` is the rate below which the table stands. The speed of a move is the controller's own:
-    the travel's only says how long a move may take. An angle is sent to the nearest 0.001°. Raises
-    `ValueError` when the tolerance is finer than that.
+    Below the rate `still_rad_s` the table counts as at rest. The controller determines the speed of a move; the
+    speed in `travel` only limits its duration. Angles are sent rounded to 0.001°. Raises `ValueError` if the
+    tolerance is less than the rounding error, 0.0005°.
     """
 
     def __init__(
@@ -56,9 +56,9 @@ class AcutrolHead(MotorisedHead):
     # --- the head -----------------------------------------------------------------------------------
 
     def open(self) -> Identity:
-        """Connect, take the lockout, go through the interlock; the table is powered, nothing moves.
+        """Connect, take the lockout and cycle the interlock; the table is then powered but does not move.
 
-        The controller has no identity to ask for: what proves it is the form of its replies.
+        The controller has no identity query: the format of its replies identifies it.
         Raises `InstrumentLost`, `BadReading`, `InstrumentRefused`.
         """
         self._positioning = False
@@ -67,7 +67,7 @@ class AcutrolHead(MotorisedHead):
         return self._identity
 
     def _release(self, attempts: Attempts) -> None:
-        """Switch the axis off, open the interlock: the table was set to rate 0 just now."""
+        """Switch the axis off and open the interlock, after the table was set to rate 0."""
         attempts.make("switch its axis off at the controller", self._switch_off)
         attempts.make(
             "open its interlock at the controller",
@@ -77,7 +77,7 @@ class AcutrolHead(MotorisedHead):
     # --- the axis -----------------------------------------------------------------------------------
 
     def prepare(self) -> None:
-        """Enter the position mode, demanding first where the table stands: an old demand would move it."""
+        """Enter the position mode; first demand the present angle, as an old demand would move the table."""
         self._session.repeating(self._session.ensure_proved)
         if not self._positioning:
             self._demand(self.position_rad())
@@ -90,17 +90,18 @@ class AcutrolHead(MotorisedHead):
         return math.radians(self._read("position"))
 
     def start(self, target_rad: float) -> None:
-        """Demand an angle, to the nearest 0.001°."""
+        """Begin to move to an angle, rounded to 0.001°."""
         self._demand(target_rad)
 
     def moving(self) -> bool:
-        """Whether the table turns faster than it may when it stands."""
+        """Return whether the table turns faster than `still_rad_s`."""
         return abs(math.radians(self._read("rate"))) > self._still_rad_s
 
     def stop(self) -> None:
-        """Hold the table still: rate mode at rate 0; where it refuses that, switch its axis off.
+        """Stop the table by rate mode at rate 0; if the controller refuses, switch the axis off.
 
-        The rate mode is not entered before rate 0 was taken: an older demand would turn the table.
+        Rate 0 is demanded before the rate mode is entered, as an older demand would turn the table.
+        Raises `InstrumentRefused` or `InstrumentLost` unless rate 0 was accepted.
         """
         self._positioning = False
         attempts = Attempts()
@@ -118,10 +119,10 @@ class AcutrolHead(MotorisedHead):
         self._tell(f":mode:off {self._axis}", urgent=True)
 
     def _start_up(self) -> None:
-        """The maker's start-up sequence; the controller wants a quarter of a second after each.
+        """Send the maker's start-up sequence, with a pause of a quarter of a second after each command.
 
-        Not repeated over a connection made anew: opening the interlock would halt a table that moves, and a
-        controller that was switched off meanwhile refuses to position.
+        It is not repeated after a later reconnection: opening the interlock would halt a moving table, and a
+        controller that was switched off in the meantime refuses to position.
         """
         for command in (
             ":utility:lockout on",
@@ -133,7 +134,7 @@ class AcutrolHead(MotorisedHead):
             self._clock.sleep(facts.STARTUP_GAP_S)
 
     def _prove(self) -> None:
-        """A controller is known by the form of its answer."""
+        """Identify the controller by the format of a reply."""
         self._read("position")
 
     def _demand(self, angle_rad: float) -> None:
@@ -148,7 +149,7 @@ class AcutrolHead(MotorisedHead):
         return float(reply[facts.PREFIX_CHARACTERS :])
 
     def _tell(self, command: str, urgent: bool = False) -> None:
-        """Send a command. Raises `InstrumentRefused` for any answer but OK."""
+        """Send a command. Raises `InstrumentRefused` for any reply but OK."""
         send = self._session.urgent if urgent else self._session.command
         reply = send(command, _ANY, f"a prefix of {facts.PREFIX_CHARACTERS} characters and OK")
         answer = reply[facts.PREFIX_CHARACTERS :].strip()
@@ -161,6 +162,6 @@ class AcutrolHead(MotorisedHead):
 
 
 def _degrees(angle_rad: float) -> str:
-    """Format an angle or rate as the controller takes it: "045.000", "-010.500"."""
+    """Return an angle (rad) or rate (rad/s) in degrees, in the controller's format: "045.000", "-010.500"."""
     degrees = round(math.degrees(angle_rad), facts.DEMAND_DECIMALS)
     return f"{'-' if degrees < 0.0 else ''}{abs(degrees):07.{facts.DEMAND_DECIMALS}f}"

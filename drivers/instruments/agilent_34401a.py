@@ -1,6 +1,6 @@
-"""HP / Agilent / Keysight 34401A, and a Truevolt 34461A set to emulate it: DC volts into memory.
+"""HP / Agilent / Keysight 34401A, or a Truevolt 34461A that emulates it: DC volts into memory.
 
-Sources: see its facts.
+Sources: see `drivers.facts.agilent_34401a`.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class SingleChannelDialect:
-    """Differences between meters of the 34401A's line: two headers, and the size of the memory."""
+    """What differs between a 34401A and related meters: two command headers and the limits (memory size)."""
 
     autozero: str
     high_impedance: str
@@ -35,7 +35,7 @@ class Agilent34401A(ScpiVoltmeter):
     """A `Voltmeter` with one signal (see `ScpiVoltmeter` for `interface`, `clock` and `line_hz`)."""
 
     dialects: Mapping[str, SingleChannelDialect] = dict.fromkeys(facts.MODELS, DIALECT_34401A)
-    """The models that are taken, by the name in their identity; the first is assumed before `open`."""
+    """The accepted models, by the name in their identity; the first is assumed before `open`."""
 
     models: tuple[str, ...] = facts.MODELS
     called = "a 34401A"
@@ -56,7 +56,7 @@ class Agilent34401A(ScpiVoltmeter):
 
     @property
     def limits(self) -> VoltmeterLimits:
-        """The limits of the model; before `open` of the model that this driver is named after."""
+        """The limits of the connected model; before `open`, those of the first model of `dialects`."""
         return self._dialect.limits
 
     def _accept(self, identity: Identity, reply: str) -> None:

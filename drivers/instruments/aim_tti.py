@@ -1,8 +1,8 @@
 """An Aim-TTi PL-P or CPX over LAN, USB (a serial port to the computer) or RS-232.
 
-It does not speak SCPI: V1 5.0 sets, V1? answers V1 5.000, V1O? measures. Its limit event register tells what was
-since it was last read: a trip is remembered here until the output is switched on again.
-Sources: see its facts.
+It does not use SCPI: `V1 5.0` sets, `V1?` returns `V1 5.000`, `V1O?` measures. Reading its limit event register
+clears it, so the driver remembers a trip until the output is switched on again.
+Sources: see `drivers.facts.aim_tti`.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ if TYPE_CHECKING:
 _NUMBER: Final = r"-?\d{1,3}\.\d{1,4}"
 _TRIPPED: Final = facts.OVER_VOLTAGE | facts.OVER_CURRENT
 _NEAR_STEPS: Final = 3.0
-"""A current this near to its limit, with a voltage below its setting, is limited."""
+"""A current within so many steps of its limit, with the voltage so many steps below its setting, is limited."""
 
 
 class AimTti(WiredSupply):
-    """A `PowerSupply` of the makers with outputs 1, 2."""
+    """A `PowerSupply` with the outputs 1 and 2; `model` is the model that the identity must have."""
 
     def __init__(
         self, name: str, session: MessageSession, clock: Clock, *, limits: SupplyLimits, model: str
@@ -38,7 +38,7 @@ class AimTti(WiredSupply):
         self._identify(facts.MAKERS, (self._model,), f"a {self._model}")
         self._session.ask(
             "*ESR?", r"\d{1,3}", "a register such as 0"
-        )  # what was before is no concern of ours
+        )  # reading the register clears events from before the connection
 
     def _states(self) -> dict[str, OutputState]:
         return {output: self._state(output) for output in self.outputs}
@@ -64,7 +64,7 @@ class AimTti(WiredSupply):
         )
 
     def _limits_current(self, output: str, settings: OutputSettings, given_v: float, given_a: float) -> bool:
-        """Whether an output limits its current: the register tells only what has been."""
+        """Return whether an output limits its current now; the event register shows only past events."""
         steps = self._limits.outputs[output]
         at_limit = given_a >= settings.current_limit_a - _NEAR_STEPS * steps.current_step_a
         return at_limit and given_v < settings.voltage_v - _NEAR_STEPS * steps.voltage_step_v
@@ -107,7 +107,7 @@ class AimTti(WiredSupply):
         self._session.write("OPALL 0")
 
     def _errors(self) -> list[str]:
-        """Return what the event registers tell of commands that it did not take."""
+        """Return the errors of rejected commands, from the event registers."""
         event = int(self._session.ask("*ESR?", r"\d{1,3}", "a register such as 0"))
         errors = []
         if event & facts.COMMAND_ERROR:

@@ -1,7 +1,7 @@
 """An Espec chamber with a P300 or SCP-220 controller: ASCII over a serial port or TCP port 10001.
 
-Every command has one reply; a refused one begins with `NA:`. Sources: see its facts; TEMP, MON, MODE, ALARM,
-TYPE, ROM.
+Every command has one reply; the reply to a refused command begins with `NA:`.
+Sources: see `drivers.facts.espec`; TEMP, MON, MODE, ALARM, TYPE, ROM.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _MEANINGS: Final = {
 
 
 class EspecChamber(ControlledChamber):
-    """A `ThermalChamber` in constant operation, set to 0.1 °C; stopped it is in standby.
+    """A `ThermalChamber` in constant operation, with a resolution of 0.1 °C; its safe state is standby.
 
     `identity` is the pattern of the controller's name in the reply to TYPE?.
     """
@@ -114,7 +114,7 @@ class EspecChamber(ControlledChamber):
         self._identity = Identity(facts.MAKER, controller, firmware=firmware)
 
     def _temperatures(self) -> tuple[float, float, float, float]:
-        """Return what TEMP? answers: air, set point, upper and lower limit, °C."""
+        """Return the reply to TEMP?: air, set point, upper and lower limit, °C."""
         reply = self._ask("TEMP?", _TEMPERATURES, "four temperatures such as 26.4,25.0,140.0,-50.0")
         air_c, set_point_c, high_c, low_c = (float(field) for field in reply.split(","))
         return air_c, set_point_c, high_c, low_c
@@ -141,11 +141,11 @@ class EspecChamber(ControlledChamber):
         )
 
     def _ask(self, command: str, pattern: str, expected: str) -> str:
-        """Send a query. Raises `InstrumentRefused` for a reply with NA."""
+        """Send a query and return its reply. Raises `InstrumentRefused` for a reply with NA."""
         return self._accepted(command, self._session.ask(command, f"{_REFUSED}|{pattern}", expected))
 
     def _tell(self, command: str) -> None:
-        """Send a setting; its reply repeats it. Blanks do not count."""
+        """Send a setting. Raises `InstrumentRefused` unless the reply is `OK:` and the setting, ignoring blanks."""
         wanted = f"OK:{command}".replace(" ", "")
         reply = self._session.command(command, rf"{_REFUSED}|OK:[\x20-\x7e]+", f"OK:{command}")
         if self._accepted(command, reply).replace(" ", "") != wanted:

@@ -1,7 +1,7 @@
 """Keithley 2000: DC volts into its buffer.
 
-A start clears the buffer and fills it once; *WAI has the answer wait for the last reading, as the meter takes
-commands while it measures. Sources: see its facts.
+A start clears the buffer and fills it once. As the meter accepts commands while it measures, *WAI delays the reply
+until the last reading. Sources: see `drivers.facts.keithley_2000`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class Keithley2000(ScpiVoltmeter):
-    """A `Voltmeter` with one signal. `interface` is "gpib" or "rs232": it has no LAN."""
+    """A `Voltmeter` with one signal. `interface` is "gpib" or "rs232"; there is no LAN."""
 
     makers = facts.MAKERS
     models = facts.MODELS
@@ -52,7 +52,7 @@ class Keithley2000(ScpiVoltmeter):
 
     def _setup(self, settings: VoltmeterSettings) -> list[ProvenSetting]:
         return [
-            # Switched on it measures on and on, and with a filter: both would be taken into the readings.
+            # After power-on the meter triggers continuously and filters; both would affect the readings.
             ProvenSetting("INIT:CONT OFF;:ABOR", "INIT:CONT?", 0.0),
             ProvenSetting("FUNC 'VOLT:DC'", "FUNC?", '"VOLT:DC"'),
             ProvenSetting(f"VOLT:DC:RANG {settings.range_v:g}", "VOLT:DC:RANG?", settings.range_v),
@@ -67,7 +67,7 @@ class Keithley2000(ScpiVoltmeter):
             ProvenSetting("TRIG:DEL:AUTO ON", "TRIG:DEL:AUTO?", 1.0),
             ProvenSetting("TRIG:COUN 1", "TRIG:COUN?", 1.0),
             ProvenSetting(f"SAMP:COUN {settings.samples}", "SAMP:COUN?", float(settings.samples)),
-            # The size of a buffer that is being filled cannot be changed.
+            # The buffer's size cannot be changed while it fills, so stop that first (FEED:CONT NEV).
             ProvenSetting(
                 f"TRAC:FEED:CONT NEV;:TRAC:FEED SENS;:TRAC:POIN {settings.samples}",
                 "TRAC:POIN?",

@@ -1,8 +1,8 @@
-"""Keysight Truevolt 34460A, 34461A, 34465A, 34470A: DC volts into memory, in their own identity or the 34401A's.
+"""Keysight Truevolt 34460A, 34461A, 34465A, 34470A: DC volts into memory, under their own or a 34401A's identity.
 
-Over the 34401A's commands they take (SYSTem:IDENtify makes them answer as one), only autozero and input
-impedance have moved under the function and the memory is larger; a reading has the same 15 characters.
-Sources: see its facts.
+They differ from a 34401A in the headers of autozero and input impedance, now below the function, and in a
+larger memory; a reading has the same 15 characters. SYSTem:IDENtify makes them report the identity of a 34401A.
+Sources: see `drivers.facts.keysight_34461a`.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ DIALECTS: Final = {
 
 
 class Keysight34461A(Agilent34401A):
-    """A `Voltmeter` with one signal. `interface` is "lan" (also for USB) or "gpib": it has no RS-232."""
+    """A `Voltmeter` with one signal. `interface` is "lan" (also for USB) or "gpib"; there is no RS-232."""
 
     dialects = DIALECTS
     models = tuple(DIALECTS)

@@ -1,8 +1,8 @@
 """HP / Agilent / Keysight 34970A and 34972A with 34901A multiplexer cards: several DC voltages, one meter.
 
-The signals are sampled one after another, not at one moment: within a scan each waits for its channel's
-delay and the integration of those before it. The meter scans in rising order of the channel numbers,
-whatever order it is told. Sources: see its facts.
+The signals are sampled one after another, not simultaneously: within a scan each waits for its channel's
+delay and the integration of the channels before it. The meter scans in ascending order of the channel numbers,
+whatever order is requested. Sources: see `drivers.facts.keysight_34970a`.
 """
 
 from __future__ import annotations
@@ -35,14 +35,15 @@ _READING_EXTRAS: Final = ("ALAR", "CHAN", "TIME", "UNIT")
 
 
 class Keysight34970A(ScpiVoltmeter):
-    """A `Voltmeter` with as many signals as channels are given (see `ScpiVoltmeter` for the rest).
+    """A `Voltmeter` with one signal per multiplexer channel (see `ScpiVoltmeter` for the other arguments).
 
-    `channels` says on which channel of the multiplexer each signal is, `{"x": 101, "y": 102, "z": 103}` or
-    the same as pairs; the attribute `channels` holds the signals in the order of the scan. A sample is one
-    scan. `channel_delay_s` passes after each relay has closed, before its sample: whole milliseconds.
-    Raises `LimitExceeded` for channels that a 34901A does not have or that are given twice, or the delay.
+    `channels` maps signals to channels, `{"x": 101, "y": 102, "z": 103}`, or lists them as pairs; the attribute
+    `channels` holds the signals in scan order. A sample is one scan. `channel_delay_s`, in whole milliseconds,
+    passes between the closing of a relay and its sample. Raises `LimitExceeded` for channels that a 34901A
+    does not have, for duplicates, and for an invalid delay.
     """
 
+    not_live = "a scanner's relays wear with every look, so it is read at readings only"
     models = facts.MODELS
     called = "a 34970A or 34972A"
 
@@ -70,11 +71,11 @@ class Keysight34970A(ScpiVoltmeter):
 
     @property
     def limits(self) -> VoltmeterLimits:
-        """The limits of the meter with these channels: its memory holds 50,000 readings of all of them."""
+        """The limits of the meter with these channels, which share its memory of 50,000 readings."""
         return self._limits
 
     def open(self) -> Identity:
-        """Connect, prove the identity by pattern and that a 34901A is in each slot that is used.
+        """Connect, verify the identity, and verify that each slot in use holds a 34901A.
 
         Raises `InstrumentLost`, `BadReading`, `InstrumentRefused`.
         """
@@ -130,7 +131,7 @@ class Keysight34970A(ScpiVoltmeter):
 
 
 def _wrong_channels(pairs: Sequence[tuple[Channel, int]]) -> list[str]:
-    """Return what is wrong with the channels, one phrase for each."""
+    """Return one phrase for each mistake in the pairs of signal and channel."""
     wrong = [] if pairs else ["a scan of no channel"]
     for index, (signal, number) in enumerate(pairs):
         if number // 100 not in facts.SLOTS or number % 100 not in facts.CARD_CHANNELS:
@@ -152,14 +153,14 @@ def _wrong_delay(delay_s: float) -> list[str]:
 
 
 # --- as a thermometer -------------------------------------------------------------------------------
-# Source: see `sensors` and the facts of the meter.
+# Source: see `SENSORS` and the rest of `drivers.facts.keysight_34970a`.
 
 _TEMPERATURE: Final = VoltmeterSettings(range_v=1.0, nplc=10.0, samples=1)
-"""A range is no matter of temperatures; the meter finds its own."""
+"""Settings for a temperature; the range is a dummy, as the meter chooses its own."""
 
 
 class _Probe(ScpiVoltmeter):
-    """The meter as it scans one channel for a temperature."""
+    """A 34970A or 34972A that scans a single channel with a temperature sensor."""
 
     models = facts.MODELS
     called = "a 34970A or 34972A"
@@ -197,13 +198,13 @@ class _Probe(ScpiVoltmeter):
         return identity
 
     def anew(self) -> None:
-        """Set the channel up again before its next reading."""
+        """Have the channel configured again before its next reading."""
         self._connection = None
 
     def _setup(self, settings: VoltmeterSettings) -> list[ProvenSetting]:
         listed = f"(@{self._channel})"
         return [
-            # CONF makes the channel the scan list, presets triggers and the format of readings
+            # CONF sets the scan list to this channel and presets triggers and the format of readings.
             ProvenSetting(f"CONF:TEMP {self._sensor.configured},1,DEF,{listed}", f"FUNC? {listed}", '"TEMP"'),
             *(
                 ProvenSetting(None, f"{question} {listed}", wanted)
@@ -228,10 +229,11 @@ class _Probe(ScpiVoltmeter):
 
 
 class Keysight34970AThermometer:
-    """A `Thermometer`: the sensor of that name (`SENSORS`) on a channel such as 104.
+    """A `Thermometer`: a sensor named as in `SENSORS` on a multiplexer channel such as 104.
 
-    With `meter`, the voltmeter that has the signals, it is read over the voltmeter's session, and the voltmeter
-    then set up again. Raises `LimitExceeded` for a channel that a card does not have, or not for four wires.
+    If the voltmeter of the signals is the same instrument, pass it as `meter` and its session as `session`: it is
+    then configured again after each temperature. Raises `LimitExceeded` for a channel that a card does not have,
+    or not for four wires.
     """
 
     asks_person = False
@@ -263,19 +265,22 @@ class Keysight34970AThermometer:
         )  # fmt: skip
 
     def open(self) -> Identity:
-        """Connect and prove meter and card. Raises `InstrumentLost`, `BadReading`, `InstrumentRefused`."""
+        """Connect and verify meter and card. Raises `InstrumentLost`, `BadReading`, `InstrumentRefused`."""
         identity = self._probe.open()
-        # beside the signals it is the voltmeter that has the serial number
+        # with a shared meter, the serial number belongs to the voltmeter alone
         return identity if self._meter is None else replace(identity, serial="")
 
     def close(self) -> str:
-        """Let the wire go where it is its own, as a voltmeter does. Never raises, may be called twice."""
+        """Disconnect, unless the session belongs to the voltmeter. Never raises, may be called twice.
+
+        Returns what a person must still do, an empty string for nothing.
+        """
         return self._probe.close() if self._meter is None else ""
 
     def block_c(self, key: str) -> float:
-        """Set the channel up, prove it, read the sensor once.
+        """Configure and verify the channel, read the sensor once, and return the temperature, °C.
 
-        Raises `BadReading` for an open sensor, `InstrumentRefused`, `InstrumentLost`.
+        Raises `BadReading` for an open sensor or an impossible value, `InstrumentRefused`, `InstrumentLost`.
         """
         self._probe.anew()
         self._probe.configure(_TEMPERATURE)

@@ -1,8 +1,9 @@
 """A Keysight E36311A, E36312A or E36313A over LAN or USB.
 
-Its outputs are switched one by one; each has an over-voltage protection, which is always at work. The over-current
-protection is left as it is: it may trip at a current limit, which is told like any other trip.
-Sources: see its facts; VOLTage, CURRent, VOLTage:PROTection, OUTPut with channel lists, STATus:QUEStionable.
+The outputs are switched one by one; each has an over-voltage protection that is always active. The over-current
+protection is left as set: it may trip at the current limit, which is reported like any other trip.
+Sources: see `drivers.facts.keysight_e36300`; VOLTage, CURRent, VOLTage:PROTection, OUTPut with channel lists,
+STATus:QUEStionable.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ _NUMBERS: Final = ("VOLT", "CURR", "VOLT:PROT", "MEAS:VOLT", "MEAS:CURR")
 
 
 class KeysightE36300(WiredSupply):
-    """A `PowerSupply` of the series with the outputs 1, 2, 3."""
+    """A `PowerSupply` with the outputs 1, 2 and 3; `model` is the model that the identity must have."""
 
     def __init__(
         self, name: str, session: MessageSession, clock: Clock, *, limits: SupplyLimits, model: str
@@ -36,7 +37,7 @@ class KeysightE36300(WiredSupply):
         self._session.write("*CLS")
 
     def _states(self) -> dict[str, OutputState]:
-        """Ask everything of all outputs in one message; its replies stand in the order of the questions."""
+        """Query the whole state of all outputs in one message; the replies come in the order of the queries."""
         questions = [f"{header}? (@{self._listed})" for header in (*_SWITCHES, *_NUMBERS)]
         questions += [f"STAT:QUES:INST:ISUM{output}:COND?" for output in self.outputs]
         switches, numbers = self._row("[01]"), self._row(NUMBER)

@@ -1,7 +1,7 @@
 """An HP / Agilent / Keysight E3631A over GPIB (a board, an adapter) or RS-232.
 
-It has one switch for all of its outputs and no over-voltage protection. Over RS-232 it is told to be remote first.
-Sources: see its facts; APPLy, MEASure, OUTPut, STATus:QUEStionable:INSTrument:ISUMmary.
+One switch controls all outputs, and there is no over-voltage protection. Over RS-232 it is first set to remote.
+Sources: see `drivers.facts.keysight_e3631a`; APPLy, MEASure, OUTPut, STATus:QUEStionable:INSTrument:ISUMmary.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _ZERO_V: Final = 0.01
 
 
 class KeysightE3631A(WiredSupply):
-    """A `PowerSupply` with the outputs P6V, P25V, N25V; a voltage of N25V is negative."""
+    """A `PowerSupply` with the outputs P6V, P25V and N25V; voltages of N25V are negative."""
 
     def __init__(
         self,
@@ -49,7 +49,7 @@ class KeysightE3631A(WiredSupply):
         }
 
     def _state(self, output: str, number: int, on: bool) -> OutputState:
-        """Ask in one message what an output is set to, what it gives and how it regulates; none is selected."""
+        """Query an output's settings, voltage, current and regulation in one message, without selecting it."""
         reply = self._session.ask(
             f"APPL? {output};:MEAS:VOLT? {output};:MEAS:CURR? {output};:STAT:QUES:INST:ISUM{number}:COND?",
             _STATE,
@@ -68,7 +68,7 @@ class KeysightE3631A(WiredSupply):
     def _refuse_unready(
         self, states: Mapping[str, OutputState], settings: Mapping[str, OutputSettings]
     ) -> None:
-        """Refuse what its one switch would bring to the outputs that nobody named, and outputs that are coupled."""
+        """Raise `InstrumentRefused` if the common switch would power an unused output, or in track mode."""
         if any(state.on for state in states.values()):
             return
         if others := [

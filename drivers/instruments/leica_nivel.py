@@ -1,6 +1,6 @@
 """A Leica Nivel210 or Nivel220: two inclinations over a serial line, in blocks with a check sum.
 
-Source: see its facts.
+Source: see `drivers.facts.leica_nivel`.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ _EXAMPLE: Final = "X:-0.084 Y:+0.296 T:+24.4"
 
 
 class LeicaNivel:
-    """A `Level` over a sensor of the address N`sensor`.
+    """A `Level` that reads the sensor with address N`sensor`.
 
-    `along` and `across` say which of its axes lies along the shaft and across it in the first position of the
-    level, with the sign by which the raised end counts. The mean of so many `averages`, one a second, is a value.
-    Raises `ValueError` where both are one axis.
+    `along` and `across` name the sensor axes along and across the shaft in the level's first position; the sign
+    makes a raised end positive as in `LevelAxis`. A value is the mean of `averages` measurements, one per second.
+    Raises `ValueError` if both name the same axis.
     """
 
     asks_person = False
@@ -58,7 +58,7 @@ class LeicaNivel:
 
     @property
     def sizes(self) -> LevelSizes:
-        """As the data sheet has them in range A, the last digit included."""
+        """The standard uncertainties from the data sheet for range A, including the resolution."""
         digit_rad = facts.RESOLUTION_RAD / math.sqrt(12.0)
         cross_deg = math.hypot(facts.DIRECTION_ERROR_DEG, facts.ORTHOGONAL_ERROR_DEG)
         return LevelSizes(
@@ -68,7 +68,7 @@ class LeicaNivel:
         )
 
     def open(self) -> Identity:
-        """Connect, prove the sensor, set how many measurements are averaged.
+        """Connect, verify the sensor, and set the number of measurements to average.
 
         Raises `InstrumentLost`, `BadReading`, `InstrumentRefused`.
         """
@@ -76,13 +76,13 @@ class LeicaNivel:
         return self._identity
 
     def close(self) -> None:
-        """Let the wire go: a sensor is left as it is. Never raises, may be called twice."""
+        """Disconnect; the sensor's state is unchanged. Never raises, may be called twice."""
         self._session.close()
 
     def inclination(self, key: str, *, turned: bool) -> Inclination:
-        """Wait until the mean is of this position, then return it; `turned` is for the person who placed the level.
+        """Wait until the mean holds only measurements of the present position, and return it; `turned` is unused.
 
-        Raises `BadReading` where the sensor says that it is out of its range, `InstrumentLost`.
+        Raises `BadReading` if the sensor is out of range, `InstrumentRefused` if it lost power, `InstrumentLost`.
         """
         if self._averages_set() != self._averages:
             raise InstrumentRefused(
@@ -90,7 +90,7 @@ class LeicaNivel:
                 "it was switched off and on since it was set up",
                 "let it warm up for 20 minutes, then level again",
             )
-        self._clock.sleep(float(self._averages + 1))  # a mean still holds measurements of the position before
+        self._clock.sleep(float(self._averages + 1))  # until then the mean includes the position before
         if self._ask("G P", "OK|F", "OK or F") != "OK":
             raise BadReading(
                 self.name,
@@ -107,7 +107,7 @@ class LeicaNivel:
     # --- blocks -------------------------------------------------------------------------------------
 
     def _prove(self) -> None:
-        """Ask for serial number and firmware, for corrected and continuous values, and set the averages."""
+        """Read serial number and firmware, verify corrected and continuous values, and set the averages."""
         number, firmware = self._ask(
             "RB D", r"\d{6} [\x21-\x7e]{1,8}", "a serial number and firmware"
         ).split()
@@ -136,7 +136,7 @@ class LeicaNivel:
         return f"{facts.START}{self._address}{facts.HOST} {command}{facts.END}"
 
     def _ask(self, command: str, pattern: str, expected: str) -> str:
-        """Return what is said in reply to a command, its check sum proved."""
+        """Return the text of the reply to a command. Raises `BadReading` for a wrong check sum or format."""
 
         def exchange() -> str:
             whole = self._session.command(self._block(command), r"[\x00-\xff]+", "a block")

@@ -1,12 +1,11 @@
-"""Instruments without an interface, handled by a person who is asked: head, level, chamber."""
+"""Instruments without an interface, operated by a person through prompts: head, level, chamber, thermometer."""
 
 from __future__ import annotations
 
-import math
 from functools import partial
 from typing import Final
 
-from drivers.angles import ROUNDING_RAD, format_dms, parse_angle, read_angle, typed_bubble, typed_temperature
+from drivers.angles import format_dms, read_angle, scale_text, typed_bubble, typed_temperature
 from drivers.interfaces import (
     BadReading,
     Direction,
@@ -18,11 +17,11 @@ from drivers.interfaces import (
     LevelSizes,
     LimitExceeded,
 )
-from drivers.person import ATTEMPTS, Person, Prompt, PromptKind, ask_until
+from drivers.person import APPROACH, ATTEMPTS, Person, Prompt, PromptKind, ask_until
 
 
 class ByHand:
-    """An instrument without an interface, which a `person` handles; `model` is what the record calls it."""
+    """An instrument without an interface, operated by `person`; `model` is its name in the record."""
 
     model = ""
 
@@ -31,27 +30,22 @@ class ByHand:
         self._person = person
 
     def open(self) -> Identity:
-        """Return what the record says of an instrument without electronics; nothing is asked."""
+        """Return the identity for the record, maker "manual"; nobody is asked."""
         return Identity(maker="manual", model=self.model)
 
     def close(self) -> None:
-        """Nothing to release: the person leaves it as it is."""
+        """Do nothing: there is no connection, and the instrument stays as it is."""
 
 
 # --- the head ---------------------------------------------------------------------------------------
 
-_APPROACH: Final[dict[Direction, str]] = {
-    1: "approach with the angle rising, from below",
-    -1: "approach with the angle falling, from above",
-}
-
 
 class ManualHead(ByHand):
-    """A `DividingHead` whose motor and encoder are a person.
+    """A `DividingHead` that a person turns and reads.
 
-    The angle that comes back is the one read on the scale after clamping, never the target: it is what
-    the calibration takes. `tolerance_rad` is how far it may lie from the target. Where
-    `enter_accepts_target`, an empty answer is the target; else the angle must be typed.
+    `move` returns the angle read from the scale after clamping, which the calibration uses, not the target.
+    The reading may differ from the target by `tolerance_rad`. With `enter_accepts_target`, an empty answer means
+    the target; else the angle must be typed.
     """
 
     model = "dividing head"
@@ -71,10 +65,10 @@ class ManualHead(ByHand):
         self._max_attempts = max_attempts
 
     def move(self, target_rad: float, direction: Direction, key: str) -> HeadPosition:
-        """Ask the person to turn to `target_rad` from the stated side; return the angle read.
+        """Ask the person to turn to `target_rad` in the stated direction; return the angle read.
 
-        A reading outside the tolerance is never accepted: it is asked again, naming the probable slip.
-        Raises `LimitExceeded` after the last attempt, `NoAnswer` when there is nobody to ask.
+        A reading outside the tolerance is never accepted: the question is repeated with the probable mistake.
+        Raises `LimitExceeded` after the last attempt, `NoAnswer` if nobody can answer.
         """
         try:
             angle_rad = ask_until(
@@ -87,17 +81,15 @@ class ManualHead(ByHand):
         except ValueError as trouble:
             raise LimitExceeded(
                 self.name,
-                f"no reading within {format_dms(self._tolerance_rad)} of {_scale_text(target_rad)} "
+                f"no reading within {format_dms(self._tolerance_rad)} of {scale_text(target_rad)} "
                 f"in {self._max_attempts} attempts ({trouble})",
                 "check the clamp, the scale and the procedure's angle, then take this point again",
             ) from None
         return HeadPosition(angle_rad, direction)
 
     def _prompt(self, target_rad: float, direction: Direction, prompt_id: str, trouble: str) -> Prompt:
-        target = _scale_text(target_rad)
-        task = (
-            f"Turn the head to {target}: {_APPROACH[direction]}; clamp; read again and type the angle read."
-        )
+        target = scale_text(target_rad)
+        task = f"Turn the head to {target}: {APPROACH[direction]}; clamp; read again and type the angle read."
         return Prompt(
             id=prompt_id,
             kind=PromptKind.ANGLE,
@@ -113,16 +105,6 @@ class ManualHead(ByHand):
         )
 
 
-def _scale_text(angle_rad: float) -> str:
-    """Return the angle as the scale shows it, with as many decimals (3 at most) as it takes to be exact."""
-    shown_rad = angle_rad if 0.0 <= angle_rad <= math.tau else angle_rad % math.tau
-    for decimals in range(3):
-        text = format_dms(shown_rad, decimals)
-        if abs(parse_angle(text) - shown_rad) < ROUNDING_RAD:
-            return text
-    return format_dms(shown_rad, 3)
-
-
 # --- the level --------------------------------------------------------------------------------------
 
 _ENDS: Final[dict[tuple[LevelAxis, bool], str]] = {
@@ -134,10 +116,10 @@ _ENDS: Final[dict[tuple[LevelAxis, bool], str]] = {
 
 
 class ManualLevel(ByHand):
-    """A `Level` of one vial, laid along the shaft and across it. A graduation is `division_rad`.
+    """A `Level` with one vial, which a person lays along the shaft and across it; a division is `division_rad`.
 
-    A person reads it to `reading_divisions` (standard uncertainty); the vial has `most_divisions` to either side.
-    `scale` is the standard uncertainty of a graduation as a part of it, `turn_rad` that of how it is laid.
+    `reading_divisions` is the standard uncertainty of a reading; the vial has `most_divisions` to either side.
+    `scale` is the relative standard uncertainty of a division, `turn_rad` that of the level's alignment.
     """
 
     model = "bubble level"
@@ -161,13 +143,13 @@ class ManualLevel(ByHand):
 
     @property
     def sizes(self) -> LevelSizes:
-        """As the bench file states them."""
+        """The standard uncertainties, from the bench file."""
         return self._sizes
 
     def inclination(self, key: str, *, turned: bool) -> Inclination:
-        """Ask for the bubble along the shaft and across it; what is off the vial's scale is asked again.
+        """Ask for the bubble's position along the shaft and across it; repeat the question if it is off the scale.
 
-        Raises `BadReading` when nothing on the scale comes, `NoAnswer` when there is nobody to ask.
+        Raises `BadReading` after the last attempt, `NoAnswer` if nobody can answer.
         """
         return Inclination(self._read(key, "along", turned), self._read(key, "across", turned))
 
@@ -212,10 +194,10 @@ class ManualLevel(ByHand):
 def ask_temperature(
     person: Person, key: str, text: str, low_c: float, high_c: float, outside: str
 ) -> float | None:
-    """Ask for a temperature from `low_c` to `high_c`, °C, until one comes; return None when none does.
+    """Ask for a temperature from `low_c` to `high_c`, °C; return None if no attempt gives one.
 
-    `key` names the question, `text` what to do, `outside` what is said of a value beyond: "is not plausible
-    ({low:g} to {high:g} °C)". Raises `NoAnswer` when there is nobody to ask.
+    `key` names the question, `text` says what to do. `outside` is the complaint about a value out of range, such
+    as "is not plausible ({low:g} to {high:g} °C)". Raises `NoAnswer` if nobody can answer.
     """
 
     def prompt(prompt_id: str, trouble: str) -> Prompt:
@@ -244,13 +226,13 @@ def ask_temperature(
 _YES: Final = frozenset({"y", "yes", "ok", "done"})
 _NO: Final = frozenset({"n", "no"})
 _MAX_WAITS: Final = 1000
-"""So often may "no" be answered, which waits: more is nobody who reads the question."""
+"""The most prompts to confirm a set point: "no" means to wait, but so many mean that nobody reads the question."""
 _PLAUSIBLE_K: Final = 20.0
-"""A thermometer may stand this far outside the chamber's range (a room, a chamber not yet switched on)."""
+"""A reading may lie this far outside the chamber's range (a room, a chamber not yet switched on)."""
 
 
 class ManualChamber(ByHand):
-    """A `ThermalChamber` whose controller is a person; limits in °C."""
+    """A `ThermalChamber` that a person sets and reads; limits in °C. `safe_c` None means to switch it off."""
 
     model = "thermal chamber"
     asks_person = True
@@ -265,17 +247,17 @@ class ManualChamber(ByHand):
         self._set = False
 
     def make_safe(self) -> str:
-        """Return what the person must do where a temperature was set; nobody is asked on the way out."""
+        """Return what a person must do if a temperature was set, else an empty string; nobody is asked."""
         if not self._set:
             return ""
         safe = "off" if self._safe_c is None else f"to {self._safe_c:g} °C"
         return f"set the chamber {safe} by hand"
 
     def set_temperature(self, target_c: float, key: str) -> None:
-        """Ask the person to set `target_c` and to confirm it; "no" waits.
+        """Ask the person to set `target_c` and to confirm; the answer "no" repeats the question.
 
-        Raises `LimitExceeded` before anybody is asked, `InstrumentRefused` when it is never confirmed,
-        `NoAnswer` when there is nobody to ask.
+        Raises `LimitExceeded` before anybody is asked, `InstrumentRefused` if it is never confirmed,
+        `NoAnswer` if nobody can answer.
         """
         if not self._minimum_c <= target_c <= self._maximum_c:
             raise LimitExceeded(
@@ -307,9 +289,9 @@ class ManualChamber(ByHand):
         )
 
     def temperature(self, key: str, *, settling: bool = False) -> float:
-        """Ask for the temperature on the thermometer at the block, °C; an implausible one is asked again.
+        """Ask for the temperature at the block, °C; repeat the question if it is implausible.
 
-        Raises `BadReading` when no plausible one comes, `NoAnswer` when there is nobody to ask.
+        Raises `BadReading` after the last attempt, `NoAnswer` if nobody can answer.
         """
         found_c = ask_temperature(
             self._person,
@@ -328,7 +310,7 @@ class ManualChamber(ByHand):
         )
 
     def _ask(self, prompt: Prompt) -> str | None:
-        """Return the answer as text, the default where it is empty, or None where it is a stale one."""
+        """Return the text of the answer, the default if it is empty, None if it is stale."""
         answer = self._person.ask(prompt)
         if answer.prompt_id != prompt.id:
             return None
@@ -337,7 +319,7 @@ class ManualChamber(ByHand):
 
 
 class ManualThermometer(ByHand):
-    """A `Thermometer` of the given range, °C, whose display a person reads; what is beyond is asked again."""
+    """A `Thermometer` that a person reads, from `minimum_c` to `maximum_c`, °C."""
 
     model = "thermometer"
     asks_person = True
@@ -349,9 +331,9 @@ class ManualThermometer(ByHand):
         self._maximum_c = maximum_c
 
     def block_c(self, key: str) -> float:
-        """Ask for the temperature at the block, °C.
+        """Ask for the temperature at the block, °C; repeat the question if it is out of range.
 
-        Raises `BadReading` when nothing within its range comes, `NoAnswer` when there is nobody to ask.
+        Raises `BadReading` after the last attempt, `NoAnswer` if nobody can answer.
         """
         found_c = ask_temperature(
             self._person,

@@ -1,4 +1,4 @@
-"""A power supply that a person sets, reads back and switches: what is read is checked against the demand."""
+"""A power supply that a person sets, reads and switches; the readings are checked against the settings."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ if TYPE_CHECKING:
 _SWITCH: Final = ("off", "on")
 _YES: Final = frozenset({"y", "yes", "ok", "done"})
 _OF_LIMIT: Final = 0.99
-"""From this part of its limit on a current is taken to be limited."""
+"""A current above this fraction of its limit counts as limited."""
 _DEAD: Final = 0.02
-"""An output that gives less than this part of its voltage while it is on is taken to have been switched off."""
+"""An output below this fraction of its set voltage counts as off."""
 
 Quantity = Literal["set_voltage", "current_limit", "voltage", "current"]
 _CALLED: Final[dict[Quantity, tuple[str, SupplyUnit]]] = {
@@ -38,9 +38,9 @@ _CALLED: Final[dict[Quantity, tuple[str, SupplyUnit]]] = {
 
 
 class ManualSupply(ByHand):
-    """A `PowerSupply` whose wire is a person.
+    """A `PowerSupply` that a person operates.
 
-    `limits` say what its outputs can do. What an output gives may be `tolerance_v` from what it is set to.
+    `limits` are those of its outputs. A measured voltage may differ from the set one by `tolerance_v`.
     """
 
     model = "power supply"
@@ -55,17 +55,17 @@ class ManualSupply(ByHand):
         self._on: dict[str, bool] = {}
 
     def state(self, key: str) -> dict[str, OutputState]:
-        """Ask what each output that was set up gives.
+        """Ask for voltage and current of each output that was set up, and return the states.
 
-        Raises `BadReading` for what is no number, `NoAnswer` when there is nobody to ask.
+        Raises `BadReading` if no number is typed, `NoAnswer` if nobody can answer.
         """
         return {output: self._state(output, key) for output in self._set}
 
     def set_up(self, settings: Mapping[str, OutputSettings], key: str) -> None:
-        """Have outputs set that are off, protections first, and have everything read back.
+        """Ask the person to set the outputs that are off, protections first, and to read the settings back.
 
-        Raises `LimitExceeded` before anybody is asked, `SetOtherwise` for an output that is on and set otherwise,
-        `InstrumentRefused` when what is read back is never what was demanded, `BadReading`, `NoAnswer`.
+        Raises `LimitExceeded` before anybody is asked, `SetOtherwise` if an output is on with other settings,
+        `InstrumentRefused` if the settings still differ after the last attempt, `BadReading`, `NoAnswer`.
         """
         if wrong := self._limits.transgressions(settings):
             raise LimitExceeded(
@@ -85,9 +85,9 @@ class ManualSupply(ByHand):
             self._set[output] = wanted
 
     def switch(self, output: str, on: bool, key: str) -> None:
-        """Have an output switched, and what it then gives read.
+        """Ask the person to switch an output and, if it is on, to type the voltage that the supply shows.
 
-        Raises `InstrumentRefused` for one that was never set up, or that gives something else afterwards;
+        Raises `InstrumentRefused` if the output was not set up, did not switch, or shows a wrong voltage;
         `BadReading`, `NoAnswer`.
         """
         if on and output not in self._set:
@@ -118,11 +118,11 @@ class ManualSupply(ByHand):
             self._refuse_other_voltage(output, key)
 
     def switch_all_off(self) -> str:
-        """Return what the person must do where an output may be on; nobody is asked on the way out."""
+        """Return what a person must do if an output may be on, else an empty string; nobody is asked."""
         on = [output for output, is_on in self._on.items() if is_on]
         return f"switch its output {' and '.join(on)} off by hand" if on else ""
 
-    # --- what is asked ------------------------------------------------------------------------------
+    # --- questions ----------------------------------------------------------------------------------
 
     def _state(self, output: str, key: str) -> OutputState:
         settings = self._set[output]
@@ -134,7 +134,10 @@ class ManualSupply(ByHand):
         return OutputState(on, settings, voltage_v, current_a, tripped, limiting)
 
     def _have_set(self, output: str, wanted: OutputSettings, key: str) -> None:
-        """Have an output set until what is read back is what was demanded."""
+        """Ask the person to set an output until the settings read back agree.
+
+        Raises `InstrumentRefused` after the last attempt.
+        """
         protection = "" if wanted.over_voltage_v is None else f"protection at {wanted.over_voltage_v:g} V, "
         task = (
             f"Set output {output} of the power supply, which stays off: {protection}"
@@ -163,7 +166,7 @@ class ManualSupply(ByHand):
         )
 
     def _differences(self, output: str, wanted: OutputSettings, key: str) -> list[str]:
-        """Return in what the settings read from the display differ; its protection shows nowhere."""
+        """Return one phrase per setting on the display that differs; the protection is not displayed."""
         shown = OutputSettings(
             self._number("set_voltage", output, key),
             self._number("current_limit", output, key),
@@ -198,7 +201,7 @@ class ManualSupply(ByHand):
         return text == "on"
 
     def _number(self, what: Quantity, output: str, key: str) -> float:
-        """Ask for a number on the display. Raises `BadReading` when none comes."""
+        """Ask for a number on the display. Raises `BadReading` if no attempt gives one."""
         called, unit = _CALLED[what]
         trouble = ""
         for attempt in range(1, ATTEMPTS + 1):
@@ -232,7 +235,7 @@ class ManualSupply(ByHand):
         choices: tuple[str, ...] = (),
         attempt: int = 1,
     ) -> str:
-        """Put a prompt and return the answer, the default where it is empty; an answer to another is none."""
+        """Show a prompt and return the answer: the default if it is empty, "" if it belongs to another prompt."""
         prompt = Prompt(
             id=f"{prompt_id}#{attempt}",
             kind=kind,

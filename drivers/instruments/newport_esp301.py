@@ -1,9 +1,9 @@
 """A rotary stage with a Newport ESP301 as dividing head: plain ASCII over a serial port, GPIB or a socket.
 
-Commands have no reply of their own: each is sent on one line with the query for the oldest error, or with another
-whose reply tells. The controller cannot be asked whether an axis was homed, but switched on its motors are off:
-a motor that is off is taken for one whose angle nobody knows.
-Source: see its facts.
+Commands have no reply: each is sent on one line with the query for the oldest error, whose reply confirms it. The
+controller cannot report whether an axis was homed. As its motors are off after power-on, an axis with its motor off
+is treated as not homed.
+Source: see `drivers.facts.newport_esp301`.
 """
 
 from __future__ import annotations
@@ -41,10 +41,10 @@ _AXIS_REMEDIES: Final = {
 
 
 class NewportHead(MotorisedHead):
-    """A `DividingHead` on one axis of an ESP301 whose unit is the degree; the head is at 0° at position 0.
+    """A `DividingHead` on one axis of an ESP301 with the degree as unit; position 0 is 0°.
 
-    `identity` is the pattern of the model. Homing turns the head to its sensor, beyond any limit: `allow_homing`
-    says that it may. The motor is left on at the end: it holds the head.
+    `identity` is the pattern of the model. `allow_homing` permits homing, which turns the head to its sensor
+    without regard to the limits. `close` leaves the motor on, as it holds the head.
     """
 
     def __init__(
@@ -66,7 +66,7 @@ class NewportHead(MotorisedHead):
     # --- the axis -----------------------------------------------------------------------------------
 
     def prepare(self) -> None:
-        """Stop what still moves, forget old errors, prove the settings; home where that is needed and allowed."""
+        """Stop a move in progress, clear old errors, verify the settings; home if needed and allowed."""
         if self._turns():
             self.stop()
             self._mover.wait_while(self._turns, self._travel.time_limit_s(0.0))
@@ -85,7 +85,7 @@ class NewportHead(MotorisedHead):
         self._tell(f"{self._axis}PA{degrees:.{facts.DEMAND_DECIMALS}f}")
 
     def moving(self) -> bool:
-        """Whether the axis moves. Raises `InstrumentRefused` for an error, or when its motor is off."""
+        """Return whether the axis is moving. Raises `InstrumentRefused` for an error, or if the motor is off."""
         turns = self._turns()
         self._refuse_error("reports", self._oldest_error())
         if not self._motor_on():
@@ -93,7 +93,7 @@ class NewportHead(MotorisedHead):
         return turns
 
     def stop(self) -> None:
-        """Decelerate and stop. Raises `InstrumentRefused` for an error that the controller then reports."""
+        """Decelerate and stop. Raises `InstrumentRefused` if the controller reports an error."""
         told = f"{self._axis}ST"
         reply = self._session.urgent(f"{told};TB?", _ERROR, _ERROR_EXAMPLE)
         self._refuse_error(f"reports after {told}", reply)
@@ -110,7 +110,7 @@ class NewportHead(MotorisedHead):
     # --- proof --------------------------------------------------------------------------------------
 
     def _prove(self) -> None:
-        """Identify the controller; prove its unit, its speed, and that it shows angles finely enough."""
+        """Identify the controller; set the speed; verify speed, unit and the resolution of angles."""
         model, version = self._introduced()
         self._forget_errors()
         speed = f"{math.degrees(self._travel.speed_rad_s):.{facts.DEMAND_DECIMALS}f}"
@@ -128,7 +128,7 @@ class NewportHead(MotorisedHead):
         self._identity = Identity(facts.MAKER, model, "", version)
 
     def _introduced(self) -> tuple[str, str]:
-        """Return model and firmware. Raises `InstrumentRefused` when it is another instrument."""
+        """Return model and firmware. Raises `InstrumentRefused` for another instrument."""
         reply = self._session.ask("*IDN?", r"[\x20-\x7e]+", "an identity")
         match = re.fullmatch(r"(\S+) Version (\S.*)", reply.strip())
         if match is None or re.fullmatch(self._identity_pattern, match[1]) is None:
@@ -140,7 +140,10 @@ class NewportHead(MotorisedHead):
         return match[1], match[2]
 
     def _refuse_other_settings(self, what: str) -> None:
-        """Raise `InstrumentRefused` unless it counts degrees and has the speed that it was given."""
+        """Raise `InstrumentRefused` unless the unit is the degree and the speed is the one set.
+
+        `what` begins the sentence about a different speed, such as "was set otherwise since".
+        """
         unit = int(self._number("SN?"))
         if unit != facts.DEGREES:
             raise InstrumentRefused(
@@ -175,11 +178,11 @@ class NewportHead(MotorisedHead):
         return self._session.ask(f"{self._axis}{command}", pattern, expected)
 
     def _oldest_error(self) -> str:
-        """Take the oldest error out; after a reply that was lost the next one is asked for."""
+        """Remove and return the oldest error; after a lost reply, the next one."""
         return self._session.ask("TB?", _ERROR, _ERROR_EXAMPLE)
 
     def _forget_errors(self) -> None:
-        """Empty the error buffer. Raises `InstrumentRefused` when it fills again at once."""
+        """Empty the error buffer. Raises `InstrumentRefused` if it does not become empty."""
         for _ in range(facts.MOST_ERRORS + 1):
             error = self._oldest_error()
             if _code(error) == facts.NO_ERROR:
@@ -187,7 +190,7 @@ class NewportHead(MotorisedHead):
         self._refuse_error("reports without end", error)
 
     def _tell(self, command: str) -> None:
-        """Send a command once. Raises `InstrumentRefused` for the error that it makes."""
+        """Send a command once. Raises `InstrumentRefused` if the controller then reports an error."""
         reply = self._session.command(f"{command};TB?", _ERROR, _ERROR_EXAMPLE)
         self._refuse_error(f"answers {command} with", reply)
 

@@ -1,8 +1,8 @@
 """A Thermotron chamber (8800, 8200, 3800, 2800): plain commands over TCP or a serial port.
 
-A command has no reply, and the controller wants a second after each; a set point is not acted on until RUNM.
-The controller cannot be asked for its unit: it must be set to °C. Sources: see its facts; IDEN, PVAR, SETP, RUNM,
-STOP, MODE.
+A command has no reply, and the controller needs a pause of a second after each. A set point takes effect only with
+RUNM. The controller has no query for its unit: it must be set to °C.
+Sources: see `drivers.facts.thermotron`; IDEN, PVAR, SETP, RUNM, STOP, MODE.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ _WRITE_GAP_S: Final = facts.BUSY_S + 0.1
 
 
 class ThermotronChamber(ControlledChamber):
-    """A `ThermalChamber` run in manual mode; its air is process variable 1.
+    """A `ThermalChamber` run in manual mode; the air temperature is process variable 1.
 
-    `identity` is searched for in the reply to IDEN?.
+    `identity` is a pattern to search for in the reply to IDEN?.
     """
 
     resolution_c = facts.RESOLUTION_C
@@ -78,7 +78,7 @@ class ThermotronChamber(ControlledChamber):
         return float(self._session.ask(command, NUMBER, "a temperature such as 22.000"))
 
     def _refuse_mode(self, bits: int, wanted: str) -> None:
-        """Raise `InstrumentRefused` for a mode that has none of the bits."""
+        """Raise `InstrumentRefused` unless the mode has one of the bits; `wanted` names them in the message."""
         mode = int(self._session.ask("MODE?", r"\d{1,5}", "a mode such as 16"))
         if not mode & bits:
             raise InstrumentRefused(

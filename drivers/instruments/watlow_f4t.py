@@ -1,8 +1,8 @@
 """A chamber with a Watlow F4T controller: SCPI over TCP port 5025.
 
-There is no error queue: every setting is read back. The unit of all temperatures is asked each time: firmware
-from 04:05:0007 (2019) on speaks °C or °F as it is set, older firmware °F only and does not say so; that is
-refused, as a guess would be wrong by tens of degrees. Sources: see its facts.
+There is no error queue: every setting is read back. The unit of the temperatures is queried each time: firmware
+from 04:05:0007 (2019) on uses °C or °F as set. Older firmware uses only °F and has no such query; it is refused,
+as a wrong guess would be off by tens of degrees. Sources: see `drivers.facts.watlow_f4t`.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ if TYPE_CHECKING:
 class WatlowF4TChamber(ControlledChamber):
     """A `ThermalChamber` on one control loop of an F4T.
 
-    `output` is the output that switches conditioning on, where the chamber has one: it is switched on with
-    each demand and off by `make_safe`. Without it `make_safe` demands `safe_c`. `identity` is searched for in
-    the reply to *IDN?, any case. Opening it also proves that the unit is known.
+    `output` is the output that switches conditioning on, if the chamber has one: it is switched on with each set
+    point and off by `make_safe`. Without an output, `make_safe` sets `safe_c`. `identity` is a pattern to search
+    for in the reply to *IDN?, in either case. `open` also verifies that the controller reports its unit.
     """
 
     resolution_c = facts.RESOLUTION_C
@@ -72,7 +72,7 @@ class WatlowF4TChamber(ControlledChamber):
             self._switch_output(self._output, on=True)
 
     def _stop(self) -> None:
-        """Switch the output off, or where there is none demand `safe_c`, whatever the control loop reports."""
+        """Switch the output off or, if there is none, set `safe_c`, even if the control loop reports an error."""
         if self._output is None:
             self._limits.check(self.name, self._safe_c)
             self._demand(self._safe_c)
@@ -112,7 +112,7 @@ class WatlowF4TChamber(ControlledChamber):
         return self._session.ask(":UNIT:TEMPERATURE?", "[CF]", "C or F") == "F"
 
     def _temperature_c(self, what: str) -> float:
-        """Return PVALUE or SPOINT of the loop in °C. The unit is asked first: somebody may change it."""
+        """Return PVALUE or SPOINT of the loop in °C. The unit is queried each time, as somebody may change it."""
         fahrenheit = self._fahrenheit()
         value = float(self._session.ask(f"{self._loop}:{what}?", NUMBER, "a temperature such as 25.0"))
         return (value - facts.FAHRENHEIT_AT_0_C) / facts.FAHRENHEIT_PER_C if fahrenheit else value

@@ -1,9 +1,9 @@
 """A rotary stage with a Zaber controller as dividing head: the ASCII protocol over a serial port or TCP.
 
-Each command carries a message number, which its reply repeats, so that a late reply is never taken for
-another's. Alerts are switched off; a line that comes between all the same (`!` alert, `#` information) ends
-the connection, and what was asked is asked again over a new one.
-Source: see its facts; section "Warning Flags".
+Each command has a message number, which its reply repeats, so that a late reply is never taken for
+another's. Alerts are switched off. If an unsolicited line (`!` alert, `#` information) still arrives, the
+connection is dropped and the query repeated over a new one.
+Source: see `drivers.facts.zaber`; section "Warning Flags".
 """
 
 from __future__ import annotations
@@ -66,12 +66,11 @@ class _Reply:
 class ZaberHead(MotorisedHead):
     """A `DividingHead` on one axis of a Zaber device.
 
-    `steps_per_degree` are the microsteps (encoder counts on a direct drive) per degree of the scale at the
-    setting `resolution`, negative where the scale falls with rising steps; the head is at 0° at step 0. An
-    angle is sent as the nearest step, and read back as whole steps. `identity` is the pattern of the device
-    id. Homing turns the head to its sensor, beyond any limit: `allow_homing` says that it may. Raises
-    `ValueError` where the limits are more steps than a controller counts, or a step coarser than the
-    tolerance. With `checksums` every message carries one.
+    `steps_per_degree` is the number of microsteps (encoder counts on a direct drive) per degree at the setting
+    `resolution`, negative if the angle falls with rising steps; step 0 is 0°. Angles are sent and read back as
+    whole steps. `identity` is the pattern of the device id. `allow_homing` permits homing, which turns the head to
+    its sensor without regard to the limits. With `checksums` every message has a checksum. Raises `ValueError` if
+    the limits exceed the controller's step counter, or if a step is coarser than the tolerance.
     """
 
     def __init__(
@@ -102,10 +101,10 @@ class ZaberHead(MotorisedHead):
     # --- the axis -----------------------------------------------------------------------------------
 
     def prepare(self) -> None:
-        """Stop what still moves, clear old warnings, home where that is needed and allowed."""
+        """Stop a move in progress, clear old warnings, home if needed and allowed."""
         if self._ask("").busy:
             self.stop()
-            # Having been interrupted is a warning, too: it is cleared below.
+            # The interruption raises a warning flag, too, which is cleared below.
             self._mover.wait_while(lambda: self._ask("").busy, self._travel.time_limit_s(0.0))
         self._ask("warnings clear")
         flag = self._ask("").flag
@@ -119,11 +118,11 @@ class ZaberHead(MotorisedHead):
         return math.radians(int(self._ask("get pos", _INTEGER).data) / self._steps_per_degree)
 
     def start(self, target_rad: float) -> None:
-        """Begin to move to the step nearest to an angle. Sent once: sent again, it would interrupt itself."""
+        """Begin to move to the step nearest to an angle. The command is not repeated: it would interrupt itself."""
         self._exchange(f"move abs {round(math.degrees(target_rad) * self._steps_per_degree)}")
 
     def moving(self) -> bool:
-        """Whether the axis is busy. Raises `InstrumentRefused` for a warning flag."""
+        """Return whether the axis is busy. Raises `InstrumentRefused` for a warning flag."""
         return self._busy_without(())
 
     def stop(self) -> None:
@@ -143,7 +142,7 @@ class ZaberHead(MotorisedHead):
         self._busy_without(())
 
     def _busy_without(self, tolerated: tuple[str, ...]) -> bool:
-        """Return whether the axis is busy. Raises `InstrumentRefused` for any flag but those."""
+        """Return whether the axis is busy. Raises `InstrumentRefused` for any warning flag not in `tolerated`."""
         reply = self._ask("")
         if reply.flag not in (_FINE, *tolerated):
             raise self._trouble(reply.flag)
@@ -152,7 +151,7 @@ class ZaberHead(MotorisedHead):
     # --- proof --------------------------------------------------------------------------------------
 
     def _prove(self) -> None:
-        """Identify the device and prove what the conversion of angles and speeds stands on."""
+        """Identify the device, verify its resolution, and set and verify its speed."""
         if self._checksums:
             self._ask("set comm.checksum 1", axis=0)
         self._if_known("set comm.alert 0")
@@ -186,7 +185,7 @@ class ZaberHead(MotorisedHead):
         self._identity = Identity(facts.MAKER, device_id, serial, version)
 
     def _if_known(self, text: str) -> str:
-        """Return the reply to a query that older firmware may not know; empty where it does not."""
+        """Return the reply to a command that older firmware may not know, "" if it is rejected."""
         try:
             return self._ask(text, _WORD, axis=0).data
         except InstrumentRefused:
@@ -195,13 +194,16 @@ class ZaberHead(MotorisedHead):
     # --- messages -----------------------------------------------------------------------------------
 
     def _ask(self, text: str, data: str = r".*?", axis: int | None = None) -> _Reply:
-        """Send what may be sent again after a garbled or interleaved reply."""
+        """Send a command that may be repeated, and repeat it after a transport failure or garbled reply."""
         return self._session.repeating(lambda: self._exchange(text, data, axis))
 
     def _exchange(
         self, text: str, data: str = r".*?", axis: int | None = None, urgent: bool = False
     ) -> _Reply:
-        """Send one command; return its reply. Raises `InstrumentRefused` when it is rejected."""
+        """Send one command; return its reply. Raises `InstrumentRefused` if the command is rejected.
+
+        `data` is the pattern of the reply's data; `axis` replaces the head's axis (0 for the whole device).
+        """
         if not urgent:
             self._session.ensure_proved()
         addressed = self._axis if axis is None else axis
@@ -209,7 +211,7 @@ class ZaberHead(MotorisedHead):
         message = f"{self._device} {addressed} {self._number:02d} {text}".rstrip()
         if self._checksums:
             message += f":{checksum(message)}"
-        # A rejected command has a word for the reason in place of its data.
+        # The reply to a rejected command has a word for the reason instead of the data.
         pattern = (
             rf"@{self._device:02d} {addressed} {self._number:02d} "
             rf"(?:(OK) (BUSY|IDLE) (\S\S) ({data})|(RJ) (BUSY|IDLE) (\S\S) ([A-Z]+))(:[0-9A-F]{{2}})?"
@@ -257,7 +259,7 @@ def _with_flag(flag: str) -> str:
 
 
 def _checked(steps_per_degree: float, travel: Travel) -> float:
-    """Return it when whole steps can express the limits and the tolerance, else raise `ValueError`."""
+    """Return `steps_per_degree`. Raises `ValueError` if whole steps cannot express the limits or the tolerance."""
     if not math.isfinite(steps_per_degree) or steps_per_degree == 0.0:
         raise ValueError(f"the head needs a number of steps per degree, not {steps_per_degree:g}")
     farthest_deg = math.degrees(max(abs(travel.minimum_rad), abs(travel.maximum_rad)))

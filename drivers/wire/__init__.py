@@ -1,1 +1,1 @@
-"""The wires: message sessions over VISA, GPIB adapters, what is found on them, their log."""
+"""The transport: message sessions over VISA, GPIB adapters, discovery of instruments, wire logs and replay."""

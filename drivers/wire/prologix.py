@@ -1,13 +1,13 @@
-"""GPIB through an adapter of the Prologix kind (GPIB-ETHERNET, GPIB-USB, and those that speak as they do).
+"""GPIB through a Prologix adapter (GPIB-ETHERNET, GPIB-USB) or a compatible one.
 
-A resource names adapter and GPIB address at once: `prologix://192.0.2.10:1234/22` (the port may be left
-out: 1234), `prologix:///dev/ttyUSB0/22` or `prologix://COM3/22`. Nothing else has to be set up; instruments
-whose resources name the same adapter share its connection and its lock.
+A resource names both adapter and GPIB address: `prologix://192.0.2.10:1234/22` (default port 1234),
+`prologix:///dev/ttyUSB0/22` or `prologix://COM3/22`. No other setup is needed; instruments whose resources
+name the same adapter share its connection and its lock.
 
-An adapter waits no longer than 3 s for a reply, a reading may take minutes: it is asked again until the
-reply is whole. After each such read the adapter is asked for its version. That line cannot come from an
-instrument, so it marks that the read is over, whether it brought something or not: a late reply is never
-taken for that of a later question.
+An adapter waits no longer than 3 s for a reply, but a reading may take minutes: the read is repeated until the
+reply is complete. After each read the adapter is queried for its version. That line cannot come from an
+instrument, so it marks the end of the read even if no reply came: a late reply is never taken for the reply
+to a later query.
 Source: Prologix GPIB-ETHERNET Controller User Manual and GPIB-USB Controller User Manual, chapters 7, 8.
 """
 
@@ -28,7 +28,7 @@ from drivers.wire.pyvisa_connection import Connection, SerialSettings, WireError
 SCHEME: Final = "prologix:"
 
 READ_TIMEOUT_MS: Final = 1000
-"""Timeout of the adapter within one read; the bus is free for others between two reads."""
+"""Timeout of the adapter for one read; between two reads the bus is free for other instruments."""
 
 _RESOURCE: Final = re.compile(
     r"prologix://(?:(?P<device>/\S+|COM\d+)|(?P<host>[^\s/:]+)(?::(?P<port>\d{1,5}))?)"
@@ -39,10 +39,10 @@ _HIGHEST_ADDRESS: Final = 30
 
 _SETTINGS: Final = (
     ("mode", "1"),  # controller of the bus
-    ("auto", "0"),  # an instrument talks when it is told to, never by itself
-    ("eoi", "1"),  # the end of a command is marked
+    ("auto", "0"),  # an instrument talks only after "++read"
+    ("eoi", "1"),  # assert EOI at the end of a command
     ("eos", "2"),  # LF after each command
-    ("eot_char", "10"),  # LF where an instrument marked the end of its reply
+    ("eot_char", "10"),  # append LF when an instrument asserts EOI
     ("eot_enable", "1"),
     ("read_tmo_ms", str(READ_TIMEOUT_MS)),
 )
@@ -53,7 +53,7 @@ _MOST_BYTES: Final = 1 << 20
 
 
 class AdapterConnection:
-    """One instrument behind an adapter, as `MessageSession` sees it: it delivers whole messages."""
+    """A connection to one instrument behind an adapter, for `MessageSession`; it delivers whole messages."""
 
     def __init__(self, adapter: _Adapter, address: int, link_number: int) -> None:
         self._adapter = adapter
@@ -65,10 +65,10 @@ class AdapterConnection:
 
     @classmethod
     def open(cls, resource: str, timeout_s: float) -> AdapterConnection:
-        """Share the adapter's connection, made and proved if there is none.
+        """Open a connection that shares the adapter's link; make the link first if there is none.
 
-        Raises `VisaIOError` for a resource of another form, `WireError` for one that is no adapter, what
-        `Connection.open` raises.
+        Raises `WireError` for a malformed resource or a device that is no adapter, and the errors of
+        `Connection.open`.
         """
         link_resource, address = parse(resource)
         adapter = _join(link_resource, timeout_s)
@@ -80,11 +80,11 @@ class AdapterConnection:
 
     @property
     def stands(self) -> bool:
-        """Whether the adapter's link is still the one of this connection: another instrument may have lost it."""
+        """Whether the adapter still has the link of this connection: another instrument may have lost it."""
         return self._adapter.has_link(self._link_number)
 
     def close(self) -> None:
-        """Leave the adapter, which is let go with its last instrument. Never raises, may be called twice."""
+        """Leave the adapter; its last instrument closes the link. Never raises, may be called twice."""
         self._interrupted.set()
         if not self._left:
             self._left = True
@@ -95,15 +95,15 @@ class AdapterConnection:
         self._interrupted.set()
 
     def send(self, data: bytes, timeout_s: float) -> bool:
-        """Send one command; return False when the adapter takes nothing within `timeout_s`."""
+        """Send one command; return False if the adapter accepts nothing within `timeout_s`."""
         with self._talking() as link:
             line = _ESCAPED.sub(b"\x1b\\1", data.rstrip(b"\r\n"))
             return link.send(b"++addr %d\n%b\n" % (self._address, line), timeout_s)
 
     def take_message(self, timeout_s: float) -> bytes:
-        """Return one whole message, up to the end that the instrument marked.
+        """Return one whole message, up to the end that the instrument marked (EOI).
 
-        Raises `VisaIOError` when none is whole within `timeout_s`.
+        Raises `VisaIOError` if no message is complete within `timeout_s`.
         """
         deadline_s = self._clock.now_s() + timeout_s
         message = b""
@@ -117,7 +117,7 @@ class AdapterConnection:
                 raise VisaIOError(StatusCode.error_timeout)
 
     def resynchronise(self) -> bool:
-        """Clear the instrument, so that a reply which may still come does not come."""
+        """Clear the instrument, which discards a late reply; return whether the adapter accepted the command."""
         with self._talking() as link:
             return link.send(b"++addr %d\n++clr\n" % self._address, self._adapter.timeout_s)
 
@@ -130,10 +130,10 @@ class AdapterConnection:
 
 
 class _Adapter:
-    """An adapter as its instruments share it.
+    """An adapter, shared by its instruments.
 
-    A link on which anything went wrong is given up, and made anew when an instrument is opened. What others
-    had sent over the old one may be lost with it, so each of them is told and has to be opened again.
+    After any failure the link is dropped, and made anew when an instrument is opened. Commands that other
+    instruments sent over the old link may be lost, so their connections become invalid (`has_link`).
     """
 
     def __init__(self, resource: str, timeout_s: float) -> None:
@@ -155,7 +155,7 @@ class _Adapter:
                 self._drop()
 
     def linked(self) -> int:
-        """Make the link if there is none, or a broken one; return its number."""
+        """Make the link if it is missing or broken; return its number."""
         with self._lock:
             if self._link is not None and not _is_quiet(self._link):
                 self._drop()
@@ -165,12 +165,12 @@ class _Adapter:
             return self._link_number
 
     def has_link(self, link_number: int) -> bool:
-        """Return whether the link of that number is the present one."""
+        """Return whether the current link has this number."""
         return self._link is not None and self._link_number == link_number
 
     @contextlib.contextmanager
     def talking(self, link_number: int) -> Iterator[Connection]:
-        """Hold the adapter for one transaction over the link of that number; one that fails costs the link."""
+        """Lock the adapter for one transaction over the link with this number; an exception drops the link."""
         with self._lock:
             if self._link is None or not self.has_link(link_number):
                 raise WireError(
@@ -185,7 +185,7 @@ class _Adapter:
                 raise
 
     def until_mark(self, link: Connection) -> bytes:
-        """Ask for the version; return what comes before it."""
+        """Query the adapter's version as an end mark; return the bytes received before it."""
         link.send(b"++ver\n", self.timeout_s)
         deadline_s = self._clock.now_s() + READ_TIMEOUT_MS / 1000.0 + self.timeout_s
         data = b""
@@ -194,13 +194,14 @@ class _Adapter:
         return data.rstrip(b"\r\n").removesuffix(self._version)
 
     def _make_link(self) -> Connection:
-        """Return a link to an adapter that has told its version and taken its settings."""
+        """Return a new link, after the adapter has reported its version and its settings are verified."""
         link = Connection.open(self.resource, timeout_s=self.timeout_s, read_termination="\n", serial=_SERIAL)
         try:
             link.send(b"++ver\n", self.timeout_s)
             self._version = self._line(link, _VERSION)
             if b"prologix" in self._version.lower():
-                # It would write each setting to a memory that wears; to others this is a command to write.
+                # A Prologix would save each setting in an EEPROM that wears out. Not sent to other adapters,
+                # for which "++savecfg" means to save.
                 link.send(b"++savecfg 0\n", self.timeout_s)
             for name, value in _SETTINGS:
                 link.send(f"++{name} {value}\n++{name}\n".encode(), self.timeout_s)
@@ -216,7 +217,7 @@ class _Adapter:
         return link
 
     def _line(self, link: Connection, pattern: re.Pattern[bytes]) -> bytes:
-        """Return the next line of this form; lines before it are late replies of an earlier link."""
+        """Return the next line that matches; lines before it are late replies over an earlier link."""
         deadline_s = self._clock.now_s() + self.timeout_s
         data = b""
         while True:
@@ -247,7 +248,7 @@ class _Adapter:
 
 
 _adapters: dict[str, _Adapter] = {}
-"""The adapters in use, by the resource of their link: one each per process, as each has one bus."""
+"""The adapters in use, by the resource of their link: one object per adapter and process, as each has one bus."""
 
 _adapters_lock = threading.Lock()
 
@@ -260,14 +261,14 @@ def _join(link_resource: str, timeout_s: float) -> _Adapter:
 
 
 def _is_quiet(link: Connection) -> bool:
-    """Whether nothing waits: between transactions that would be the adapter's leaving, or another program."""
+    """Return whether nothing waits to be read; else, between transactions, the link broke or is used elsewhere."""
     return not (link.by_bytes and link.wait(0.0))
 
 
 def parse(resource: str) -> tuple[str, int]:
     """Return the VISA resource of the adapter's link and the GPIB address.
 
-    Raises `WireError` for another form.
+    Raises `WireError` for a malformed resource.
     """
     match = _RESOURCE.fullmatch(resource)
     if match is None or int(match["address"]) > _HIGHEST_ADDRESS:

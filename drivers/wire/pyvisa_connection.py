@@ -1,8 +1,8 @@
-"""One connection through pyvisa-py, made honest: what the library leaves open or hidden is settled here.
+"""A connection through pyvisa-py with workarounds for defects of the library.
 
 As of pyvisa-py 0.8.1: a refused connection counts as open until the first write; VI_ATTR_TCPIP_NODELAY
-cannot be set; a read from a socket whose peer has gone waits busily for the whole timeout; opening may
-block for as long as a name server does; a closed session is kept for ever. Foreign exceptions pass through.
+cannot be set; a read from a socket whose peer has gone busy-waits for the whole timeout; opening may
+block as long as a name server does; a closed session is never freed. Foreign exceptions pass through.
 """
 
 from __future__ import annotations
@@ -33,9 +33,10 @@ from pyvisa.resources import (
 
 from drivers.clock import Clock, SystemClock
 
-# --- what an exception of the wire means ------------------------------------------------------------
+# --- causes of transport exceptions -----------------------------------------------------------------
 
 Cause = tuple[str, str]
+"""What happened, and what to do about it."""
 
 _PORT_GONE: Final = (
     "is gone: the port failed",
@@ -115,7 +116,7 @@ _UNKNOWN_HOST: Final = (
 
 
 class WireError(Exception):
-    """An error of a wire implemented here; it is raised with its cause and remedy."""
+    """An error of a transport implemented in `drivers.wire`, with its cause and remedy."""
 
     def __init__(self, cause: str, remedy: str) -> None:
         super().__init__(f"{cause}; {remedy}")
@@ -124,10 +125,10 @@ class WireError(Exception):
 
 
 def probable_cause(error: BaseException) -> Cause:
-    """Return (what happened, what to do) for an exception out of pyvisa, pyvisa-py, pyserial, a socket.
+    """Return (what happened, what to do) for an exception from pyvisa, pyvisa-py, pyserial or a socket.
 
-    The first half continues a sentence that begins with the resource. pyvisa-py wraps some causes in a
-    plain `Exception`, so those that it was raised from are looked at as well.
+    The first text continues a sentence that begins with the resource. pyvisa-py wraps some causes in a
+    plain `Exception`, so the chain of causes is searched, too.
     """
     for link in _chain(error):
         cause = _known(link)
@@ -146,7 +147,7 @@ def _known(error: BaseException) -> Cause | None:
         case VisaIOError():
             return _BY_STATUS.get(error.error_code)
         case OSError():
-            # a bare TimeoutError, without a number, is our own giving up
+            # a TimeoutError without errno comes from `_open_in_time`
             number = errno.ETIMEDOUT if isinstance(error, TimeoutError) else error.errno
             if number is not None:
                 return _BY_ERRNO.get(number)
@@ -179,10 +180,10 @@ _FLOW: Final = {
 
 @dataclass(frozen=True, slots=True)
 class SerialSettings:
-    """Settings of a serial port; the defaults are a 34401A set to 9600 baud, no parity.
+    """Settings of a serial port; the defaults are those of a 34401A set to 9600 baud, no parity.
 
-    `flow` "dtr_dsr" leaves DTR asserted, as the meter wants it; the pacing itself is the port's business.
-    `device_clear` is sent after a lost reply, so that the instrument does not send that reply late.
+    `flow` "dtr_dsr" leaves DTR asserted, as the meter requires; the port does the handshake itself.
+    `device_clear` is sent after a lost reply, to keep the instrument from sending that reply late.
     Source: 34401A User's Guide, chapter 4, RS-232 interface configuration.
     """
 
@@ -195,13 +196,13 @@ class SerialSettings:
 
     @property
     def character_time_s(self) -> float:
-        """Time that one character takes on the line, start bit included, s."""
+        """Transmission time of one character, including start, parity and stop bits, s."""
         bits = 1 + self.data_bits + (self.parity != "none") + self.stop_bits
         return bits / self.baud_rate
 
 
 class Connection:
-    """An open resource. `by_bytes` tells whether single bytes can be waited for.
+    """An open VISA resource. `by_bytes` tells whether it delivers single bytes (True) or whole messages.
 
     Sockets and serial ports are read as bytes arrive; GPIB, USB and VXI-11 deliver whole messages.
     """
@@ -218,7 +219,7 @@ class Connection:
     def open(
         cls, resource: str, *, timeout_s: float, read_termination: str, serial: SerialSettings
     ) -> Connection:
-        """Open `resource`, prove that somebody is there and set the port up, within `timeout_s` (+ 0.5 s)."""
+        """Open `resource`, verify that it is connected and set the port up, within `timeout_s` (+ 0.5 s)."""
         connection = cls(_open_in_time(resource, timeout_s))
         try:
             connection._prove_and_tune()
@@ -230,34 +231,33 @@ class Connection:
         return connection
 
     def close(self) -> None:
-        """Close for certain: the port itself where pyvisa will not. Never raises."""
+        """Close the resource, and the underlying port if pyvisa fails to. Never raises."""
         _discard(self._visa)
 
     def take_own_lock(self, timeout_s: float) -> None:
-        """Lock the instrument itself, where its interface can (with pyvisa-py: VXI-11): it holds across computers.
+        """Lock the instrument itself against other computers, if its interface can (with pyvisa-py: VXI-11).
 
-        Raises `VisaIOError` when somebody else has it; it is free again when the connection ends.
+        Raises `VisaIOError` if another client has the lock. The end of the connection releases it.
         """
         if isinstance(self._visa, TCPIPInstrument):
             try:
                 self._visa.lock_excl(timeout=timeout_s * 1000.0)
-            except KeyError:  # an answer that pyvisa-py has no name for: one that cannot be locked
+            except KeyError:  # an error code unknown to pyvisa-py: the instrument cannot be locked
                 return
             except pyvisa.errors.VisaIOError as error:
                 if error.error_code == constants.StatusCode.error_resource_locked:
                     raise
 
     def interrupt(self) -> None:
-        """End another thread's wait on a socket, which closing alone would not. Never raises."""
+        """End another thread's wait on a socket, which closing alone would not do. Never raises."""
         if self._socket is not None:
             with contextlib.suppress(OSError):
                 self._socket.shutdown(socket.SHUT_RDWR)
 
     def send(self, data: bytes, timeout_s: float) -> bool:
-        """Send the bytes; return False when the peer takes none within `timeout_s`.
+        """Send the bytes; return False if the peer accepts none within `timeout_s`.
 
-        A socket is written to directly: pyvisa-py would wait for such a peer without end, and takes
-        longer for its own bookkeeping than the bytes need.
+        A socket is written to directly: pyvisa-py would wait for ever for such a peer, and is slow.
         """
         if self._socket is None:
             self._visa.write_raw(data)
@@ -271,14 +271,14 @@ class Connection:
         return True
 
     def wait(self, timeout_s: float) -> bool:
-        """Return whether bytes, or the end of the connection, come within `timeout_s`; needs `by_bytes`."""
+        """Return whether bytes or the end of the connection arrive within `timeout_s`; needs `by_bytes`."""
         return bool(select.select([self._interface], [], [], timeout_s)[0])
 
     def take(self) -> tuple[bytes, bool]:
-        """Return what has arrived, up to the end of a line, and whether more stands behind that end.
+        """Return the bytes received up to the end of a line, and whether more bytes follow.
 
-        To be called when `wait` has said yes; no bytes at all mean that the peer has closed. What stands
-        behind the end is lost on a socket: a connection on which that happens is given up.
+        Call it after `wait` has returned True; empty bytes mean that the peer has closed. On a socket the bytes
+        after the line end are lost, so the caller must then drop the connection.
         """
         if self._socket is not None:
             arrived = self.take_all()
@@ -289,20 +289,20 @@ class Connection:
         return data, len(data) < waiting
 
     def take_all(self) -> bytes:
-        """Return what has arrived, lines or not; as `take` otherwise."""
+        """Return the bytes received, without regard to line ends; otherwise as `take`."""
         if self._socket is not None:
             return self._socket.recv(_CHUNK_BYTES)
         return self._visa.read_bytes(max(1, self._buffered()))
 
     def take_message(self, timeout_s: float) -> bytes:
-        """Return one whole message, where the interface marks its end (`by_bytes` is False)."""
+        """Return one whole message from an interface that marks its end (`by_bytes` is False)."""
         self._visa.timeout = timeout_s * 1000.0
         return self._visa.read_raw()
 
     def resynchronise(self, device_clear: bytes, timeout_s: float) -> bool:
-        """Rid a wire that outlives its connection of a reply that may still come; False if it goes on coming.
+        """Discard a late reply on GPIB or a serial port; return False if data keeps arriving for `timeout_s`.
 
-        A new socket is a new stream already; it must not be cleared, which may never end.
+        A socket needs nothing: a new one is a new stream, and clearing it may never end.
         """
         if isinstance(self._visa, GPIBInstrument):
             self._visa.clear()
@@ -318,13 +318,13 @@ class Connection:
         return True
 
     def _buffered(self) -> int:
-        """Return how many bytes wait in a serial port."""
+        """Return the number of bytes waiting in a serial port."""
         return int(cast("SerialInstrument", self._visa).bytes_in_buffer)
 
     def _prove_and_tune(self) -> None:
-        """Raise the `OSError` that connecting ended with, and switch Nagle's delay off, on a socket.
+        """On a socket, raise the `OSError` of a failed connection attempt and disable Nagle's algorithm.
 
-        With the delay, a query after a write waits some 40 ms for the peer's acknowledgement.
+        With Nagle's delay, a query after a write waits some 40 ms for the peer's acknowledgement.
         """
         if self._socket is not None:
             code = self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
@@ -348,7 +348,7 @@ class Connection:
                 "flow_control": _FLOW[serial.flow],
             }
             for attribute, value in wanted.items():
-                if getattr(visa, attribute) != value:  # a pseudo-terminal refuses what changes nothing
+                if getattr(visa, attribute) != value:  # a pseudo-terminal refuses even to set the same value
                     setattr(visa, attribute, value)
 
 
@@ -358,7 +358,7 @@ _manager_lock = threading.Lock()
 
 def _resource_manager() -> pyvisa.ResourceManager:
     """Return the one resource manager that all connections share."""
-    global _manager  # noqa: PLW0603 - one per process, as pyvisa wants it
+    global _manager  # noqa: PLW0603 - one per process, as pyvisa expects
     with _manager_lock:
         if _manager is None:
             _manager = pyvisa.ResourceManager("@py")
@@ -366,7 +366,7 @@ def _resource_manager() -> pyvisa.ResourceManager:
 
 
 def _open_in_time(resource: str, timeout_s: float) -> MessageBasedResource:
-    """Open in a thread of its own and wait no longer than agreed; what opens too late is closed again."""
+    """Open the resource in a separate thread, within `timeout_s` (+ 0.5 s); a late one is closed again."""
     opened: Future[MessageBasedResource] = Future()
 
     def work() -> None:
@@ -375,7 +375,7 @@ def _open_in_time(resource: str, timeout_s: float) -> MessageBasedResource:
             visa = _resource_manager().open_resource(resource, open_timeout=milliseconds)
             opened.set_result(cast("MessageBasedResource", visa))
         except Exception as error:
-            opened.set_exception(error)  # raised again in the caller's thread
+            opened.set_exception(error)  # re-raised in the caller's thread
 
     threading.Thread(target=work, name=f"open {resource}", daemon=True).start()
     try:
@@ -411,7 +411,7 @@ def _interface(visa: MessageBasedResource) -> Any:
 
 
 def _has_fileno(interface: Any) -> bool:
-    """Return whether `select` can wait on it: not on GPIB, USB, VXI-11, nor on a serial port of Windows."""
+    """Return whether `select` can wait on the interface: not on GPIB, USB, VXI-11 or a Windows serial port."""
     if not isinstance(interface, (io.IOBase, socket.socket)):
         return False
     try:

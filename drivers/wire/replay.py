@@ -1,4 +1,4 @@
-"""A wire log of a real session, gone through again by the driver: a protocol test without the instrument.
+"""Replay of a recorded wire log to a driver: a protocol test without the instrument.
 
     from drivers.wire.replay import replayed
 
@@ -7,17 +7,17 @@
             meter = Agilent34401A("voltmeter.x", "x", session, clock)
             assert meter.open().model == "34401A"
 
-`session` is a whole `MessageSession`, with its checks and reconnections, over the log in place of a wire: the
-driver must send what the log has, in its order, and gets the log's replies and failures. What it sends
-otherwise, or what is left at the end, is a `Deviation`. Nothing is opened and nothing sleeps: the time of the log
-passes on `clock` with its lines, and before a call of the driver by `clock.catch_up()`. For a test of pairs,
+`session` is a complete `MessageSession`, with its checks and reconnections, over the log instead of a wire. The
+driver must send the logged commands in order, and receives the logged replies and failures. A different command,
+or a line left over at the end, raises `Deviation`. Nothing is opened and nothing sleeps: `clock` advances with the
+lines of the log; `clock.catch_up()` advances it to the next line before a call of the driver.
 
     python -m drivers.wire.replay wire.log --instrument voltmeter.x
 
-prints them. A log of an earlier version has no `!` lines: a query without reply is taken for silence, a reply for
-whole, a connection for made. In no log is which driver spoke with which settings, nor that another instrument on
-the same GPIB adapter lost its link. A dry run's log has the computer's time, not that of its bench. A reply with
-a backslash before x and two hex digits, n, r or t is taken for that character.
+prints pairs of (sent, answered), for tests of another form. A log of an earlier version has no `!` lines: a query
+without reply then counts as silence, every reply as complete, every connection as made. No log holds the driver's
+settings, or that another instrument on the same GPIB adapter lost the link. The log of a dry run has the
+computer's time, not the bench's. In a reply, `\\x` with two hex digits, `\\n`, `\\r` and `\\t` are unescaped.
 """
 
 from __future__ import annotations
@@ -44,18 +44,18 @@ from drivers.wire.visa import AFTER_SENDING, BEFORE_SENDING, CONNECTING, Message
 
 
 class WireLog:
-    r"""A wire log as a `drivers.wire.visa.MessageSession` takes it; safe to use from several threads.
+    r"""A file that logs the messages of `drivers.wire.visa.MessageSession`; thread-safe.
 
-    A line is the time (UTC), the instrument, `>` (sent) or `<` (received), and the text, its control
-    characters escaped; where the wire failed, `!`, when it did (`connecting`, `before sending` anything,
-    `after sending`) and the error:
+    A line has the time (UTC), the instrument, `>` (sent) or `<` (received), and the text with its control
+    characters escaped. A failure has `!`, its phase (`connecting`, `before sending`, `after sending`) and the
+    error:
 
         2026-11-21T09:15:41.123456+00:00 voltmeter.x > *IDN?
         2026-11-21T09:15:44.123456+00:00 voltmeter.x ! after sending: InstrumentLost: … did not answer …; check …
 
-    A file that is there is added to. Each line is with the system before the message goes on. Where one cannot
-    be written (a full disk), a note on standard error says so, the log ends there, and the run goes on. Raises
-    `OSError` when the file cannot be opened.
+    An existing file is appended to. Each line is written, unbuffered, before the session continues. If a line
+    cannot be written (a full disk), a note goes to standard error, the log ends, and the run continues. Raises
+    `OSError` if the file cannot be opened.
     """
 
     def __init__(self, path: Path, now: Callable[[], datetime] = utc_now) -> None:
@@ -90,13 +90,13 @@ class WireLog:
 
 
 def escaped(text: str) -> str:
-    r"""Return the text with what cannot be printed as an escape: `\x03`, `\r`, `\u2028`."""
+    r"""Return the text with unprintable characters as escapes: `\x03`, `\r`, `\u2028`."""
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
 
 
 @contextmanager
 def logged_wire(path: Path | None) -> Iterator[WireLog | None]:
-    """Keep a wire log while the context lasts; none without a path. Raises `OSError`."""
+    """Yield a wire log that is open during the context; None if `path` is None. Raises `OSError`."""
     if path is None:
         yield None
         return
@@ -119,20 +119,20 @@ _ESCAPE: Final = re.compile(rb"\\(?:x[0-9a-f]{2}|[nrt])")
 
 
 class WireLogError(ValueError):
-    """A wire log that cannot be read; the text has each mistake with file and line, a line each."""
+    """A wire log that cannot be parsed; the message lists the mistakes with file and line, one per line."""
 
 
 class Deviation(AssertionError):
-    """The driver did otherwise than the log has it; the text says in which line, and what was expected."""
+    """The driver deviated from the log; the message gives the line and what was expected."""
 
 
 class _Stopped(BaseException):
-    """The driver deviated: no driver may take it for a failure of the wire."""
+    """Raised when the driver deviates; a `BaseException`, so that no driver handles it as a transport failure."""
 
 
 @dataclass(frozen=True, slots=True)
 class Logged:
-    """One line: when it was, `way` and `text`; a `!` has `when` it failed and the `failure`."""
+    """One line of a log. `way` is `>`, `<` or `!`; a `!` line also has the phase, `when`, and the `failure`."""
 
     line: int
     time: datetime
@@ -143,7 +143,7 @@ class Logged:
 
     @property
     def data(self) -> bytes:
-        """What was on the wire, without the end of the line."""
+        """The bytes on the wire, unescaped, without the line end."""
         return _ESCAPE.sub(
             lambda m: m[0].decode("unicode_escape").encode("latin-1"), self.text.encode("ascii")
         )
@@ -151,7 +151,7 @@ class Logged:
 
 @dataclass(frozen=True, slots=True)
 class Exchange:
-    """What was sent (None: nothing was) and what came of it: a reply, None for none, or how it failed."""
+    """A command (None: a failure or data without a command) with its reply, its failure, or None for neither."""
 
     line: int
     sent: str | None
@@ -161,7 +161,7 @@ class Exchange:
 
 
 def read_log(path: Path, instrument: str) -> list[Logged]:
-    """Return what a wire log has of an instrument. Raises `WireLogError` for any mistake in it, `OSError`."""
+    """Return the lines of one instrument in a wire log. Raises `WireLogError` for any malformed line, `OSError`."""
     mistakes: list[str] = []
     logged: dict[str, list[Logged]] = {}
     *lines, rest = path.read_bytes().split(b"\n")
@@ -169,7 +169,7 @@ def read_log(path: Path, instrument: str) -> list[Logged]:
         try:
             name, entry = _read_line(number, data.decode("utf-8").removesuffix("\r"))
             logged.setdefault(name, []).append(entry)
-        except ValueError as error:  # a byte that is no UTF-8 is one, too
+        except ValueError as error:  # includes `UnicodeDecodeError`
             mistakes.append(f"{path}, line {number}: {error}")
     if rest:
         mistakes.append(f"{path}, line {len(lines) + 1}: it has no end; if the log broke off here, delete it")
@@ -204,7 +204,7 @@ def _read_line(number: int, text: str) -> tuple[str, Logged]:
 
 
 def exchanges(lines: Iterable[Logged]) -> list[Exchange]:
-    """Return the exchanges that lines make; where one failed, part of a reply gives way to the failure."""
+    """Return the lines grouped into exchanges; a failure replaces the part of a reply received before it."""
     made: list[Exchange] = []
     for entry in lines:
         answer = entry.failure or entry.data.decode("ascii", "backslashreplace")
@@ -219,10 +219,10 @@ def exchanges(lines: Iterable[Logged]) -> list[Exchange]:
 
 @contextmanager
 def replayed(log: Path, instrument: str, **settings: Any) -> Iterator[tuple[MessageSession, Replay]]:
-    """Yield a session over what the log has of an instrument, and its clock.
+    """Yield a session that replays one instrument's lines of a log, and its clock.
 
-    `settings` are those of `MessageSession`, such as `timeout_s` or `serial`. Raises `Deviation` for what the
-    driver did otherwise (even if it let that pass) and for what is left, `WireLogError`, `OSError`.
+    `settings` are those of `MessageSession`, such as `timeout_s` or `serial`. Raises `Deviation` if the driver
+    deviated (even if it swallowed the error) or lines are left over; also `WireLogError`, `OSError`.
     """
     replay = Replay(f"{log}", instrument, read_log(log, instrument), settings.get("read_termination", "\n"))
     session = _ReplayedSession(replay, **settings)
@@ -243,9 +243,9 @@ def replayed(log: Path, instrument: str, **settings: Any) -> Iterator[tuple[Mess
 
 
 class Replay(Connection):
-    """Goes through a log: a connection with what it has `left` for the session, its `Clock` for the driver.
+    """The replay of a log: a `Connection` for the session and the `Clock` for the driver.
 
-    The time is that of the last line, and of what the driver slept since.
+    `left` holds the lines still to come. The time is that of the last line plus the driver's sleeps since.
     """
 
     def __init__(self, log: str, instrument: str, lines: Sequence[Logged], read_termination: str) -> None:
@@ -265,16 +265,16 @@ class Replay(Connection):
         return self._time_s
 
     def sleep(self, duration_s: float) -> None:
-        """Let time pass, at once."""
+        """Advance the clock without waiting."""
         self._time_s += max(0.0, duration_s)
 
     def catch_up(self) -> None:
-        """Let the time until the next line pass: what others did before they called the driver again."""
+        """Advance the clock to the time of the next line, for a pause between two calls of the driver."""
         if self.left:
             self._time_s = max(self._time_s, self._of_log_s(self.left[0]))
 
     def deviate(self, what: str) -> None:
-        """Keep what differs from the log, if nothing did before."""
+        """Record a deviation from the log; only the first is kept."""
         due = self.left[0] if self.left else None
         expected = f"line {due.line}: '{due.way} {due.text}'" if due else "the end"
         if due and (later_s := self._of_log_s(due) - self._time_s) > _LONG_S:
@@ -282,20 +282,23 @@ class Replay(Connection):
         self.deviation = self.deviation or f"{self._log}, {expected} was expected, but {what}{self._remark}"
 
     def fail(self, when: str) -> None:
-        """Raise the failure that comes next in the log, if it is one of that time."""
+        """Raise the failure in the next line of the log, if that line is a failure of the phase `when`."""
         if self.left and self.left[0].when == when and (failure := self._next().failure):
             raise failure
 
     # --- the connection -----------------------------------------------------------------------------
 
     def close(self) -> None:
-        """Nothing is open."""
+        """Do nothing: nothing is open."""
 
     def interrupt(self) -> None:
-        """Nobody waits."""
+        """Do nothing: no thread waits."""
 
     def send(self, data: bytes, timeout_s: float) -> bool:
-        """Take the line of a message that is sent."""
+        """Compare a command with the next line of the log, and raise the failure that follows it, if any.
+
+        Returns True. Ends the replay with `_Stopped` if the command differs.
+        """
         sent = escaped(data.decode("ascii").rstrip("\r\n"))
         due = self.left[0] if self.left else None
         if self.deviation or due is None or (due.way, due.text) != (">", sent):
@@ -306,7 +309,10 @@ class Replay(Connection):
         return True
 
     def wait(self, timeout_s: float) -> bool:
-        """Look for what nobody asked for (no timeout), or wait for a reply."""
+        """Return whether the next line is received data: unsolicited if `timeout_s` is 0, else a reply.
+
+        Raises a logged failure of this phase. Without data, the clock advances by `timeout_s`.
+        """
         self._when = AFTER_SENDING if timeout_s > 0.0 else BEFORE_SENDING
         self.fail(self._when)
         if self.left and self.left[0].way == "<":
@@ -319,7 +325,7 @@ class Replay(Connection):
     def take(self) -> tuple[bytes, bool]:
         """Return the next reply of the log.
 
-        If the log has a failure after it (the reply was cut, another followed, nobody asked), raise that failure.
+        Raises the failure that follows it in the log, if any: a truncated, doubled or unsolicited reply.
         """
         reply = self._next()
         self.fail(self._when)
@@ -328,11 +334,11 @@ class Replay(Connection):
         return reply.data + self._read_end, reply.data.endswith(b"\n")
 
     def take_all(self) -> bytes:
-        """Take a reply that is logged with its end; otherwise as `take`."""
+        """Return a reply that is logged with its own line end; otherwise as `take`."""
         return self.take()[0].removesuffix(self._read_end)
 
     def resynchronise(self, device_clear: bytes, timeout_s: float) -> bool:
-        """Nothing comes late."""
+        """Return True: a log has no late replies."""
         return True
 
     def _next(self) -> Logged:
@@ -357,7 +363,7 @@ class _ReplayedSession(MessageSession):
 
 
 def as_pairs(made: Iterable[Exchange]) -> str:
-    """Return exchanges as a Python literal, pairs of (sent, answered); one without a message is a comment."""
+    """Return exchanges as a Python list literal of pairs (sent, answered); one without a command is a comment."""
     lines = []
     for exchange in made:
         answered, shown = exchange.answered, repr(exchange.answered)
@@ -370,7 +376,7 @@ def as_pairs(made: Iterable[Exchange]) -> str:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Print the pairs of an instrument, and to standard error what is missing; return the exit status."""
+    """Print one instrument's pairs, and notes on missing replies to standard error; return the exit status."""
     parser = argparse.ArgumentParser(
         prog="python -m drivers.wire.replay", description="Print a wire log as pairs of (sent, answered)."
     )

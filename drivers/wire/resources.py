@@ -1,4 +1,4 @@
-"""The resources of this computer: which there are, and which another program holds."""
+"""VISA resources of this computer: their discovery, and locks against use by two programs at once."""
 
 from __future__ import annotations
 
@@ -25,20 +25,20 @@ from drivers.clock import utc_now
 from drivers.interfaces import InstrumentRefused
 
 # --- discovery --------------------------------------------------------------------------------------
-# As of pyvisa-py 0.8.1 a search takes some two seconds, in which it waits for answers from the network. It needs
-# optional packages for GPIB, USB and parts of the network, and cannot find raw SCPI sockets, as these do not
-# announce themselves.
+# As of pyvisa-py 0.8.1 a search takes some two seconds, waiting for replies from the network. It needs optional
+# packages for GPIB, USB and parts of the network. It cannot find raw SCPI sockets, which do not announce
+# themselves.
 
 _PACKAGES: Final = {
     "psutil": "only the network of the default interface was searched (install psutil to search all)",
     "zeroconf": "instruments that announce themselves as HiSLIP were not searched (install zeroconf)",
 }
-"""By the package that pyvisa-py misses and warns of, what was not searched without it."""
+"""For each optional package that pyvisa-py warns about: what was not searched without the package."""
 _LIBRARIES: Final = {
     ("gpib", "gpib_ctypes"): "GPIB boards were not searched (install linux-gpib or gpib-ctypes)",
     ("usb",): "USB was not searched (install pyusb)",
 }
-"""By the packages of which pyvisa-py silently misses each, what was not searched without them."""
+"""For alternative packages whose absence pyvisa-py does not report: what was not searched without any of them."""
 SOCKETS: Final = (
     "raw SCPI sockets (TCPIP::HOST::5025::SOCKET), chambers and heads on a network cannot be found this way: "
     "see the address on the instrument's own display"
@@ -47,7 +47,7 @@ SOCKETS: Final = (
 
 @dataclass(frozen=True)
 class SerialPort:
-    """A serial port: its VISA name, its name on this computer, what is known of its adapter."""
+    """A serial port: its VISA name, its device name, and a description of its adapter."""
 
     resource: str
     device: str
@@ -56,7 +56,7 @@ class SerialPort:
 
 @dataclass(frozen=True)
 class Offer:
-    """What was found; `notes` says what could not be searched, and why."""
+    """The resources found; `notes` says which interfaces could not be searched, and why."""
 
     resources: tuple[str, ...]
     serial_ports: tuple[SerialPort, ...]
@@ -67,7 +67,10 @@ def discover(
     list_resources: Callable[[], tuple[str, ...]] | None = None,
     list_ports: Callable[[], tuple[SerialPort, ...]] | None = None,
 ) -> Offer:
-    """Search all interfaces. Never raises: an interface that cannot be searched is a note."""
+    """Search all interfaces and return the resources found. Never raises: failures become notes.
+
+    The arguments replace the searches for VISA resources and serial ports, for tests.
+    """
     notes: list[str] = []
     resources: tuple[str, ...] = ()
     ports: tuple[SerialPort, ...] = ()
@@ -75,7 +78,7 @@ def discover(
         warnings.simplefilter("always")
         try:
             resources = (list_resources or _visa_resources)()
-        except Exception as error:  # the libraries beneath raise anything
+        except Exception as error:  # the underlying libraries may raise anything
             notes.append(f"VISA resources could not be searched ({type(error).__name__}: {error})")
     try:
         ports = (list_ports or _serial_ports)()
@@ -84,7 +87,7 @@ def discover(
     said = " ".join(str(warning.message) for warning in missed)
     notes += [text for package, text in _PACKAGES.items() if package in said]
     notes += [text for names, text in _LIBRARIES.items() if not any(map(importlib.util.find_spec, names))]
-    # Each serial port is also offered as a GPIB adapter, whatever is plugged into it.
+    # pyvisa-py also lists each serial port as a Prologix GPIB adapter, whatever is plugged in.
     own = {port.resource for port in ports}
     resources = tuple(r for r in resources if not r.startswith("PRLGX") and r not in own)
     return Offer(resources, ports, (*notes, SOCKETS))
@@ -108,9 +111,9 @@ def _serial_ports() -> tuple[SerialPort, ...]:
 
 
 # --- one program at an instrument -------------------------------------------------------------------
-# A lock is of a file that its program has open: when that ends, however it ends, the lock is free. Beside it stands
-# who holds it since when, for the refusal to name. It guards against programs of the same user on this computer;
-# against other users and computers only an instrument's own lock does (`Connection.take_own_lock`).
+# A lock is on a file that the program holds open, so it is released however the program ends. A second file beside
+# it names the holder and the time, for the refusal. It guards against programs of the same user on this computer;
+# against other users and computers only an instrument's own lock helps (`Connection.take_own_lock`).
 
 _ADAPTER: Final = re.compile(r"prologix://(/\S+|COM\d+|[^\s/:]+(?::\d+)?)/\d{1,2}", re.IGNORECASE)
 _PORT: Final = re.compile(r"ASRL(/\S+|COM\d+)::INSTR", re.IGNORECASE)
@@ -118,14 +121,14 @@ _SERIAL: Final = re.compile(r"/|COM\d+$", re.IGNORECASE)
 _KINDS: Final = ("INSTR", "SOCKET", "INTFC")
 _ADAPTER_PORT: Final = ":1234"
 _NO_LOCKS: Final = (OSError, NotImplementedError)
-"""What comes of a folder that cannot be written, or whose file system has no locks: then nothing is held."""
+"""Errors of a folder that cannot be written, or of a file system without locks: then nothing is locked."""
 
 
 def normalised(resource: str) -> str:
-    """Return one name for all the ways in which a resource may be written.
+    """Return one canonical name for all spellings of a resource.
 
-    An adapter stands for all instruments behind it, a serial port for the device that its links lead to; a host's
-    name is not looked up.
+    Instruments behind one adapter share the adapter's name. A serial port is named after the device to which its
+    symbolic links resolve. Host names are not resolved.
     """
     if (adapter := _ADAPTER.fullmatch(resource)) is not None:
         place = adapter[1]
@@ -152,12 +155,12 @@ def _host(text: str) -> str:
 
 
 def _number(text: str) -> str:
-    """Return a number as decimal: USB writes its own in either way."""
+    """Return a hexadecimal number as decimal, "" for other text: USB resources may be written in either form."""
     return str(int(text, 16)) if re.fullmatch(r"0[xX][0-9a-fA-F]+", text) else ""
 
 
 class Holding:
-    """The locks of this program, in `folder`; an instrument that it opens twice it holds once."""
+    """The locks of this program, as files in `folder`; taking a resource twice needs two releases."""
 
     _held: Final[dict[Path, tuple[FileLock, int]]] = {}
     _guard: Final = threading.Lock()
@@ -166,9 +169,9 @@ class Holding:
         self._folder = folder
 
     def take(self, name: str, resource: str, called: str = "") -> None:
-        """Hold the instrument `name`. Raises `InstrumentRefused` with who holds it already.
+        """Lock the resource of instrument `name`. Raises `InstrumentRefused`, naming the holder, if it is in use.
 
-        The refusal has the resource by what it is `called`, where it is a name that nobody has typed.
+        `called` replaces the resource in that message, if the resource is not a name that a person typed.
         """
         path = self._path(resource)
         with self._guard:
@@ -186,7 +189,7 @@ class Holding:
             self._held[path] = (lock, times + 1)
 
     def release(self, resource: str) -> None:
-        """Let an instrument go that was taken; never raises."""
+        """Release a resource taken before. Never raises."""
         path = self._path(resource)
         with self._guard, suppress(*_NO_LOCKS):
             lock, times = self._held.pop(path, (None, 0))
@@ -213,12 +216,12 @@ class Holding:
             told = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))
             holder = f"{told['who']} since {told['since']}"
         except (OSError, ValueError, KeyError, TypeError):
-            holder = "another program"  # it has only just begun
+            holder = "another program"  # it has not yet written its name
         return InstrumentRefused(name, f"{resource} is in use by {holder}", "end that program or wait for it")
 
 
 def _who() -> str:
-    """Say which program this is: its command, user, computer and process."""
+    """Return a description of this program: its command, user, computer and process number."""
     try:
         user = getpass.getuser()
     except (OSError, KeyError):

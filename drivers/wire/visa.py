@@ -1,7 +1,7 @@
-"""The one transport: a locked, checked, reconnecting message session for all message instruments.
+"""The transport of all message-based instruments: a session with locking, reply checks and reconnection.
 
-After anything but a whole, expected reply the connection is given up, and made again before the next
-exchange, so that a late or half reply is never taken for the answer to something else.
+After anything but a complete, expected reply the connection is dropped and made anew before the next exchange.
+A late or partial reply is thus never mistaken for the answer to another command.
 """
 
 from __future__ import annotations
@@ -27,31 +27,31 @@ if TYPE_CHECKING:
 __all__ = ["MessageSession", "SerialSettings", "Wire"]
 
 Wire = Callable[[str, str, str], None]
-"""A wire log: called with the instrument's name, ">" (sent), "<" (received) or "!" (failed), the text.
+"""A wire log: called with the instrument's name, ">" (sent), "<" (received) or "!" (failed), and the text.
 
 It must not raise."""
 
 PRINTABLE: Final = r"[\x20-\x7e]+"
-"""The form of a reply for which no pattern is given: one line of printable ASCII."""
+"""The default pattern of a reply: one line of printable ASCII."""
 
 CONNECTING: Final = "connecting"
 BEFORE_SENDING: Final = "before sending"
 AFTER_SENDING: Final = "after sending"
-"""When it failed, as the wire log has it."""
+"""The phase of a failure, as written to the wire log."""
 
 _MAX_REPLY_BYTES: Final = 1 << 20
 _SLICE_S: Final = 0.5
 
 
 class MessageSession:
-    """One instrument's wire: text commands out, one line of text back for each query.
+    """A session with one instrument: it sends text commands and returns one line of text per query.
 
-    `name` is the instrument's name on the bench, `resource` a VISA resource string, or for an instrument
-    behind a GPIB adapter one such as `prologix://192.0.2.10:1234/22`. The terminations and `serial` hold
-    for sockets and serial ports; GPIB, USB and VXI-11 mark the end of a message themselves. `read_tail` bytes of
-    any value, a check sum, follow the termination of each reply, which is then given whole, a character a byte.
-    In `haste` no reply is waited for longer than that allows. While it is open it is held by `holding`.
-    Safe to use from several threads; give one resource to one session only.
+    `name` is the instrument's name on the bench. `resource` is a VISA resource string or, behind a GPIB adapter,
+    such as `prologix://192.0.2.10:1234/22`. The terminations and `serial` apply to sockets and serial ports; GPIB,
+    USB and VXI-11 mark the end of a message themselves. With `read_tail`, so many bytes (a check sum) follow the
+    termination of each reply; the reply is then returned with both, one character per byte. `haste` can shorten
+    the wait for replies. `holding` keeps other programs away while the session is open.
+    Thread-safe; open only one session per resource.
     """
 
     def __init__(
@@ -88,16 +88,16 @@ class MessageSession:
 
     @property
     def connection(self) -> int | None:
-        """The number of the present connection, or None while there is none to trust.
+        """The number of the current connection, or None without a usable one.
 
-        A driver keeps it with the settings that it sent: any other number means to prove them again.
+        A driver stores it with the settings that it sent: a different number means to verify them again.
         """
         return self._count if self._stands() else None
 
     def open(self) -> None:
-        """Connect and prove that somebody is there; nothing is done when connected already.
+        """Connect, unless connected already.
 
-        Raises `InstrumentLost`, `InstrumentRefused` where another program holds the instrument.
+        Raises `InstrumentLost`, and `InstrumentRefused` if another program holds the instrument.
         """
         with self._lock:
             if self._holding is not None and not self._holds:
@@ -109,9 +109,9 @@ class MessageSession:
             self._connected()
 
     def close(self) -> None:
-        """Let the wire go. Never raises, may be called twice and while another thread waits for a reply.
+        """Disconnect. Never raises, may be called twice and while another thread waits for a reply.
 
-        Another thread's exchange may end within the timeout; then it is cut off.
+        Another thread's exchange may still finish within the timeout, after which it is cut off.
         """
         self._wanted = False
         locked = self._lock.acquire(timeout=self.timeout_s)
@@ -133,7 +133,7 @@ class MessageSession:
     def write(self, command: str) -> None:
         """Send a command that has no reply.
 
-        Raises `InstrumentLost`, or `BadReading` when something came that nobody had asked for.
+        Raises `InstrumentLost`, or `BadReading` if unsolicited data had arrived.
         """
         with self._exchange(command) as connection:
             self._send(connection, command)
@@ -144,19 +144,20 @@ class MessageSession:
         timeout_s: float | None = None,
         pattern: str | re.Pattern[str] | None = None,
         expected: str = "one line of text",
+        lines: int = 1,
     ) -> str:
-        """Send a command and return its reply without the termination.
+        """Send a command and return its reply without the termination; `lines` is how many lines it has.
 
-        The whole reply must match `pattern` (without one: be printable); `expected` says in an error what
-        that is. Raises `InstrumentLost` when nothing comes within `timeout_s` (the session's own if None),
-        `BadReading` for a reply that is cut, garbled, or followed by another.
+        The whole reply must match `pattern` (default: printable ASCII), which `expected` describes in errors.
+        Raises `InstrumentLost` if nothing arrives within `timeout_s` (None: the session's timeout), and
+        `BadReading` for a reply that is truncated, garbled, or followed by another.
         """
         allowed_s = self.timeout_s if timeout_s is None else timeout_s
         with self._exchange(command) as connection:
             self._send(connection, command)
-            reply = self._receive(connection, command, allowed_s)
+            reply = self._receive(connection, command, allowed_s, lines)
             fits = re.fullmatch(pattern or PRINTABLE, reply) is not None
-            if not fits:  # the wire itself did not fail, and its log does not say so
+            if not fits:  # the transport did not fail, so the wire log gets no "!" line
                 self._give_up()
         if not fits:
             raise BadReading(
@@ -168,7 +169,7 @@ class MessageSession:
 
     @contextlib.contextmanager
     def _exchange(self, command: str) -> Iterator[Connection | AdapterConnection]:
-        """Hold the lock over one exchange; whatever goes wrong in it, the connection is given up."""
+        """Hold the lock during one exchange and yield the connection; drop the connection on any exception."""
         with self._lock:
             if not self._wanted:
                 raise InstrumentLost(
@@ -188,7 +189,7 @@ class MessageSession:
                 raise failure from error
 
     def _connected(self) -> Connection | AdapterConnection:
-        """Return the connection, made and proved if there is none."""
+        """Return the connection; connect first if there is none."""
         if self._connection is None:
             try:
                 connection = self._open()
@@ -205,7 +206,7 @@ class MessageSession:
         return self._connection
 
     def _stands(self) -> bool:
-        """Whether there is a connection, and no other instrument on the same adapter has lost it."""
+        """Return whether there is a connection that no other instrument on the same adapter has lost."""
         connection = self._connection
         return connection is not None and not (
             isinstance(connection, AdapterConnection) and not connection.stands
@@ -248,7 +249,7 @@ class MessageSession:
             connection.close()
 
     def _failed(self, when: str, error: BaseException, at: str = "") -> BaseException:
-        """Log what failed, and when; return it as one of our errors if it is a foreign `Exception`."""
+        """Log a failure with its phase `when`; return it, a foreign `Exception` converted to `InstrumentLost`."""
         if isinstance(error, Exception) and not isinstance(error, BenchError):
             cause, remedy = probable_cause(error)
             error = InstrumentLost(self.name, f"{self.resource} {cause}{at}", remedy)
@@ -265,26 +266,31 @@ class MessageSession:
                 "switch the instrument off and on and start again",
             )
 
-    def _receive(self, connection: Connection | AdapterConnection, command: str, allowed_s: float) -> str:
-        """Return one reply, decoded, without its termination (a CR before it is let pass)."""
+    def _receive(
+        self, connection: Connection | AdapterConnection, command: str, allowed_s: float, lines: int
+    ) -> str:
+        """Return one decoded reply without its termination; with a tail (`read_tail`), the reply is unchanged.
+
+        Raises `InstrumentLost` or `BadReading` if no complete reply to `command` arrives within `allowed_s`.
+        """
         if isinstance(connection, Connection) and connection.by_bytes:
-            data = self._read_line(connection, command, allowed_s)
+            data = self._read_lines(connection, command, allowed_s, lines)
         else:
             data = connection.take_message(self._haste.limited_s(allowed_s))
         reply = _text(data) if self._read_tail else _text(data).rstrip("\r\n")
-        self._log("<", reply)
+        self._log("<", _text(data) if lines > 1 else reply)
         return data.decode("latin-1") if self._read_tail else reply
 
-    def _read_line(self, connection: Connection, command: str, allowed_s: float) -> bytes:
+    def _read_lines(self, connection: Connection, command: str, allowed_s: float, lines: int) -> bytes:
         end = self._read_termination[-1:].encode("ascii")
         begun_s = self._clock.now_s()
         data = b""
-        while not self._whole(data, end):
+        while not self._whole(data, end, lines):
             if len(data) > _MAX_REPLY_BYTES or not self._comes(connection, begun_s, allowed_s):
                 raise self._incomplete(command, data, self._haste.limited_s(allowed_s))
-            if self._read_tail:
+            if self._read_tail or lines > 1:
                 chunk = connection.take_all()
-                data, more = data + chunk, self._behind(data + chunk, end) > 0
+                data, more = data + chunk, self._behind(data + chunk, end, lines) > 0
             else:
                 chunk, more = connection.take()
                 data += chunk
@@ -300,16 +306,22 @@ class MessageSession:
                 )
         return data
 
-    def _whole(self, data: bytes, end: bytes) -> bool:
-        return self._behind(data, end) >= 0 if self._read_tail else data.endswith(end)
+    def _whole(self, data: bytes, end: bytes, lines: int) -> bool:
+        if self._read_tail or lines > 1:
+            return self._behind(data, end, lines) >= 0
+        return data.endswith(end)
 
-    def _behind(self, data: bytes, end: bytes) -> int:
-        """Return how many bytes stand behind a reply with a tail; negative where it has not all come."""
-        at = data.find(end)
-        return -1 if at < 0 else len(data) - at - len(end) - self._read_tail
+    def _behind(self, data: bytes, end: bytes, lines: int) -> int:
+        """Return how many bytes stand behind a reply of so many lines; negative where it has not all come."""
+        at = -1
+        for _ in range(lines):
+            at = data.find(end, at + 1)
+            if at < 0:
+                return -1
+        return len(data) - at - len(end) - self._read_tail
 
     def _comes(self, connection: Connection, begun_s: float, allowed_s: float) -> bool:
-        """Wait for bytes, in slices, so that haste is heard; False when none came in time."""
+        """Wait for bytes, in slices so that haste takes effect; return False if none arrive in time."""
         while True:
             left_s = begun_s + self._haste.limited_s(allowed_s) - self._clock.now_s()
             if connection.wait(max(0.0, min(left_s, _SLICE_S))):
@@ -340,7 +352,7 @@ class MessageSession:
         )
 
     def _refuse_leftovers(self, connection: Connection | AdapterConnection, command: str) -> None:
-        """Refuse to send when something unasked-for waits, or the peer has gone: a write would not notice."""
+        """Raise an error if unsolicited data waits or the peer has gone, which a write would not notice."""
         if not isinstance(connection, Connection) or not connection.by_bytes or not connection.wait(0.0):
             return
         data, _ = connection.take()
@@ -367,8 +379,8 @@ def _shown(text: str) -> str:
 
 
 # --- a session that proves its instrument -----------------------------------------------------------
-# A connection that was made anew may lead to an instrument that was switched off meanwhile, or to another one.
-# What is asked is asked again after a failure of the wire, over a new connection; what is commanded is sent once.
+# After a reconnection the instrument may have been switched off and on, or be another one: it is verified again.
+# After a transport failure a query is repeated over a new connection; a command is sent only once.
 
 ATTEMPTS: Final = 3
 
@@ -376,10 +388,10 @@ _T = TypeVar("_T")
 
 
 class ProvedSession:
-    """Commands and queries over a `MessageSession`, none before the instrument was proved.
+    """Commands and queries over a `MessageSession`; the instrument is verified first on every new connection.
 
-    `prove` identifies the instrument, by calls of this session, and raises what is wrong with it.
-    `write_gap_s` is how long the instrument wants to be left alone after a command without reply.
+    `prove` identifies the instrument through this session and raises an error if it is not the expected one.
+    `write_gap_s` is the pause that the instrument needs after a command without reply.
     """
 
     def __init__(
@@ -395,27 +407,27 @@ class ProvedSession:
 
     @property
     def resource(self) -> str:
-        """The VISA name of the instrument."""
+        """The resource string of the instrument."""
         return self._session.resource
 
     @property
     def opened(self) -> bool:
-        """Whether the instrument was proved and not let go since."""
+        """Whether the instrument was proved and the session has not been closed since."""
         return self._proved is not None
 
     def open(self) -> None:
-        """Connect and prove. Raises `InstrumentLost`, `BadReading` and what `prove` raises."""
+        """Connect and prove the instrument. Raises `InstrumentLost`, `BadReading` and the errors of `prove`."""
         self._proved = None
         self._session.open()
         self.repeating(self.ensure_proved)
 
     def close(self) -> None:
-        """Let the wire go. Never raises."""
+        """Disconnect. Never raises."""
         self._proved = None
         self._session.close()
 
     def ensure_proved(self) -> None:
-        """Prove the instrument unless that was done over the present connection."""
+        """Prove the instrument unless this was done over the current connection."""
         if self._proving or (self._proved is not None and self._proved == self._session.connection):
             return
         self._proving = True
@@ -426,10 +438,10 @@ class ProvedSession:
             self._proving = False
 
     def repeating(self, exchange: Callable[[], _T]) -> _T:
-        """Return what `exchange` returns; it is done again over a new connection when the wire failed.
+        """Return the result of `exchange`, repeated over a new connection after a transport failure.
 
-        After a `BadReading` three times at most, after an `InstrumentLost` once: whoever stays silent twice
-        is not there. Within a proof nothing is repeated: the whole proof is.
+        There are at most three attempts; a second `InstrumentLost` ends them, as the instrument is then absent.
+        Inside `prove` nothing is repeated: the outer call repeats the whole proof.
         """
         lost = 0
         for _ in range(ATTEMPTS - 1):
@@ -441,22 +453,26 @@ class ProvedSession:
                     raise
         return exchange()
 
-    def ask(self, command: str, pattern: str, expected: str, timeout_s: float | None = None) -> str:
+    def ask(
+        self, command: str, pattern: str, expected: str, timeout_s: float | None = None, lines: int = 1
+    ) -> str:
         """Send a query that may be repeated and return its reply. Raises as `MessageSession.query`."""
-        return self.repeating(lambda: self.command(command, pattern, expected, timeout_s))
+        return self.repeating(lambda: self.command(command, pattern, expected, timeout_s, lines))
 
-    def command(self, command: str, pattern: str, expected: str, timeout_s: float | None = None) -> str:
-        """Send once what is answered and return the reply. Raises as `MessageSession.query`."""
+    def command(
+        self, command: str, pattern: str, expected: str, timeout_s: float | None = None, lines: int = 1
+    ) -> str:
+        """Send a command that has a reply, once only, and return the reply. Raises as `MessageSession.query`."""
         self.ensure_proved()
         self._leave_alone()
-        return self._session.query(command, timeout_s=timeout_s, pattern=pattern, expected=expected)
+        return self._session.query(command, timeout_s, pattern, expected, lines)
 
     def urgent(self, command: str, pattern: str, expected: str) -> str:
-        """Send at once, proved or not, what is answered: a stop must not wait for a proof."""
+        """Send a command at once, proved or not, and return its reply: a stop must not wait for a proof."""
         return self._session.query(command, pattern=pattern, expected=expected)
 
     def write(self, command: str) -> None:
-        """Send once what has no reply. Raises as `MessageSession.write`."""
+        """Send a command that has no reply, once only. Raises as `MessageSession.write`."""
         self.ensure_proved()
         self._leave_alone()
         self._session.write(command)

@@ -1,7 +1,7 @@
-"""Faults on demand of a simulated instrument and its wire: their kind, time and frequency.
+"""Injected faults of a simulated instrument and its wire: their kind, time and frequency.
 
-A fault is data, as a bench file or the control states it: `{fault: cut, probability: 0.01}`,
-`{fault: drop, at: 17}`, `{fault: late, matching: "READ?", seconds: 2, instrument: voltmeter.x}`.
+A fault is stated as data in a bench file or through the control: `{fault: cut, probability: 0.01}`, `{fault: drop,
+at: 17}`, `{fault: late, matching: "READ?", seconds: 2, instrument: voltmeter.x}`.
 """
 
 from __future__ import annotations
@@ -24,32 +24,32 @@ if TYPE_CHECKING:
 
 
 class FaultKind(StrEnum):
-    """Kinds of faults. The last five are of the instrument, the others of its wire."""
+    """Kinds of faults. The last five occur in the instrument, the others on its wire."""
 
     DROP = "drop"
-    """The command is carried out; the connection is closed in place of the reply."""
+    """The command is carried out; the connection is closed without a reply."""
     REFUSE = "refuse"
-    """As drop, and new connections are refused, for `seconds` or until they are accepted again."""
+    """As DROP; new connections are then refused, for `seconds` or until the control accepts them again."""
     LATE = "late"
     """The reply comes `seconds` late."""
     TWICE = "twice"
     """The reply comes twice."""
     CUT = "cut"
-    """The first part of the reply comes, without its end."""
+    """The reply breaks off, without its terminator."""
     GARBLE = "garble"
-    """The reply comes with every character wrong."""
+    """Every character of the reply is wrong."""
     SILENCE = "silence"
     """The command is carried out; the reply is lost."""
     HANG = "hang"
-    """This command and those after it are swallowed, for `seconds` or until a device clear or power cycle."""
+    """This command and later ones are lost, for `seconds` or until a device clear or power cycle."""
     POWER_CYCLE = "power-cycle"
-    """Just before the command the instrument was switched off and on: its settings are gone."""
+    """The instrument is switched off and on just before the command and loses its settings."""
     OVERLOAD = "overload"
-    """What is sampled during this command is beyond every range."""
+    """Samples taken during this command are beyond every range."""
     LOCAL = "local"
-    """Just before the command somebody pressed the LOCAL key."""
+    """The LOCAL key is pressed just before the command."""
     ERROR = "error"
-    """Just before the command the error number `error` came into the instrument's queue."""
+    """The error number `error` enters the instrument's queue just before the command."""
 
 
 _NEEDS_REPLY: Final = frozenset({FaultKind.LATE, FaultKind.TWICE, FaultKind.CUT, FaultKind.GARBLE})
@@ -84,14 +84,14 @@ class HasErrorQueue(Protocol):
 
 @runtime_checkable
 class HasInput(Protocol):
-    """An instrument that samples a signal; `overloaded` puts the signal beyond every range."""
+    """An instrument that samples a signal; while `overloaded` is set, the signal is beyond every range."""
 
     overloaded: bool
 
 
 @runtime_checkable
 class HasCycle(Protocol):
-    """An instrument that measures for a while."""
+    """An instrument whose measurements take time."""
 
     @property
     def cycle(self) -> MeasuringCycle:
@@ -107,17 +107,17 @@ _NEEDS: Final[dict[FaultKind, tuple[type, str]]] = {
 
 
 OF_INSTRUMENT: Final = frozenset({*_NEEDS, FaultKind.HANG})
-"""The faults of the instrument; the others are of its wire."""
+"""The faults of the instrument itself; all others are faults of its wire."""
 
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One kind of fault and when it strikes.
+    """One kind of fault and the condition under which it strikes.
 
-    `matching` is a part of the command, in any case; exchanges without it are not counted. Of the others
-    each is struck with `probability`, or the `at`-th (1…) alone, or without both every one. A fault of the
-    reply strikes replies only: when the `at`-th command has none, the next one. `instrument` is a name on
-    the bench, empty for all.
+    Only exchanges whose command contains `matching` (in any case) count. Of these the fault strikes each with
+    `probability`, or only the `at`-th (from 1), or every one if neither is given. A fault of the reply needs a
+    reply: if the `at`-th command has none, it strikes the next reply. `instrument` is a name on the bench, empty
+    for all.
     """
 
     kind: FaultKind
@@ -129,7 +129,7 @@ class Fault:
     instrument: str = ""
 
     def __post_init__(self) -> None:
-        """Raise `ValueError` with one sentence for a fault that makes no sense."""
+        """Raise `ValueError` with one sentence for inconsistent settings."""
         if self.probability is not None and not 0.0 <= self.probability <= 1.0:
             raise ValueError(f"a probability lies between 0 and 1, not at {self.probability:g}")
         if self.at is not None and self.at < 1:
@@ -147,10 +147,10 @@ class Fault:
 
     @classmethod
     def parse(cls, data: Mapping[str, object]) -> Fault:
-        """Return the fault that plain data states; numbers may be text, as a YAML reader may leave them.
+        """Return the fault that plain data states; numbers may be given as text.
 
-        Raises `ValueError` with one sentence: an unknown key or kind, a number that is none, a fault that
-        makes no sense.
+        Raises `ValueError` with one sentence for an unknown key or kind, an invalid number or inconsistent
+        settings.
         """
         unknown = sorted(set(data) - set(_KEYS))
         if unknown:
@@ -185,7 +185,7 @@ class Fault:
 
 
 def _number(data: Mapping[str, object], key: str) -> float | None:
-    """Return a number of the data, None where it is not stated."""
+    """Return a number of the data, or None if the key is missing. Raises `ValueError` for an invalid number."""
     if key not in data:
         return None
     try:
@@ -207,7 +207,7 @@ def _whole(data: Mapping[str, object], key: str) -> int | None:
 
 
 class _Armed:
-    """A fault with its count and its random numbers."""
+    """An armed fault with its exchange count and its random generator."""
 
     def __init__(self, fault: Fault, generator: np.random.Generator) -> None:
         self.fault = fault
@@ -216,7 +216,7 @@ class _Armed:
         self._due = False
 
     def strikes(self, message: bytes, reply: bytes | None) -> bool:
-        """Count one exchange, and tell whether it is struck; `reply` is None where there is none (yet)."""
+        """Count one exchange and return whether the fault strikes it; `reply` is None if there is none (yet)."""
         fault = self.fault
         awaits_reply = fault.kind in _NEEDS_REPLY and reply is None
         if fault.matching.lower().encode("utf-8") in message.lower():
@@ -231,15 +231,15 @@ class _Armed:
         return True
 
     def cut(self, reply: bytes) -> WireFault:
-        """Return the first part of a reply, of a length that is drawn."""
+        """Return the wire fault that keeps only the beginning of a reply, of random length."""
         return WireFault.cut(reply, int(self._generator.integers(1, max(2, len(reply)))))
 
 
 class FaultyInstrument:
-    """A dialect with faults put in: itself a `Dialect`, and with `wire_fault` the `FaultHook` of its wires.
+    """A dialect with injected faults: itself a `Dialect`, and by `wire_fault` the `FaultHook` of its wires.
 
-    `seed` and `name` decide the random numbers. To be called by one thread at a time, as an
-    `sim.wires.session.Instrument` does. Raises `ValueError` for a fault that the instrument cannot have.
+    `seed` and `name` determine the random numbers. Only one thread at a time may call it, which
+    `sim.wires.session.ServedInstrument` ensures. Raises `ValueError` for a fault that the instrument cannot have.
     """
 
     def __init__(
@@ -264,29 +264,29 @@ class FaultyInstrument:
 
     @property
     def line_ends(self) -> LineEnds:
-        """How the lines of the instrument end."""
+        """The line ends of the instrument."""
         return line_ends_of(self.dialect)
 
     def can_have(self, fault: Fault) -> bool:
-        """Whether the instrument has what the fault needs."""
+        """Whether the instrument has the feature that the fault needs, such as a LOCAL key."""
         return isinstance(self.dialect, _NEEDS.get(fault.kind, (object, ""))[0])
 
     def add(self, fault: Fault) -> None:
-        """Arm one more fault; its count begins now. Raises `ValueError` when this instrument cannot have it."""
+        """Arm a fault and start its count. Raises `ValueError` if this instrument cannot have it."""
         if not self.can_have(fault):
             raise ValueError(f"{self.name} {_NEEDS[fault.kind][1]}")
         self._armed.append(_Armed(fault, keyed_generator(self._seed, "fault", self.name, self._added)))
         self._added += 1
 
     def clear(self) -> None:
-        """Disarm all faults; a hanging instrument goes on."""
+        """Disarm all faults and end a hang."""
         self._armed.clear()
         self._hung_until_s = None
 
     # --- as a dialect -------------------------------------------------------------------------------
 
     def handle(self, message: bytes, interrupted: Callable[[], bool]) -> bytes | None:
-        """Carry out a message with the instrument's own faults."""
+        """Carry out a message, with the faults of the instrument itself."""
         struck = {
             a.fault.kind: a.fault
             for a in self._armed
@@ -312,28 +312,28 @@ class FaultyInstrument:
             self.dialect.overloaded = False
 
     def sent_by(self, left: Callable[[], bool]) -> None:
-        """Say whose the next message is to what measures for a while: it may be given up for one that left."""
+        """Pass on the test for whether the sender of the next message has left (see `Forsakable.sent_by`)."""
         if self._measures is not None:
             self._measures.cycle.sent_by(left)
 
     def device_clear(self) -> None:
-        """Stop what is under way; a hanging instrument goes on."""
+        """Abort the command in progress and end a hang."""
         self._hung_until_s = None
         self.dialect.device_clear()
 
     def input_overflow(self) -> None:
-        """Take note that a message was too long to be kept."""
+        """Report a message that exceeded the input buffer."""
         self.dialect.input_overflow()
 
     def power_cycle(self) -> None:
-        """Switch the instrument off and on. Raises `ValueError` when it cannot be."""
+        """Switch the instrument off and on, which ends a hang. Raises `ValueError` if it has no power switch."""
         self._hung_until_s = None
         if not isinstance(self.dialect, Switchable):
             raise ValueError(f"{self.name} {_NEEDS[FaultKind.POWER_CYCLE][1]}")
         self.dialect.power_cycle()
 
     def press_local(self) -> None:
-        """Press the LOCAL key. Raises `ValueError` where there is none."""
+        """Press the LOCAL key. Raises `ValueError` if there is none."""
         if not isinstance(self.dialect, HasLocalKey):
             raise ValueError(f"{self.name} {_NEEDS[FaultKind.LOCAL][1]}")
         self.dialect.press_local()
@@ -341,7 +341,10 @@ class FaultyInstrument:
     # --- as a fault hook ----------------------------------------------------------------------------
 
     def wire_fault(self, message: bytes, reply: bytes | None) -> WireFault | None:
-        """Return what the wire does to this exchange; all faults count it, the first that strikes acts."""
+        """Return the effect of the wire on this exchange, or None.
+
+        All wire faults count the exchange; the first that strikes acts.
+        """
         struck = [a for a in self._armed if a.fault.kind not in OF_INSTRUMENT and a.strikes(message, reply)]
         if self._hangs_now or not struck:
             return None

@@ -1,8 +1,8 @@
 """A simulated GPIB adapter of the Prologix kind, with simulated instruments on its bus.
 
-It is a dialect: served like an instrument, on a port of its own. What it is told it passes on to the
-instrument at the address it is set to; what that answers it hands over when it is told to read, and only
-if the answer comes within its timeout of 3 s or less.
+The adapter is a dialect, served like an instrument on its own port. It passes each line to the instrument at the
+address it is set to. On a read command it returns that instrument's reply, if the reply is ready within the
+timeout of at most 3 s.
 Source: Prologix GPIB-ETHERNET Controller User Manual, chapters 7 "Data Transmission" and 8 "Commands".
 """
 
@@ -46,12 +46,12 @@ _RANGES: Final = {
     "read_tmo_ms": (1, 3000),
     "savecfg": (0, 1),
 }
-"""Allowed values of each setting. As the end of a message the wire carries nothing but LF here."""
+"""Allowed values of each setting. The simulation supports only LF as the end-of-transmission character."""
 
 
 @dataclass
 class AdapterSettings:
-    """How an adapter is set; as shipped it makes an instrument talk after each command (`auto`)."""
+    """The settings of an adapter; as shipped it reads from the instrument after each command (`auto`)."""
 
     addr: int = 5
     auto: int = 1
@@ -65,10 +65,10 @@ class AdapterSettings:
 
 
 class LookaheadClock(VirtualClock):
-    """The time of one instrument on a bus that does not wait for it.
+    """The time of one instrument on a bus, which may be ahead of the bench's time.
 
-    What the instrument is told it carries out at once and may so be ahead of the bench: its time then says
-    when it will be ready. The bench's own time moves only while the adapter waits for a reply.
+    The instrument carries out commands at once and without waiting. Its own time then tells when the reply will be
+    ready; the bench's time advances only while the adapter waits for that reply.
     """
 
     def __init__(self, bench: Clock) -> None:
@@ -77,7 +77,7 @@ class LookaheadClock(VirtualClock):
         self._ahead_s = -math.inf
 
     def now_s(self) -> float:
-        """Return the instrument's time, s: the bench's, or later."""
+        """Return the instrument's time, s: the bench's time, or a later one."""
         return max(self._bench.now_s(), self._ahead_s)
 
     def sleep(self, duration_s: float) -> None:
@@ -89,12 +89,12 @@ class LookaheadClock(VirtualClock):
         self._ahead_s = max(self._ahead_s, time_s)
 
     def return_to_present(self) -> None:
-        """Return to the bench's time, because the instrument was cleared."""
+        """Return to the bench's time, after the instrument was cleared."""
         self._ahead_s = -math.inf
 
 
 class _BusDevice:
-    """An instrument on the bus: what it was sent and not yet ended, its reply, and when that is ready."""
+    """An instrument on the bus, with its unfinished input, its reply and the time at which the reply is ready."""
 
     def __init__(self, instrument: ScpiInstrument, clock: LookaheadClock) -> None:
         self.instrument = instrument
@@ -107,7 +107,7 @@ class _BusDevice:
         self._input = b""
 
     def listen(self, data: bytes, ended: bool) -> None:
-        """Take data; a message ends at LF, or with the data where EOI marks it."""
+        """Receive data; a message ends at LF or, if `ended` (EOI), at the end of the data."""
         self.in_remote = True
         *messages, self._input = (self._input + data).split(b"\n")
         if ended and self._input:
@@ -117,22 +117,27 @@ class _BusDevice:
             self.carry_out(message)
 
     def carry_out(self, message: bytes) -> None:
-        """Carry one message out; a reply that nobody took is lost (-410)."""
+        """Carry out one message; a previous reply that was not read is lost (-410)."""
         if self.reply is not None:
             self.reply = None
             self.instrument.report(_INTERRUPTED)
         self.reply = self.dialect.handle(message, never)
         self.ready_s = self._clock.now_s()
 
+    def return_to_present(self) -> None:
+        """Return to the bench's time."""
+        self._clock.return_to_present()
+        self.ready_s = min(self.ready_s, self._clock.now_s())
+
     def clear(self) -> None:
-        """Selected device clear."""
+        """Carry out a selected device clear."""
         self.reply = None
         self._input = b""
         self._clock.return_to_present()
         self.dialect.device_clear()
 
     def status_byte(self, now_s: float) -> int:
-        """The status byte, with "message available" when the reply is ready."""
+        """Return the status byte, with "message available" set once the reply is ready."""
         available = self.reply is not None and self.ready_s <= now_s
         return self.instrument.status.status_byte | (_MESSAGE_AVAILABLE if available else 0)
 
@@ -141,10 +146,10 @@ _Instrument = TypeVar("_Instrument", bound=ScpiInstrument)
 
 
 class GpibAdapter(PlainDialect):
-    """The adapter; `clock` is the bench's. Instruments are put on its bus with `attach`.
+    """The adapter; `clock` is the bench's. `attach` puts instruments on its bus.
 
-    `settings` are those it was switched on with. `writes_to_memory` counts how often it saved its settings
-    (savecfg 1): that memory wears.
+    `settings` are those at switch-on. `writes_to_memory` counts how often settings were saved (savecfg 1), because
+    each write wears the adapter's memory.
     """
 
     model = "GPIB adapter"
@@ -174,9 +179,9 @@ class GpibAdapter(PlainDialect):
         }
 
     def attach(self, address: int, make: Callable[[Clock], _Instrument]) -> _Instrument:
-        """Put an instrument on the bus; `make` is given the clock it is to live by. Return the instrument.
+        """Put the instrument that `make` returns for its clock on the bus, and return it.
 
-        Raises `ValueError` for an address that is taken or not 0…30.
+        Raises `ValueError` for an address that is in use or not in 0…30.
         """
         low, high = _RANGES["addr"]
         if not low <= address <= high or address in self._devices:
@@ -186,27 +191,32 @@ class GpibAdapter(PlainDialect):
         self._devices[address] = _BusDevice(instrument, clock)
         return instrument
 
+    def return_to_present(self) -> None:
+        """Have all instruments return to the bench's time."""
+        for device in self._devices.values():
+            device.return_to_present()
+
     def let_through(self, address: int, dialect: Dialect) -> None:
-        """From now on let `dialect` carry out what is sent to the instrument there, such as one with faults."""
+        """Route messages for the instrument at `address` through `dialect`, for example one with faults."""
         self._devices[address].dialect = dialect
 
     def in_remote(self, address: int) -> bool:
-        """Whether the instrument there is in remote: it was spoken to, and not sent to local since."""
+        """Return whether the instrument at `address` is in remote: addressed, and not sent to local since."""
         return self._devices[address].in_remote
 
     def power_cycle(self) -> None:
-        """Switch the adapter off and on: what was not saved of its settings is lost."""
+        """Switch the adapter off and on; unsaved settings are lost."""
         self.settings = replace(self._saved)
         self._half = b""
 
-    # --- what the wire calls ------------------------------------------------------------------------
+    # --- called by the wire -------------------------------------------------------------------------
 
     def handle(self, message: bytes, interrupted: Callable[[], bool] = never) -> bytes | None:
-        """Take one line: a command to the adapter (++) or data for the bus; return what it sends back."""
+        """Process one line, a command to the adapter (++) or data for the bus; return the reply or None."""
         self._interrupted = interrupted
         message, self._half = self._half + message, b""
         if _HALF_ESCAPED.search(message):
-            self._half = message + b"\n"  # the line end that cut it was escaped: it goes on
+            self._half = message + b"\n"  # the LF that ended the line was escaped
             return None
         if message.startswith(b"++"):
             name, *arguments = message[2:].decode("ascii", "replace").split() or [""]
@@ -226,10 +236,10 @@ class GpibAdapter(PlainDialect):
         return self._read(["eoi"]) if self.settings.auto else None
 
     def _read(self, arguments: list[str]) -> bytes | None:
-        """Let the instrument talk, for as long as the timeout allows.
+        """Read the reply of the addressed instrument, within the timeout.
 
-        One that has nothing to say notes an error (-420). Without an argument the adapter goes on waiting
-        after the reply.
+        An instrument without a reply reports an error (-420). Without an argument the adapter waits for the whole
+        timeout, because no EOI ends the read.
         """
         if arguments not in ([], ["eoi"], [str(_LINE_FEED)]):
             return UNRECOGNIZED
@@ -244,7 +254,7 @@ class GpibAdapter(PlainDialect):
         if not arguments:
             wait_until(self._clock, deadline_s, self._interrupted)
         reply, device.reply = device.reply, None
-        # The wire ends each line with LF, here the instrument's own, or the one that stands for EOI.
+        # The wire appends one LF, which is the instrument's own; `eot_enable` adds another at EOI.
         return reply + b"\n" if self.settings.eot_enable else reply
 
     def _clear(self, _arguments: list[str]) -> None:
@@ -260,7 +270,7 @@ class GpibAdapter(PlainDialect):
             self._addressed.in_remote = self._addressed.locked_out = False
 
     def _trigger(self, arguments: list[str]) -> None:
-        """Give a group execute trigger to the addresses that are named, or to the one that is set."""
+        """Send a group execute trigger to the given addresses, or to the current address."""
         for address in [int(a) for a in arguments if a.isdecimal()] or [self.settings.addr]:
             if address in self._devices:
                 self._devices[address].carry_out(b"*TRG")
@@ -295,5 +305,5 @@ class GpibAdapter(PlainDialect):
 
     @staticmethod
     def _line(value: object) -> bytes:
-        """The adapter's own lines end in CR LF; the wire adds the LF."""
+        """Return a reply of the adapter itself, which ends in CR LF; the wire adds the LF."""
         return f"{value}\r".encode("ascii")

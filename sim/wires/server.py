@@ -24,7 +24,10 @@ _JOIN_S: Final = 5.0
 
 
 class TcpTransport:
-    """One accepted connection. Replies end in LF, if in nothing else, and small packets leave at once both ways."""
+    """One accepted TCP connection. Replies end in LF unless the dialect defines another end.
+
+    Nagle's algorithm and delayed acknowledgement are off, so that small packets are not held back.
+    """
 
     terminator = TERMINATOR
 
@@ -35,35 +38,35 @@ class TcpTransport:
         self._acknowledge_quickly()
 
     def wait(self) -> None:
-        """Wait until there is input, or the connection is closed."""
+        """Wait for input or for the connection to be closed."""
         self._socket.recv(1, socket.MSG_PEEK)
 
     def receive(self) -> bytes:
-        """Return the input that is there; empty when the client has left."""
+        """Return the available input, or empty bytes if the client has left."""
         data = self._socket.recv(_CHUNK)
         self._acknowledge_quickly()
         return data
 
     def has_input(self) -> bool:
-        """Whether `receive` would return at once."""
+        """Return whether `receive` would return at once."""
         try:
             return bool(select.select([self._socket], [], [], 0.0)[0])
         except ValueError as error:
             raise OSError("the connection was closed by the server") from error
 
     def send(self, data: bytes, interrupted: Callable[[], bool]) -> None:
-        """Send all of `data`; a client that takes none holds up nobody but itself, and may leave."""
+        """Send all of `data`; blocks while the client reads nothing, whatever `interrupted` returns."""
         self._socket.sendall(data)
 
     def close(self) -> None:
-        """Close the connection, and wake the thread that waits on it."""
+        """Close the connection and wake the thread that waits on it."""
         with contextlib.suppress(OSError):
             self._socket.shutdown(socket.SHUT_RDWR)
         self._socket.close()
 
     def _acknowledge_quickly(self) -> None:
-        # A client that has left Nagle's algorithm on waits for our acknowledgement before it sends its next
-        # command; Linux forgets the option with each use, other systems do not have it.
+        # A client with Nagle's algorithm waits for our acknowledgement before it sends its next command. Linux
+        # resets this option at each use; other systems do not have it.
         option = getattr(socket, "TCP_QUICKACK", None)
         if option is not None:
             with contextlib.suppress(OSError):
@@ -71,7 +74,7 @@ class TcpTransport:
 
 
 class InstrumentServer(ABC):
-    """A wire for one instrument, open while its context lasts."""
+    """A context manager that serves one instrument on a wire."""
 
     def __init__(self, instrument: ServedInstrument) -> None:
         self.instrument = instrument
@@ -87,14 +90,14 @@ class InstrumentServer(ABC):
 
     @abstractmethod
     def start(self) -> None:
-        """Serve. Raises `OSError` when the wire is not to be had."""
+        """Start serving. Raises `OSError` if the wire is not available."""
 
     @abstractmethod
     def stop(self) -> None:
-        """Close the wire, and wait for its threads."""
+        """Close the wire and wait for its threads."""
 
     def _accept_later(self, duration_s: float, accept: Callable[[], None]) -> None:
-        """Accept connections again after a while; 0: not before somebody says so."""
+        """Call `accept` after `duration_s`; for 0, never."""
         if duration_s > 0.0:
             self._later = threading.Timer(duration_s, accept)
             self._later.daemon = True
@@ -106,9 +109,10 @@ class InstrumentServer(ABC):
 
 
 class TcpServer(InstrumentServer):
-    """A listening port for one instrument; a context manager.
+    """A listening TCP port for one instrument; a context manager.
 
-    `port` 0 takes a free one. Loopback is the default, as whoever reaches the port commands the instrument.
+    `port` 0 selects a free port. The default host is loopback, because any client that reaches the port can
+    command the instrument.
     """
 
     def __init__(self, instrument: ServedInstrument, *, host: str = "127.0.0.1", port: int = 0) -> None:
@@ -121,7 +125,7 @@ class TcpServer(InstrumentServer):
 
     @property
     def fault(self) -> FaultHook | None:
-        """The fault hook of the instrument, for this port and all its other wires."""
+        """The fault hook of the instrument, shared by all its wires."""
         return self.instrument.fault
 
     @fault.setter
@@ -135,11 +139,11 @@ class TcpServer(InstrumentServer):
 
     @property
     def resource(self) -> str:
-        """The VISA name of the port."""
+        """The VISA resource of the port."""
         return f"TCPIP0::{self.host}::{self.port}::SOCKET"
 
     def start(self) -> None:
-        """Listen. Raises `OSError` when the port is taken."""
+        """Start listening. Raises `OSError` if the port is in use."""
         listener = socket.create_server((self.host, self.port), backlog=_BACKLOG)
         self.port = listener.getsockname()[1]
         self._listener = listener
@@ -147,7 +151,7 @@ class TcpServer(InstrumentServer):
             target=self._accept, args=(listener,), name=f"accept {self.port}", daemon=True
         )
         accepting.start()
-        self._accepting = accepting  # only now: another thread that refuses meanwhile joins it
+        self._accepting = accepting  # set after start(): `refuse` in another thread joins it
 
     def stop(self) -> None:
         """Stop listening, close all connections, and wait for their threads."""
@@ -162,19 +166,19 @@ class TcpServer(InstrumentServer):
                 thread.join(_JOIN_S)
 
     def drop_connections(self) -> None:
-        """Close the connections that are open, and go on listening."""
+        """Close all open connections and continue to listen."""
         with self._state_lock:
             transports = list(self._clients.values())
         for transport in transports:
             transport.close()
 
     def refuse(self, duration_s: float = 0.0) -> None:
-        """Stop listening: new connections are refused from now on, for a while or until `accept_again`."""
+        """Stop listening, so that new connections are refused, for `duration_s` or (0) until `accept_again`."""
         self._accept_later(duration_s, self._try_again)
         listener, self._listener = self._listener, None
         if listener is None:
             return
-        # Closing does not wake a thread in accept() on every system; a connection of our own does.
+        # On some systems closing does not wake a thread in accept(), but a connection does.
         with contextlib.suppress(OSError), socket.create_connection((self.host, self.port), timeout=1.0):
             pass
         if self._accepting is not None and self._accepting is not threading.current_thread():
@@ -187,7 +191,7 @@ class TcpServer(InstrumentServer):
             self.start()
 
     def _try_again(self) -> None:
-        with contextlib.suppress(OSError):  # the port went to somebody else: it stays refused
+        with contextlib.suppress(OSError):  # another program took the port: it stays refused
             self.accept_again()
 
     def _accept(self, listener: socket.socket) -> None:
@@ -231,9 +235,9 @@ _PTY_JOIN_S: Final = 5.0
 
 
 class TerminalTransport:
-    """The instrument's end of a pseudo-terminal until it is closed; replies end in CR LF, if in nothing else.
+    """The instrument's end of a pseudo-terminal; replies end in CR LF unless the dialect defines another end.
 
-    The terminal itself outlives it: `close` only ends the waiting of this transport, for good.
+    The terminal outlives the transport: `close` only ends the waits of this transport, for good.
     """
 
     terminator = b"\r\n"
@@ -244,19 +248,19 @@ class TerminalTransport:
         self._closed = False
 
     def wait(self) -> None:
-        """Wait until there is input. Raises `OSError` when the transport is closed."""
+        """Wait for input. Raises `OSError` if the transport is closed."""
         self._ready(None)
 
     def receive(self) -> bytes:
-        """Return the input that is there."""
+        """Return the available input."""
         return os.read(self._master, _PTY_CHUNK)
 
     def has_input(self) -> bool:
-        """Whether `receive` would return at once. Raises `OSError` when the transport is closed."""
+        """Return whether `receive` would return at once. Raises `OSError` if the transport is closed."""
         return self._ready(0.0)
 
     def send(self, data: bytes, interrupted: Callable[[], bool]) -> None:
-        """Send all of `data`; a client that reads nothing is waited for until it sends a device clear."""
+        """Send all of `data`; if the client reads nothing, wait until `interrupted` returns True."""
         while data:
             writable = select.select([self._wake_read], [self._master], [], _LOOK_S)[1]
             if self._closed:
@@ -268,13 +272,13 @@ class TerminalTransport:
                 return
 
     def close(self) -> None:
-        """End the waiting of this transport, from any thread."""
+        """End all waits of this transport; may be called from any thread."""
         if not self._closed:
             self._closed = True
             os.write(self._wake_write, b"x")
 
     def release(self) -> None:
-        """Give the transport's own descriptors back, when nobody waits on it any more."""
+        """Close the transport's wake-up pipe, once no thread waits on it."""
         os.close(self._wake_read)
         os.close(self._wake_write)
 
@@ -287,10 +291,10 @@ class TerminalTransport:
 
 
 class TerminalServer(InstrumentServer):
-    """A pseudo-terminal for one instrument; a context manager. `path` is what clients open.
+    """A pseudo-terminal for one instrument; a context manager. Clients open `path`.
 
-    Several clients may open it, one after the other or at once, and leave: the terminal stays. A connection
-    that is dropped loses what was on the wire; while it is refused, the wire is dead.
+    Several clients may open and close it, in turn or at once; the terminal stays. Dropping the connections
+    discards the data on the wire. While connections are refused, the wire is dead.
     """
 
     def __init__(self, instrument: ServedInstrument) -> None:
@@ -305,16 +309,16 @@ class TerminalServer(InstrumentServer):
 
     @property
     def resource(self) -> str:
-        """The VISA name of the terminal."""
+        """The VISA resource of the terminal."""
         return f"ASRL{self.path}::INSTR"
 
     def start(self) -> None:
-        """Open a terminal. Raises `OSError` when the system gives none."""
-        import tty  # a system without terminals has no such module
+        """Open a pseudo-terminal and serve it. Raises `OSError` if the system provides none."""
+        import tty  # here, because systems without terminals lack this module
 
         self._master, self._slave = os.openpty()
-        # Our own hold on the slave keeps the terminal alive between clients. Cooked, it would echo what the
-        # instrument says back to the instrument.
+        # Our own descriptor of the slave keeps the terminal alive between clients. Without raw mode it would
+        # echo the instrument's replies back to the instrument.
         tty.setraw(self._master)
         tty.setraw(self._slave)
         os.set_blocking(self._master, False)
@@ -327,7 +331,7 @@ class TerminalServer(InstrumentServer):
         self._thread.start()
 
     def stop(self) -> None:
-        """Close the terminal, and wait for its thread."""
+        """Close the terminal and wait for its thread."""
         with self._state_lock:
             self._stopping = True
         self._accepts.set()
@@ -342,20 +346,20 @@ class TerminalServer(InstrumentServer):
         self._master = self._slave = -1
 
     def drop_connections(self) -> None:
-        """Lose what is on the wire, and go on serving."""
+        """Discard the data on the wire and continue to serve."""
         with self._state_lock:
             if self._transport is not None:
                 self._transport.close()
                 self._discard()
 
     def refuse(self, duration_s: float = 0.0) -> None:
-        """Let the wire be dead from now on, for a while or until `accept_again`."""
+        """Ignore the wire from now on, for `duration_s` or (0) until `accept_again`."""
         self._accepts.clear()
         self._accept_later(duration_s, self.accept_again)
         self.drop_connections()
 
     def accept_again(self) -> None:
-        """Let the wire live again after `refuse`; what was sent into it meanwhile is lost."""
+        """Serve the wire again after `refuse`; input sent meanwhile is discarded."""
         with self._state_lock:
             if not self._accepts.is_set() and not self._stopping:
                 self._discard()
@@ -373,7 +377,7 @@ class TerminalServer(InstrumentServer):
                 self._transport = transport = TerminalTransport(self._master)
 
     def _discard(self) -> None:
-        """Throw away what is on the wire in both directions."""
+        """Discard the data on the wire in both directions."""
         import termios
 
         if self._master < 0:

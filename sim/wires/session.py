@@ -1,4 +1,4 @@
-"""Sessions on wires: bytes to messages, replies to bytes, and the track of busy sessions."""
+"""Client sessions: from bytes to messages, from replies to bytes, and a record of which sessions are busy."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _SETTLE_LOOK_S: Final = 0.001
 
 
 class Doing(Enum):
-    """The present activity of a session, for `Traffic`."""
+    """The activity of a session, as recorded in `Traffic`."""
 
     LISTENING = "waiting for input"
     WORKING = "carrying out a message"
@@ -29,18 +29,18 @@ class Doing(Enum):
 
 
 class Busy(Protocol):
-    """A session, as far as time is concerned. `doing` is set through `Traffic.mark`."""
+    """A session as `Traffic` sees it. `doing` is set through `Traffic.mark`."""
 
     doing: Doing
 
     def has_work(self) -> bool:
-        """Whether it works, or has input to work on."""
+        """Return whether the session is working or has unread input."""
 
 
 class Traffic:
-    """The activities of all sessions of a bench: time moves only when none has work left.
+    """The activities of all sessions of a bench; a virtual clock advances only when no session has work left.
 
-    Without it, a virtual clock could jump past a measurement whose start is still on another wire.
+    Without this record, a virtual clock could skip a measurement whose start command is still on another wire.
     """
 
     def __init__(self) -> None:
@@ -49,10 +49,10 @@ class Traffic:
         self._current = threading.local()
 
     def settle(self) -> None:
-        """Wait until each session but the caller's listens with no input, or waits itself.
+        """Wait until every session except the caller's is waiting, or listening without unread input.
 
-        A client that does not take its replies cannot hold the bench up for ever: after a few seconds
-        it is passed over.
+        The wait ends after a few seconds in any case, so that a client that never reads its replies cannot stop
+        the bench.
         """
         own: Busy | None = getattr(self._current, "session", None)
         with self._waiting(own):
@@ -64,13 +64,13 @@ class Traffic:
                     self._changed.wait(_SETTLE_LOOK_S)
 
     def enter(self, session: Busy) -> None:
-        """A session begins in the calling thread."""
+        """Register a session, which runs in the calling thread."""
         self._current.session = session
         with self._changed:
             self._sessions.add(session)
 
     def leave(self, session: Busy) -> None:
-        """A session ends."""
+        """Remove a session that has ended."""
         with self._changed:
             self._sessions.discard(session)
             self._changed.notify_all()
@@ -101,16 +101,16 @@ _INPUT_BUFFER: Final = 65536
 _LATE_SLICE_S: Final = 0.02
 _LOOK_S: Final = 0.05
 LEAVING_S: Final = 2.0
-"""How long a reply is still worked on for a client that sends no more, s of real time."""
+"""How long a command continues after its client has closed the sending side, s of real time."""
 
 
 @dataclass(frozen=True)
 class LineEnds:
-    """How the lines of an instrument end: each of `messages` ends a message, `reply` is sent after each reply.
+    """The line ends of an instrument: each of `messages` ends a message, `reply` is appended to each reply.
 
-    Where `reply` is None the wire has its own. A CR before an LF that ends a message is dropped; of the bytes
-    around other ends none is. Where `frame` is given it makes of a reply what is sent. Where ETX is a character
-    as any other it is no device clear: `clears` is False.
+    If `reply` is None, the wire's own terminator is appended. A CR before an LF that ends a message is dropped;
+    other ends leave the surrounding bytes unchanged. `frame`, if given, replaces `reply`: it converts a reply to
+    the bytes that are sent. `clears` is False if ETX is an ordinary character and not a device clear.
     """
 
     messages: tuple[bytes, ...] = (TERMINATOR,)
@@ -120,48 +120,48 @@ class LineEnds:
 
 
 class Dialect(Protocol):
-    """An instrument as the wire sees it: messages in, reply lines out, both without terminators.
+    """An instrument as the wire sees it: messages in, replies out, both without terminators.
 
-    One whose lines end otherwise than in LF says so (`HasLineEnds`).
+    An instrument with line ends other than LF also implements `HasLineEnds`.
     """
 
     def handle(self, message: bytes, interrupted: Callable[[], bool]) -> bytes | None:
-        """Carry out a message; return the reply, None if there is none.
+        """Carry out a message and return the reply, or None if there is none.
 
-        While it waits it asks `interrupted` whether a device clear has come in, and then gives up.
+        While it waits, it polls `interrupted`; if that returns True, it gives up.
         """
 
     def device_clear(self) -> None:
-        """Stop what is under way."""
+        """Abort the command in progress."""
 
     def input_overflow(self) -> None:
-        """Take note that a message was too long to be kept."""
+        """Report a message that exceeded the input buffer."""
 
 
 class PlainDialect:
-    """The base of dialects that carry out each message at once: there is nothing to clear or to note."""
+    """The base of dialects that carry out each message at once and ignore device clears and overlong messages."""
 
     def device_clear(self) -> None:
-        """Nothing is ever under way."""
+        """Do nothing: no command is ever in progress."""
 
     def input_overflow(self) -> None:
-        """A line that was too long is passed over."""
+        """Ignore a line that was too long."""
 
 
 @runtime_checkable
 class Forsakable(Protocol):
-    """A dialect that may be busy for hours with what one client wanted of it."""
+    """A dialect whose commands may run for hours and must stop when their client leaves."""
 
     def sent_by(self, left: Callable[[], bool]) -> None:
-        """Take note of who sends the next message: `left` tells, at any time, whether that client has left.
+        """Store `left`, which returns at any time whether the sender of the next message has left.
 
-        What was begun for one that has left is given up, also while another's message waits for it.
+        A command whose client has left is given up, also while a message of another client waits for it.
         """
 
 
 @runtime_checkable
 class HasLineEnds(Protocol):
-    """A dialect that says how its lines end, on whatever wire."""
+    """A dialect that defines its line ends, whatever the wire."""
 
     @property
     def line_ends(self) -> LineEnds:
@@ -169,12 +169,12 @@ class HasLineEnds(Protocol):
 
 
 def line_ends_of(dialect: Dialect) -> LineEnds:
-    """Return the line ends of a dialect; by default LF for messages, and those of the wire for replies."""
+    """Return the line ends of a dialect; the default is LF for messages and the wire's terminator for replies."""
     return dialect.line_ends if isinstance(dialect, HasLineEnds) else LineEnds()
 
 
 class Transport(Protocol):
-    """One client's wire. `terminator` ends each reply where the dialect says nothing.
+    """The wire of one client. `terminator` ends each reply unless the dialect defines another end.
 
     Any method may raise `OSError`.
     """
@@ -182,28 +182,28 @@ class Transport(Protocol):
     terminator: bytes
 
     def wait(self) -> None:
-        """Wait until there is input, or the wire is closed."""
+        """Wait for input or for the wire to be closed."""
 
     def receive(self) -> bytes:
-        """Return the input that is there; empty when the wire is closed."""
+        """Return the available input, or empty bytes if the wire is closed."""
 
     def has_input(self) -> bool:
-        """Whether `receive` would return at once."""
+        """Return whether `receive` would return at once."""
 
     def send(self, data: bytes, interrupted: Callable[[], bool]) -> None:
-        """Send all of `data`, or give the rest up when the client takes none and `interrupted` is true."""
+        """Send all of `data`; discard the rest if the client accepts none and `interrupted` returns True."""
 
     def close(self) -> None:
-        """Close the wire, and wake whoever waits on it."""
+        """Close the wire and wake every thread that waits on it."""
 
 
 @dataclass(frozen=True)
 class WireFault:
-    """The effect of a broken wire on one exchange: the bytes in place of the reply, and the consequences.
+    """The effect of a faulty wire on one exchange: the bytes sent in place of the reply, and the consequences.
 
-    After `delay_s` of real time `raw` goes out as it is, then each of `lines` with the terminator of the wire.
-    `drop` closes the connection after that; `refuse` also refuses new ones, for `refuse_s` of real time or,
-    where that is 0, until the server is told to `accept_again`.
+    After `delay_s` of real time `raw` is sent unchanged, then each of `lines` with the terminator of the wire.
+    `drop` then closes the connection. `refuse` also refuses new connections, for `refuse_s` of real time or, if
+    that is 0, until `accept_again` of the server is called.
     """
 
     raw: bytes = b""
@@ -215,36 +215,37 @@ class WireFault:
 
     @classmethod
     def cut(cls, reply: bytes | None, keep: int) -> WireFault:
-        """Only the first `keep` bytes of the reply arrive, and no terminator."""
+        """Return the fault that sends only the first `keep` bytes of the reply, without terminator."""
         return cls((reply or b"")[:keep])
 
     @classmethod
     def garble(cls, reply: bytes | None) -> WireFault:
-        """The reply arrives with its line end, every character in it wrong."""
+        """Return the fault that sends the reply with every character wrong, with its terminator."""
         return cls(lines=(bytes(0x40 | (byte & 0x1F) for byte in reply or b""),))
 
 
 SILENCE: Final = WireFault()
-"""The command was carried out, the reply is lost."""
+"""The command is carried out; the reply is lost."""
 
 DROP: Final = WireFault(drop=True)
-"""The connection is closed in place of the reply."""
+"""The connection is closed without a reply."""
 
 REFUSE: Final = WireFault(drop=True, refuse=True)
 """The connection is closed, and new ones are refused."""
 
 FaultHook = Callable[[bytes, bytes | None], WireFault | None]
-"""Called with each request and its reply (None: there is none); returns what the wire does instead.
+"""Called with each request and its reply (or None); returns the fault of the wire, or None.
 
-One call at a time for one instrument, in the order in which its messages were carried out."""
+It is called once at a time per instrument, in the order in which the messages were carried out.
+"""
 
 
 class Overflow:
-    """A marker in place of a message that was too long."""
+    """A marker for a message that was too long."""
 
 
 class Framer:
-    """Cuts messages at one of `ends`, a CR before LF dropped. A device clear discards what came before it."""
+    """Splits input at any of `ends` and drops a CR before LF. A device clear discards all input before it."""
 
     def __init__(self, ends: tuple[bytes, ...] = (TERMINATOR,), *, clears: bool = True) -> None:
         self._clears = clears
@@ -254,16 +255,16 @@ class Framer:
         self._too_long = False
 
     def feed(self, data: bytes) -> None:
-        """Take bytes from the wire."""
+        """Append bytes from the wire."""
         self._buffer += data
 
     @property
     def device_clear_pending(self) -> bool:
-        """Whether a device clear has come in and was not taken yet."""
+        """Whether the input contains a device clear that `take` has not returned yet."""
         return self._clears and DEVICE_CLEAR in self._buffer
 
     def take(self) -> bytes | Overflow | None:
-        """Return the next message, `DEVICE_CLEAR`, an `Overflow`; None when no message is complete."""
+        """Return the next message, `DEVICE_CLEAR` or an `Overflow`, or None if no message is complete."""
         _, clear, after = self._buffer.rpartition(DEVICE_CLEAR)
         if clear and self._clears:
             self._buffer = after
@@ -283,10 +284,9 @@ class Framer:
 
 
 class ServedInstrument:
-    """A dialect as all its wires share it: one message at a time is carried out, whoever sent it.
+    """A dialect shared by all its wires: it carries out one message at a time, whoever sent it.
 
-    `fault` may be set and taken away at any time; `traffic` is shared by the instruments of a bench on a
-    virtual clock.
+    `fault` may be set or removed at any time; all instruments of a bench on a virtual clock share one `traffic`.
     """
 
     def __init__(
@@ -302,7 +302,7 @@ class ServedInstrument:
     def exchange(
         self, session: Session, message: bytes, interrupted: Callable[[], bool]
     ) -> tuple[bytes | None, WireFault | None]:
-        """Carry a message out; return the reply and what the wire makes of it."""
+        """Carry out a message; return the reply and the fault of the wire for this exchange."""
 
         def cleared() -> bool:
             return bool(self._clearing) or interrupted()
@@ -314,7 +314,7 @@ class ServedInstrument:
             return reply, self.fault(message, reply) if self.fault else None
 
     def device_clear(self, session: Session) -> None:
-        """Stop what is under way, also for another client: there is one instrument."""
+        """Abort the command in progress, even one of another client, because all share one instrument."""
         self._clearing.add(session)
         try:
             with self._held(session):
@@ -323,13 +323,13 @@ class ServedInstrument:
             self._clearing.discard(session)
 
     def input_overflow(self, session: Session) -> None:
-        """Take note that a message was too long to be kept."""
+        """Report a message that exceeded the input buffer."""
         with self._held(session):
             self.dialect.input_overflow()
 
     @contextmanager
     def held(self) -> Iterator[None]:
-        """Keep all wires off the instrument meanwhile, to do something to it from outside."""
+        """Lock the instrument against all wires within the context, for a change from outside."""
         with self._lock:
             yield
 
@@ -337,7 +337,7 @@ class ServedInstrument:
     def _held(self, session: Session) -> Iterator[None]:
         if not self._lock.acquire(blocking=False):
             self.traffic.mark(session, Doing.WAITING)
-            # Who has the instrument may wait for what this client began, and so for word that it has left.
+            # The lock's holder may be waiting for a measurement that this client began: note if it has left.
             while not self._lock.acquire(timeout=_LOOK_S):
                 session.look_whether_left()
             self.traffic.mark(session, Doing.WORKING)
@@ -348,7 +348,10 @@ class ServedInstrument:
 
 
 class Session:
-    """One client at one instrument. `on_refuse` is told for how long new clients are to be refused, s."""
+    """One client of one instrument.
+
+    `on_refuse` is called with the time, s, for which new clients are to be refused (0: without limit).
+    """
 
     def __init__(
         self,
@@ -371,7 +374,10 @@ class Session:
         self._framed = ends.frame or (lambda reply: reply + terminator)
 
     def has_work(self) -> bool:
-        """Whether this session works, or has input to work on. The input is looked at first: see `run`."""
+        """Return whether this session is working or has unread input.
+
+        The input is checked before the activity, because `run` changes them in the opposite order.
+        """
         if self.doing is Doing.WAITING:
             return False
         try:
@@ -381,23 +387,23 @@ class Session:
         return pending or self.doing is Doing.WORKING
 
     def has_left(self) -> bool:
-        """Whether the client has left for good, as far as it was seen; to be called from any thread."""
+        """Return whether the client is known to have left for good; may be called from any thread."""
         return self._left
 
     def look_whether_left(self) -> None:
-        """See whether the client has left for good; to be called from the session's own thread."""
+        """Update whether the client has left for good; to be called only from the session's own thread."""
         try:
             self._interrupted()
         except OSError:
-            self._left = True  # what it sent before is carried out all the same
+            self._left = True  # commands that it sent before are still carried out
 
     def run(self) -> None:
-        """Serve the client until it leaves. A wire that breaks ends the session and nothing else."""
+        """Serve the client until it leaves. A wire that breaks ends only this session."""
         self._traffic.enter(self)
         try:
             while True:
                 self._transport.wait()
-                # Marked before the input is taken: at no moment has the session work that cannot be seen.
+                # Marked before the input is read, so that `has_work` never misses work.
                 self._traffic.mark(self, Doing.WORKING)
                 if not self._receive() or not self._answer_all():
                     return
@@ -415,9 +421,10 @@ class Session:
         return bool(data)
 
     def _interrupted(self) -> bool:
-        """Whether what is under way is to be given up: at a device clear, or when the client has left for good.
+        """Return whether to give up the command in progress: after a device clear, or if the client has left.
 
-        One that only sends no more may still take its reply: it is given a moment.
+        A client that has closed only its sending side may still read the reply, so it counts as present for
+        `LEAVING_S`.
         """
         if self._silent_since_s is None and self._transport.has_input() and not self._receive():
             self._silent_since_s = self._clock.now_s()
@@ -426,7 +433,7 @@ class Session:
         return self._left or self._framer.device_clear_pending
 
     def _answer_all(self) -> bool:
-        """Carry out the messages that are complete; False when the connection is to be closed."""
+        """Carry out all complete messages; return False if the connection is to be closed."""
         while (message := self._framer.take()) is not None:
             if isinstance(message, Overflow):
                 self._instrument.input_overflow(self)
@@ -450,7 +457,7 @@ class Session:
         return not fault.drop
 
     def _in_time(self, delay_s: float) -> bool:
-        """Let real time pass before a late reply; False when a device clear made it void meanwhile."""
+        """Wait in real time before a late reply; return False if a device clear cancelled it or the client left."""
         if delay_s <= 0.0:
             return True
         self._traffic.mark(self, Doing.WAITING)

@@ -1,1 +1,1 @@
-"""The physical truth of a simulated bench: head, block, temperature, time, the person."""
+"""The physical truth of a simulated bench: head, block, temperature, time, operator."""

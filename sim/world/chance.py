@@ -1,8 +1,8 @@
 """The random numbers of a simulated bench.
 
-They never come from one running generator: each is derived from the seed, what it is for, and the step of the
-procedure that needs it. A world that is set up again in a new process therefore draws the very same numbers for
-the same step, whatever happened before.
+Each generator is derived from the seed, its purpose and the procedure step that needs it; there is no single
+running generator. A world rebuilt in a new process therefore draws the same numbers for the same step, whatever
+happened before.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ def keyed_generator(seed: int, *key: object) -> np.random.Generator:
 
 
 class KeyedNumbers:
-    """The numbers of a seed, by purpose and step; `told_scan` is the order of channels stated by the step."""
+    """Random generators keyed by seed, purpose and step; `told_scan` is the scan order stated for the step."""
 
     def __init__(self, seed: int, lock: threading.RLock) -> None:
         self._seed = seed
@@ -31,17 +31,17 @@ class KeyedNumbers:
         self.told_scan: tuple[int, ...] = ()
 
     def begin_step(self, key: str, scan: tuple[int, ...] = ()) -> None:
-        """From now on key random numbers by this step of the procedure (its attempt included).
+        """Key random numbers by this step of the procedure (with its attempt) from now on.
 
-        `scan` holds the channels 0, 1, 2 in the order in which it reads them. Where it is not told, it is
-        that of the triggers, which wires of several meters may mix up.
+        `scan` lists the channels 0, 1, 2 in the order in which the step reads them. If it is empty, the order of
+        the triggers is used, which is not reproducible for several meters on separate wires.
         """
         with self._lock:
             self._step, self.told_scan = key, scan
             self._counts.clear()
 
     def random(self, purpose: str, *key: object) -> np.random.Generator:
-        """Return the generator for a purpose within the current step; the same each time it is asked."""
+        """Return the generator for one purpose within the current step; equal arguments give equal numbers."""
         return keyed_generator(self._seed, purpose, "step", self._step or "", *key)
 
     def count(self, *what: str) -> int:
@@ -51,5 +51,5 @@ class KeyedNumbers:
             return self._counts[what]
 
     def fixed_random(self, purpose: str, *key: object) -> np.random.Generator:
-        """Return the generator for something drawn once for the whole world, such as a meter's gain."""
+        """Return the generator for a property drawn once for the whole world, such as a meter's gain error."""
         return keyed_generator(self._seed, purpose, "world", *key)

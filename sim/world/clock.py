@@ -1,4 +1,4 @@
-"""Time of a simulated bench: a clock on which hours pass at once, and one that runs faster than the real one."""
+"""Clocks of a simulated bench: one that skips waiting times, and one that runs faster than real time."""
 
 from __future__ import annotations
 
@@ -18,11 +18,10 @@ SLICE_S = 0.05
 
 
 class VirtualClock:
-    """A clock that moves only when someone waits on it, and then at once; implements `drivers.clock.Clock`.
+    """A clock that advances only when someone waits on it, and then at once; implements `drivers.clock.Clock`.
 
-    `before_advance`, when set, is called before each step forward: a simulated bench lets every command
-    that is already on a wire be carried out first, so that what happens when does not depend on which
-    thread the computer favours.
+    `before_advance`, if set, is called before each advance. A simulated bench uses it to finish every command that
+    is already on a wire, so that results do not depend on the scheduling of threads.
     """
 
     def __init__(self, start_s: float = 0.0) -> None:
@@ -31,21 +30,27 @@ class VirtualClock:
         self.before_advance: Callable[[], None] | None = None
 
     def now_s(self) -> float:
-        """Return the bench time, s."""
+        """Return the simulated time, s."""
         with self._lock:
             return self._now_s
 
     def sleep(self, duration_s: float) -> None:
-        """Let `duration_s` seconds of bench time pass, at once; a negative duration is none."""
+        """Advance the simulated time by `duration_s` at once; a negative duration counts as zero."""
         self._settle()
         with self._lock:
             self._now_s += max(0.0, duration_s)
 
     def advance_to(self, time_s: float) -> None:
-        """Let bench time pass until `time_s`; a time that has passed changes nothing."""
+        """Advance the simulated time to `time_s` at once; a time in the past has no effect."""
         self._settle()
         with self._lock:
             self._now_s = max(self._now_s, time_s)
+
+    def return_to(self, time_s: float) -> None:
+        """Go back to `time_s`: what was done since then took no time."""
+        self._settle()
+        with self._lock:
+            self._now_s = float(time_s)
 
     def _settle(self) -> None:
         if self.before_advance is not None:
@@ -66,18 +71,18 @@ class ScaledClock:
         self._start_s = self._real.now_s()
 
     def now_s(self) -> float:
-        """Return the bench time, s."""
+        """Return the simulated time, s."""
         return (self._real.now_s() - self._start_s) * self.speed
 
     def sleep(self, duration_s: float) -> None:
-        """Let `duration_s` seconds of bench time pass."""
+        """Wait until `duration_s` of simulated time has passed."""
         self._real.sleep(max(0.0, duration_s) / self.speed)
 
 
 def wait_until(clock: Clock, time_s: float, interrupted: Callable[[], bool]) -> bool:
-    """Wait on any clock until `time_s`; return False when `interrupted` became true meanwhile.
+    """Wait on any clock until `time_s`; return False if `interrupted` became true meanwhile.
 
-    Several waiters on one virtual clock wait side by side: it goes to the latest time, not to the sum.
+    Waits of several threads on one virtual clock overlap: it advances to the latest time, not by the sum.
     """
     if isinstance(clock, VirtualClock):
         clock.advance_to(time_s)

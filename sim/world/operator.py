@@ -1,4 +1,4 @@
-"""The person at a simulated bench, and the front panel that the person works."""
+"""The operator of a simulated bench, and the supply's front panel that the operator works."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ if TYPE_CHECKING:
     import numpy as np
 
     from drivers.interfaces import Direction
-    from drivers.person import ReadSupply, SetSupply, SwitchSupply
+    from drivers.person import ReadSupply, SetSupply, SwitchSupply, TurnHead
     from sim.world.world import World
 
 
 def work_supply(world: World, action: SetSupply | SwitchSupply | ReadSupply) -> str:
-    """Do what is asked at the supply; return what its display shows where that is asked, else nothing."""
+    """Carry out an action at the supply; return the displayed value for a `ReadSupply`, else an empty text."""
     power, now_s = world.power, world.clock.now_s()
     if action["do"] == "set_supply":
         for output, (voltage_v, limit_a, over_voltage_v) in action["outputs"].items():
@@ -42,19 +42,21 @@ def work_supply(world: World, action: SetSupply | SwitchSupply | ReadSupply) -> 
 
 
 LOOK_S: Final = 10.0
-"""Interval of calls of `meanwhile` while the person is at a task."""
+"""Interval between calls of `meanwhile` during a task, s."""
+REST_LOOK_S: Final = 0.5
+LONGEST_WAIT_S: Final = 60.0
+"""Interval of these calls while the person waits for an encoder, and how long the person waits, s."""
 _SLIPS_ARCSEC: Final = (3600.0, -3600.0, 600.0, -600.0, 60.0, -60.0)
 
 
 @dataclass(frozen=True)
 class OperatorSettings:
-    """Settings of the simulated person: accuracy, times and slips.
+    """Settings of the simulated operator: accuracy, times and slips.
 
-    The head is set to the target within a normal `setting_deviation_rad`, to a whole step of the scale,
-    `resolution_rad`. A turn takes a uniform time within `turn_time_s`, a mounting `mount_time_s`, any other
-    task `task_time_s`, a second look at the scale `second_look_s`, one at a display
-    `display_time_s`. `slip_probability` is that of a classic
-    slip in what is typed (1°, 10′ or 1′ off) while the head stands right.
+    The head is set to the target with a normal error of `setting_deviation_rad`, then rounded to the scale step
+    `resolution_rad`. Durations in s: a turn, uniform within `turn_time_s`; a mounting, `mount_time_s`; a second
+    look at the scale, `second_look_s`; a display reading, `display_time_s`; any other task, `task_time_s`. With
+    `slip_probability` the typed angle is off by 1°, 10′ or 1′ although the head is set correctly.
     """
 
     setting_deviation_rad: float = 2.0 * ARCSEC
@@ -67,17 +69,17 @@ class OperatorSettings:
     slip_probability: float = 0.01
 
     def __post_init__(self) -> None:
-        """Raise `ValueError` for a scale without steps: what is read could not be typed."""
+        """Raise `ValueError` for a scale step that is not positive."""
         if self.resolution_rad <= 0.0:
             raise ValueError(f"the scale's resolution must be positive, not {self.resolution_rad} rad")
 
 
 class ScriptedOperator:
-    """A `drivers.interfaces.Person` who carries out `prompt.action` on the world and answers.
+    """A `drivers.interfaces.WatchingPerson` who carries out `prompt.action` on the world and answers.
 
-    What is random is keyed by the step in the prompt's id (the part before "#") and the world's seed, so
-    that a step repeated in another process goes the same way. A question put again ("…#2") is answered
-    with care: without a slip, and without turning the head again. It is a `drivers.interfaces.WatchingPerson`.
+    Random numbers are keyed by the world's seed and by the step in the prompt's id (the part before "#"), so a
+    step repeated in another process goes the same way. A repeated question ("…#2") is answered without a slip and
+    without turning the head again.
     """
 
     def __init__(self, world: World, settings: OperatorSettings | None = None) -> None:
@@ -87,15 +89,15 @@ class ScriptedOperator:
         self.meanwhile: Callable[[], None] | None = None
 
     def ask(self, prompt: Prompt) -> Answer:
-        """Do what the prompt's action asks, let the time it takes pass, and answer.
+        """Carry out the prompt's action, let its duration pass, and return the answer.
 
-        Raises `NoAnswer` for a question whose action says nothing and that has no default.
+        Raises `NoAnswer` for a prompt with neither a known action nor a default.
         """
         action = prompt.action
         if action["do"] == "mount":
             text = self._mount(prompt, action)
         elif action["do"] == "turn":
-            text = self._turn(prompt.id, action["target_rad"], action["direction"])
+            text = self._turn(prompt, action)
         elif action["do"] == "set_temperature":
             self._pass_time(self._settings.task_time_s)
             self._world.set_chamber(action["target_c"])
@@ -133,30 +135,64 @@ class ScriptedOperator:
         self._turned_for = None
         return _confirmation(prompt)
 
-    def turn_to(self, prompt_id: str, angle_rad: float, direction: Direction) -> None:
-        """Turn the head until its scale shows `angle_rad`, in the time that the person takes for this turn."""
+    def turn_to(
+        self, prompt_id: str, angle_rad: float, direction: Direction, backoff_rad: float | None = None
+    ) -> None:
+        """Turn the head until its scale shows `angle_rad`; it takes as long as when `ask` handles this prompt.
+
+        Where an encoder watches, the head comes to the angle from more than `backoff_rad` away.
+        """
         generator = self._generator("turn", prompt_id.partition("#")[0])
-        generator.normal()  # the deviation of a setting, which is not this person's
-        self._pass_time(float(generator.uniform(*self._settings.turn_time_s)))
+        generator.normal()  # skip the setting error: the next number, the time, is that of `_turn`
+        duration_s = float(generator.uniform(*self._settings.turn_time_s))
+        if backoff_rad is not None:
+            self._approach(angle_rad, direction * backoff_rad, duration_s)
+            return
+        self._pass_time(duration_s)
         self._world.turn(angle_rad, direction)
 
-    def _turn(self, prompt_id: str, target_rad: float, direction: Direction) -> str:
-        step, _, attempt = prompt_id.partition("#")
+    def _turn(self, prompt: Prompt, action: TurnHead) -> str:
+        step, _, attempt = prompt.id.partition("#")
         settings = self._settings
         generator = self._generator("turn", step)
         deviation_rad = float(generator.normal(0.0, settings.setting_deviation_rad))
         duration_s = float(generator.uniform(*settings.turn_time_s))
-        scale_steps = round((target_rad + deviation_rad) / settings.resolution_rad)
+        scale_steps = round((action["target_rad"] + deviation_rad) / settings.resolution_rad)
         read_arcsec = scale_steps * settings.resolution_rad / ARCSEC
-        if self._turned_for == step:
+        slips = attempt in ("", "1") and generator.random() < settings.slip_probability
+        if "read_by" in action:
+            side = -1.0 if slips and prompt.kind is PromptKind.CONFIRM else 1.0
+            way_rad = side * action["direction"] * action.get("backoff_rad", 0.0)
+            self._approach(scale_steps * settings.resolution_rad, way_rad, duration_s)
+            if action.get("hands_free"):
+                self._wait_for_encoder()
+        elif self._turned_for == step:
             self._pass_time(settings.second_look_s)
         else:
             self._pass_time(duration_s)
-            self._world.turn(scale_steps * settings.resolution_rad, direction)
+            self._world.turn(scale_steps * settings.resolution_rad, action["direction"])
             self._turned_for = step
-        if attempt in ("", "1") and generator.random() < settings.slip_probability:
-            read_arcsec += float(generator.choice(_SLIPS_ARCSEC))
-        return scale_text(read_arcsec)
+        if prompt.kind is PromptKind.CONFIRM:
+            return _confirmation(prompt)
+        return scale_text(read_arcsec + (float(generator.choice(_SLIPS_ARCSEC)) if slips else 0.0))
+
+    def _approach(self, angle_rad: float, backoff_rad: float, duration_s: float) -> None:
+        """Turn the head under the eyes of an encoder: twice `backoff_rad` short of an angle, then to it.
+
+        A slip is one that comes from the other side: then `backoff_rad` has the other sign.
+        """
+        for end_rad, share in ((angle_rad - 2.0 * backoff_rad, 0.6), (angle_rad, 0.4)):
+            way_rad = abs(end_rad - self._world.scale_angle_rad)
+            if way_rad > 0.0:
+                self._world.move_head(end_rad, way_rad / (share * duration_s))
+            self._pass_time(share * duration_s)
+
+    def _wait_for_encoder(self) -> None:
+        """Stand beside a head at rest until what watches it answers, for a while."""
+        end_s = self._world.clock.now_s() + LONGEST_WAIT_S
+        while self.meanwhile is not None and self._world.clock.now_s() < end_s:
+            self._world.clock.sleep(REST_LOOK_S)
+            self.meanwhile()
 
     def _generator(self, purpose: str, step: str) -> np.random.Generator:
         return keyed_generator(self._world.settings.seed, "operator", purpose, step)
@@ -173,7 +209,7 @@ class ScriptedOperator:
 
 
 def scale_text(angle_arcsec: float) -> str:
-    """Return an angle as it is read and typed: "45 00 03", "360 00 00", "-0 00 02"; 0.001″ at the finest."""
+    """Format an angle as read from the scale and typed: "45 00 03", "-0 00 02"; rounded to 0.001″."""
     thousandths = round(abs(angle_arcsec) * 1000.0)
     seconds, fraction = divmod(thousandths, 1000)
     minutes, seconds = divmod(seconds, 60)
@@ -186,7 +222,7 @@ def scale_text(angle_arcsec: float) -> str:
 def _confirmation(prompt: Prompt) -> str:
     if prompt.default is not None:
         return prompt.default
-    return prompt.choices[0] if prompt.choices else "yes"  # a block is untouched until somebody touches it
+    return prompt.choices[0] if prompt.choices else "yes"  # the first choice: "untouched"
 
 
 def _default(prompt: Prompt) -> str:

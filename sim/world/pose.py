@@ -1,4 +1,4 @@
-"""How head, platform and block stand in the course of a run."""
+"""The positions of head, platform and block in the course of a run."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Pose:
-    """How the block stands from `since_s` on. Compared by identity: each pose is an event of its own.
+    """The position of the block from `since_s` on. Compared by identity, since each pose is a separate event.
 
-    `demanded_rad` is where the head was sent, which a fault may keep it from; `stuck` that one has. `input_v`
-    is the voltage at all three inputs in place of the block's signals, None for the signals.
+    `demanded_rad` is the target of the head; `stuck` is true if a fault makes the head stick or run away.
+    `input_v` is the voltage at all three meter inputs in place of the block's signals, None for the signals.
     """
 
     since_s: float
@@ -42,11 +42,12 @@ class Pose:
 
 
 class Visit(NamedTuple):
-    """A pose at a time of the clock, `elapsed_s` after the world began, with the block's temperature, °C.
+    """A pose at one time of the clock, `elapsed_s` after the world began, with the block's temperature, °C.
 
-    `scan` holds the channels 0, 1, 2 in the order in which the meters were triggered; `on_s` is how long the block
-    has had power, None where that is not told, `supply_v` the voltage of each rail less its nominal one, V. A block
-    that was off since it was mounted and read is on another visit: `series_on` more than that of its mounting.
+    `scan` lists the channels 0, 1, 2 in the order in which the meters were triggered. `on_s` is the time since the
+    block got power, None if unknown; `supply_v` the voltage of each rail minus its nominal voltage, V. `series_on`
+    counts the power cycles since the block was mounted and first read; it adds to the mounting's series, so that
+    effects treat a power cycle like a remount.
     """
 
     pose: Pose
@@ -62,20 +63,21 @@ class Visit(NamedTuple):
 def switched_on_since(
     pose: Pose, visits: Sequence[Visit], switchings: Sequence[tuple[float, bool]], time_s: float
 ) -> int:
-    """Return how often the block got power again, until a time, after it was read as it is mounted in a pose.
+    """Return the number of power cycles up to `time_s` since the block was first read in the mounting of `pose`.
 
-    `visits` are those that were read, `switchings` when it got power (True) and lost it.
+    `visits` are the visits read so far, `switchings` the times at which the block gained (True) or lost power.
+    Power cycles without a reading between them count once.
     """
     read_s = [visit.time_s for visit in visits if visit.pose.stand_rad is pose.stand_rad]
     on_s = [at_s for at_s, on in switchings if on and read_s and read_s[0] < at_s <= time_s]
-    # switched twice before it is read again is one visit
+    # power cycles without a reading between them count once
     return len({bisect_right(on_s, at_s) for at_s in (*read_s, time_s)} - {0}) if on_s else 0
 
 
 def readings_of(visits: Sequence[Visit], model: ForwardModel, block: Block) -> Floats:
-    """Return the signals of visits in the order of time, V, shape (n, 3): effects look back along them.
+    """Return the signals of visits in the order of time, V, shape (n, 3); effects depend on the earlier visits.
 
-    What is at the inputs in place of the block's signals shows the effects of the meters alone.
+    A visit with `input_v` shows that voltage with the effects of the meters alone.
     """
     poses = [visit.pose for visit in visits]
     on_s = np.array([np.nan if visit.on_s is None else visit.on_s for visit in visits])
@@ -98,7 +100,10 @@ def readings_of(visits: Sequence[Visit], model: ForwardModel, block: Block) -> F
 
 
 def _supply_v(visits: Sequence[Visit]) -> Floats | None:
-    """Return the voltages of the rails less their nominal ones, shape (n, rails), NaN where a visit has none."""
+    """Return rail voltages minus nominal voltages, V, shape (n, rails), or None if no visit has any.
+
+    Visits without voltages have NaN.
+    """
     rails = max((len(visit.supply_v) for visit in visits), default=0)
     if not rails:
         return None
@@ -111,9 +116,9 @@ _ENDLESS_RAD: Final = 1000.0 * math.tau
 
 @dataclass(frozen=True)
 class HeadTurn:
-    """A turn on the scale from `start_rad` to `end_rad`, begun at `since_s`, at `speed_rad_s`.
+    """A rotation on the scale from `start_rad` to `end_rad`, begun at `since_s`, at `speed_rad_s`.
 
-    With an infinite speed the head is there at once.
+    An infinite speed makes the rotation instantaneous.
     """
 
     since_s: float
@@ -123,7 +128,7 @@ class HeadTurn:
 
     @property
     def arrives_s(self) -> float:
-        """The time from which on the head stands at its end."""
+        """The time at which the rotation ends."""
         return self.since_s + abs(self.end_rad - self.start_rad) / self.speed_rad_s
 
     def angle_rad(self, time_s: float) -> float:
@@ -134,7 +139,7 @@ class HeadTurn:
         return self.start_rad + math.copysign(turned_rad, self.end_rad - self.start_rad)
 
     def rate_rad_s(self, time_s: float) -> float:
-        """Return the rate at a time, rad/s: signed while it turns, else zero."""
+        """Return the signed rate at a time, rad/s; zero at rest."""
         if not self.since_s <= time_s < self.arrives_s:
             return 0.0
         return math.copysign(self.speed_rad_s, self.end_rad - self.start_rad)
@@ -142,11 +147,11 @@ class HeadTurn:
 
 @dataclass(frozen=True)
 class HeadFault:
-    """What is wrong with a motorised head, for the movements that begin while it is set.
+    """A fault of a motorised head, for movements that begin while it is set.
 
-    It sticks after it has turned by `sticks_after_rad` (0: it does not move at all), or it comes to rest
-    `stops_off_rad` beside where it was sent, on its own scale. One that `runs_away`, as with a wrong sign, turns
-    away from where it was sent until it is stopped.
+    The head sticks after a rotation by `sticks_after_rad` (0: it does not move at all), or it stops at an error of
+    `stops_off_rad` on its own scale. A head that `runs_away`, as with a wrong sign, turns away from the target
+    until it is stopped.
     """
 
     sticks_after_rad: float | None = None
@@ -154,7 +159,7 @@ class HeadFault:
     runs_away: bool = False
 
     def end_rad(self, start_rad: float, target_rad: float) -> tuple[float, bool]:
-        """Return where a movement really ends, and whether the head is stuck there."""
+        """Return the angle at which a movement really ends, and whether the head is stuck (or ran away)."""
         if self.runs_away:
             return start_rad + math.copysign(_ENDLESS_RAD, start_rad - target_rad), True
         end_rad = target_rad + self.stops_off_rad
@@ -167,13 +172,13 @@ _OF_THE_PLATFORM: Final = (Stage.STAND, Stage.HEAD_ANGLE)
 _OF_THE_BLOCK: Final = (
     "bracket_tilt", "mounting_error", "mounting_offset", "mounting_roll", "block_slip", "mounting_creep",
 )  # fmt: skip
-"""Effects of how the block sits on the platform: no level on the platform shows them."""
+"""Effects on the position of the block on the platform, which a level on the platform does not show."""
 _BLOCK: Final = Block(np.eye(3), np.zeros(3))
 
 
 @dataclass(frozen=True)
 class LevelSettings:
-    """What is true of a level: how far its zero is off, its noise (1 σ), rad, and the error of its scale."""
+    """The errors of a level: its zero errors and its noise (1 σ), rad, and its relative scale error."""
 
     zero_along_rad: float = 0.0
     zero_across_rad: float = 0.0
@@ -181,15 +186,15 @@ class LevelSettings:
     scale: float = 0.0
 
     def shown_rad(self, axis: LevelAxis, inclined_rad: float, normal: Callable[[], float]) -> float:
-        """Return what it shows where its axis is inclined so much; `normal` gives a standard normal number."""
+        """Return the reading for an axis inclined by `inclined_rad`; `normal` returns a standard normal number."""
         zero_rad = self.zero_along_rad if axis == "along" else self.zero_across_rad
         return inclined_rad * (1.0 + self.scale) + zero_rad + self.noise_rad * normal()
 
 
 def platform_tilt_rad(visit: Visit, model: ForwardModel) -> dict[LevelAxis, float]:
-    """Return the inclination of the platform along the shaft and across it, rad, the head where it stands.
+    """Return the inclination of the platform along the shaft and across it at the present head angle, rad.
 
-    The effects of stand and head are in it, those of how the block sits are not.
+    Effects of the stand and head are included, effects of the block's mounting are not.
     """
     pose = visit.pose
     effects = tuple(
@@ -207,6 +212,6 @@ def platform_tilt_rad(visit: Visit, model: ForwardModel) -> dict[LevelAxis, floa
         temperature_c=[visit.block_c],
     )
     stand_rad = pose.stand_rad.copy()[None]
-    stand_rad[:, 2:] = 0.0  # the angles at which the block is mounted
+    stand_rad[:, 2:] = 0.0  # without the mounting angles of the block
     x, y, _ = bare.specific_force(conditions, stand_rad, _BLOCK, pose.setting_error_rad)[0]
     return {"along": math.asin(y), "across": math.asin(x)}

@@ -1,4 +1,4 @@
-"""What feeds the block: outputs, rails, and what happens to them."""
+"""The power supply of the block: outputs, rails and disturbances."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 REFERENCE_C: Final = 23.0
-"""The temperature at which a rail takes the current that is stated for it, °C."""
+"""The temperature for which a rail's current is stated, °C."""
 
 Trip = Literal["voltage", "current"]
 DisturbanceKind = Literal["sag", "drift", "load", "open", "off", "cut"]
@@ -31,9 +31,9 @@ DISTURBANCES: Final[Mapping[DisturbanceKind, str]] = {
 
 @dataclass(frozen=True)
 class Rail:
-    """A rail of the block: by which output it is fed, its nominal voltage (V), the current that it takes then (A).
+    """A supply rail of the block: the output that feeds it, its nominal voltage (V) and its nominal current (A).
 
-    Within `working_v` the block works; never may it be outside of `absolute_v`, nor take more than `absolute_a`.
+    The block works within `working_v`. The absolute maximum ratings are `absolute_v` and `absolute_a`.
     """
 
     name: str
@@ -47,10 +47,10 @@ class Rail:
 
 @dataclass(frozen=True)
 class PowerSettings:
-    """What the block takes, and what its signals show without power (standard deviations, V).
+    """The rails of the block, their load, and its signals without power (standard deviations, V).
 
-    The current grows by `current_by_temperature` of it for each kelvin; at switching on it is `in_rush` times as
-    large, which dies away with `in_rush_time_s`.
+    The current grows by the fraction `current_by_temperature` per kelvin. At switch-on it is multiplied by
+    `in_rush`, which decays with the time constant `in_rush_time_s`.
     """
 
     rails: tuple[Rail, ...] = ()
@@ -63,7 +63,7 @@ class PowerSettings:
 
 @dataclass(frozen=True)
 class Disturbance:
-    """Something that happens to an output (all of them, where it names none) from `at_s` of the clock on."""
+    """A disturbance of an output (or of all, if `output` is empty) from clock time `at_s` for `lasts_s`."""
 
     kind: DisturbanceKind
     at_s: float
@@ -74,10 +74,10 @@ class Disturbance:
 
 @dataclass(frozen=True)
 class OutputPhase:
-    """An output from `since_s` on: switched on or not (`on_since_s`), set to V, limited to A, protected.
+    """The state of an output from `since_s` on: switch, voltage, current limit, protection and disturbances.
 
-    It trips at `trip_v`, and where `trip_after_s` is not None when its current is limited for so long. The rest
-    is what disturbs it.
+    The output trips when its voltage reaches `trip_v`, or when its current has been limited for `trip_after_s`;
+    None disables a protection. `on_since_s` is the time of the last switch-on.
     """
 
     since_s: float
@@ -97,7 +97,7 @@ class OutputPhase:
 
 @dataclass(frozen=True)
 class OutputReading:
-    """What is at the terminals of an output: V, A, and whether the current is limited."""
+    """The voltage (V) and current (A) at the terminals of an output, and whether the current is limited."""
 
     voltage_v: float
     current_a: float
@@ -106,7 +106,7 @@ class OutputReading:
 
 @dataclass(frozen=True)
 class Violation:
-    """A rail was outside of what the block may be given: from when to when, in V or A how far at the farthest."""
+    """A rail outside its absolute maximum ratings: the period, and the worst value in V or A."""
 
     rail: str
     from_s: float
@@ -116,11 +116,11 @@ class Violation:
 
 
 _CLOSE_S: Final = 1e-6
-"""So exactly is it found when a rail crosses a limit."""
+"""The tolerance of the time at which a rail crosses a limit."""
 
 
 def dead_v(settings: PowerSettings, numbers: KeyedNumbers, channel: str, time_s: float) -> float:
-    """Return what an output of the block shows without power, V: next to nothing, but not nothing."""
+    """Return the signal of a block output without power, V: a small offset and noise."""
     offset = numbers.fixed_random("dead signal", channel).standard_normal()
     noise = numbers.fixed_random("dead signal", channel, f"{time_s:.6f}").standard_normal()
     return float(settings.dead_offset_v * offset + settings.dead_noise_v * noise)
@@ -141,11 +141,12 @@ class _Output:
 
 
 class Power:
-    """The outputs of the supply and the rails of the block; `block_c` gives the block's temperature at a time.
+    """The outputs of the supply and the rails of the block.
 
-    A supply changes its outputs with `change`, reads them with `stage` and `shown`; `returned` is called when the
-    mains come back; with `one_switch` its outputs are switched together. All times
-    are those of the world's clock. May be called from any thread.
+    `block_c` returns the block's temperature at a time, °C. A simulated supply sets its outputs with `change` and
+    reads them with `stage` and `shown`. It sets `returned`, which is called when the mains return, and
+    `one_switch` if its outputs switch together. All times are those of the world's clock. Methods may be called
+    from any thread.
     """
 
     def __init__(
@@ -166,17 +167,17 @@ class Power:
         self._coming: list[tuple[float, Callable[[], None]]] = []
         self._cut_until_s = -math.inf
 
-    # --- what is done to it -------------------------------------------------------------------------
+    # --- actions and disturbances -------------------------------------------------------------------
 
     def change(self, output: str, now_s: float, **changes: object) -> None:
-        """Change an output from now on: its settings, its switch, what disturbs it."""
+        """Change the fields `changes` of an output's `OutputPhase` from now on."""
         with self._lock:
             self.advance(now_s)
             self._change(output, self._reached_s, **changes)
             self._pass(self._reached_s)
 
     def disturb(self, disturbance: Disturbance) -> None:
-        """Let something happen when its time comes. Raises `ValueError` for an output without a rail."""
+        """Schedule a disturbance. Raises `ValueError` for an output that feeds no rail."""
         fed = [name for name, output in self._outputs.items() if output.rails]
         if disturbance.output and disturbance.output not in fed:
             raise ValueError(f"no rail is fed by an output {disturbance.output}; those are {', '.join(fed)}")
@@ -205,26 +206,26 @@ class Power:
             if disturbance.kind != "off" and math.isfinite(end):
                 self._at(end, partial(self._change, name, end, **undisturbed[disturbance.kind]))
 
-    # --- what is true -------------------------------------------------------------------------------
+    # --- true state ---------------------------------------------------------------------------------
 
     def outputs(self) -> tuple[str, ...]:
-        """Return the outputs that feed a rail."""
+        """Return the names of the outputs that feed a rail."""
         return tuple(name for name, output in self._outputs.items() if output.rails)
 
     def stage(self, output: str, now_s: float) -> OutputPhase:
-        """Return how an output is now."""
+        """Return the present state of an output."""
         with self._lock:
             self.advance(now_s)
             return self._output(output).last
 
     def shown(self, output: str, now_s: float) -> OutputReading:
-        """Return what is at the terminals of an output now."""
+        """Return the present voltage and current at the terminals of an output."""
         with self._lock:
             stage = self.stage(output, now_s)
             return self._shown(self._output(output), stage, now_s)
 
     def has_mains(self, now_s: float) -> bool:
-        """Whether the supply has power itself."""
+        """Whether the supply itself has mains power."""
         with self._lock:
             self.advance(now_s)
             return now_s >= self._cut_until_s
@@ -237,13 +238,13 @@ class Power:
             return self._rail_v(rail, time_s)
 
     def above_nominal_v(self, time_s: float) -> tuple[float, ...]:
-        """Return the voltage of each rail at the block less its nominal one at a time up to now, V."""
+        """Return the voltage of each rail at the block minus its nominal voltage, at a time up to now, V."""
         with self._lock:
             self.advance(time_s)
             return tuple(self._rail_v(rail, time_s) - rail.nominal_v for rail in self.settings.rails)
 
     def on_since_s(self, time_s: float) -> float | None:
-        """Return since when the block has power at a time up to now, None where it has none or needs none."""
+        """Return the time at which the block last got power as of `time_s`; None if it has no power or no rails."""
         if not self.settings.rails:
             return None
         with self._lock:
@@ -253,18 +254,18 @@ class Power:
             return since_s if alive else None
 
     def feeds_block(self, time_s: float) -> bool:
-        """Whether the block works at a time up to now: all of its rails are as they should be, or it has none."""
+        """Whether all rails are within `working_v` at a time up to now; True for a block without rails."""
         return not self.settings.rails or self.on_since_s(time_s) is not None
 
     @property
     def switchings(self) -> tuple[tuple[float, bool], ...]:
-        """When the block got power (True) and lost it again; it begins without."""
+        """The times at which the block gained (True) or lost (False) power, beginning with a False entry."""
         return tuple(self._lives)
 
-    # --- time goes on -------------------------------------------------------------------------------
+    # --- advance of time ----------------------------------------------------------------------------
 
     def advance(self, now_s: float) -> None:
-        """Let happen what comes until now: what disturbs, and what trips in between. To be called with the lock."""
+        """Carry out the disturbances and trips up to now. The caller must hold the lock."""
         while self._reached_s < now_s:
             until_s = min(now_s, self._coming[0][0]) if self._coming else now_s
             self._pass(max(until_s, self._reached_s))
@@ -273,7 +274,7 @@ class Power:
                 self._pass(self._reached_s)
 
     def _pass(self, until_s: float) -> None:
-        """Go on to a time before which nothing disturbs, and let what trips on the way trip, at once as well."""
+        """Advance to `until_s`, before which no disturbance is due, and carry out the trips on the way."""
         while True:
             trips = [(self._trips_at(output, until_s), name) for name, output in self._outputs.items()]
             first_s, name, why = min(
@@ -288,7 +289,7 @@ class Power:
             self._watch(end_s, end_s)
 
     def _trips_at(self, output: _Output, until_s: float) -> tuple[float, Trip | None]:
-        """Return when and why an output trips until a time."""
+        """Return the time and the cause of an output's next trip up to `until_s`, or infinity and None."""
         stage, begin_s = output.last, self._reached_s
         if not stage.on:
             return math.inf, None
@@ -308,7 +309,7 @@ class Power:
         return math.inf, None
 
     def _watch(self, begin_s: float, end_s: float) -> None:
-        """Note between two times without an event what befalls the rails: power, and limits passed."""
+        """Record limit violations and power changes of the rails between two times without an event."""
         for rail in self.settings.rails:
             volts = [self._rail_v(rail, time_s) for time_s in (begin_s, end_s)]
             low_v, high_v = rail.absolute_v
@@ -324,7 +325,7 @@ class Power:
                 self._lives.append((self._crossing(partial(self._is_alive, alive), begin_s, time_s), alive))
 
     def _note(self, violation: Violation) -> None:
-        """Take down that a rail is outside of its limits; what goes on is one."""
+        """Record a violation; one that continues the previous violation extends it."""
         for index, known in enumerate(self.violations):
             same = (known.rail, known.unit) == (violation.rail, violation.unit)
             if same and known.to_s == violation.from_s:
@@ -334,13 +335,13 @@ class Power:
         self.violations.append(violation)
 
     def _crossing(self, beyond: Callable[[float], bool], begin_s: float, end_s: float) -> float:
-        """Return when something becomes true that is not so at the beginning and is at the end."""
+        """Return, by bisection, when `beyond` becomes true, which it is at the end but not at the beginning."""
         while end_s - begin_s > _CLOSE_S:
             middle_s = (begin_s + end_s) / 2.0
             begin_s, end_s = (begin_s, middle_s) if beyond(middle_s) else (middle_s, end_s)
         return end_s
 
-    # --- how it is at a time ------------------------------------------------------------------------
+    # --- state at a time ----------------------------------------------------------------------------
 
     def _is_alive(self, alive: bool, time_s: float) -> bool:
         return self._alive(time_s) == alive
@@ -376,7 +377,7 @@ class Power:
         return OutputReading(math.copysign(stage.limit_a / conductance, open_v), stage.limit_a, limiting=True)
 
     def _conductance(self, rail: Rail, stage: OutputPhase, time_s: float) -> float:
-        """Return what a rail takes at a time, A/V: more when it is warm, and when it was just switched on."""
+        """Return the load of a rail at a time, A/V: greater when warm and just after switch-on."""
         settings = self.settings
         warm = 1.0 + settings.current_by_temperature * (self._block_c(time_s) - REFERENCE_C)
         since_s = max(0.0, time_s - stage.on_since_s)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import threading
 from bisect import bisect_right
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Final
 
@@ -13,6 +15,7 @@ import numpy as np
 from bench.base.arrays import CHANNELS, Floats
 from bench.model.geometry import STAND_ANGLES, Distribution, stand_errors
 from sim.world.chance import KeyedNumbers
+from sim.world.clock import VirtualClock
 from sim.world.pose import (
     HeadFault,
     HeadTurn,
@@ -26,7 +29,7 @@ from sim.world.pose import (
 from sim.world.power import Power, PowerSettings, dead_v
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping
 
     from bench.model.forward import ForwardModel
     from bench.model.geometry import Block
@@ -35,14 +38,14 @@ if TYPE_CHECKING:
 
 
 _LEAST_SPREAD: Final = 1e-6
-"""Two lags must differ by this fraction: the formula for the block divides by their difference."""
+"""Smallest relative difference between the two lags: the formula for the block divides by their difference."""
 
 
 @dataclass(frozen=True)
 class _Stretch:
-    """From `since_s` on the air is base + slope·s + excess·exp(-s/lag), s the time elapsed.
+    """A period from `since_s` in which the air is base + slope·s + excess·exp(-s/lag), s the time elapsed.
 
-    `block_c` is the block's temperature at its beginning.
+    `block_c` is the block's temperature at the beginning.
     """
 
     since_s: float
@@ -57,7 +60,7 @@ class _Stretch:
         return self.base_c + self.slope_c_s * elapsed_s + self.excess_c * math.exp(-elapsed_s / self.lag_s)
 
     def block_c_at(self, time_s: float, block_lag_s: float) -> float:
-        """Solve block' = (air - block) / block_lag for the air of this stretch."""
+        """Return the solution of block' = (air - block) / block_lag for the air of this period, °C."""
         elapsed_s = max(0.0, time_s - self.since_s)
         carried_c = self.excess_c * self.lag_s / (self.lag_s - block_lag_s) if self.excess_c else 0.0
         left_c = self.block_c - (self.base_c - self.slope_c_s * block_lag_s + carried_c)
@@ -70,7 +73,7 @@ class _Stretch:
 
 
 class Heat:
-    """The air of a chamber and the block in it, both at `ambient_c` from `now_s` on.
+    """The temperatures of the chamber air and of the block in it, both at `ambient_c` at time `now_s`.
 
     `block_lag_s` is the time constant of the block behind the air. A demand holds until the next one.
     """
@@ -88,15 +91,15 @@ class Heat:
         return self._at(time_s).block_c_at(time_s, self._block_lag_s)
 
     def set_air(self, now_s: float, target_c: float) -> None:
-        """The air is at `target_c` from now on, at once."""
+        """Set the air to `target_c` at once."""
         self._go_on(now_s, target_c, 0.0, 0.0, 1.0)
 
     def relax_air(self, now_s: float, target_c: float, lag_s: float) -> None:
-        """The air drifts to `target_c` with a time constant, as in a chamber that is switched off."""
+        """Let the air relax to `target_c` with a time constant, as in a chamber that is switched off."""
         self._go_on(now_s, target_c, 0.0, self.air_c(now_s) - target_c, lag_s)
 
     def ramp_air(self, now_s: float, target_c: float, rate_c_s: float, lag_s: float) -> None:
-        """A demand runs from the present air to `target_c` at `rate_c_s`; the air follows it with its lag."""
+        """Ramp the demand from the present air to `target_c` at `rate_c_s`; the air follows with its lag."""
         start_c = self.air_c(now_s)
         slope_c_s = math.copysign(rate_c_s, target_c - start_c)
         end_s = now_s + abs(target_c - start_c) / rate_c_s
@@ -104,7 +107,7 @@ class Heat:
         self._go_on(end_s, target_c, 0.0, self.air_c(end_s) - target_c, lag_s)
 
     def _go_on(self, since_s: float, base_c: float, slope_c_s: float, excess_c: float, lag_s: float) -> None:
-        """Begin a stretch; those that were to begin later are given up."""
+        """Begin a new period at `since_s`; discard periods that were scheduled after it."""
         if math.isclose(lag_s, self._block_lag_s, rel_tol=_LEAST_SPREAD):
             lag_s = self._block_lag_s * (1.0 + _LEAST_SPREAD)
         block_c = self.block_c(since_s)
@@ -117,7 +120,7 @@ class Heat:
 
 
 class Terminals:
-    """One channel of the world, as the meter on it sees it (the `Source` of a simulated meter)."""
+    """The terminals of one channel of the world, to which a simulated meter is wired (a `MeteredSignal`)."""
 
     def __init__(self, world: World, channel: Channel) -> None:
         self._world = world
@@ -126,12 +129,12 @@ class Terminals:
 
     @property
     def place(self) -> int:
-        """Which of the bench's meters stands here: 0 at channel x, 1 at y, 2 at z."""
+        """The index of the meter on the bench: 0 at channel x, 1 at y, 2 at z."""
         return CHANNELS.index(self._channel)
 
     @property
     def temperature_c(self) -> float:
-        """The temperature of the room in which the meter stands, °C."""
+        """The temperature of the room, °C."""
         return self._world.settings.ambient_c
 
     def signal_v(self, time_s: float | None = None) -> float:
@@ -139,15 +142,15 @@ class Terminals:
         return self._world.signal_v(self._channel, time_s)
 
     def new_reading(self) -> None:
-        """Say that a reading was triggered."""
+        """Begin a new reading, when the meter is triggered."""
         self._reading = self._world.new_reading(self._channel)
 
     def random(self, purpose: str) -> np.random.Generator:
-        """Return the generator for a purpose within the present reading."""
+        """Return the random generator for one purpose within the present reading."""
         return self._world.random(purpose, self._channel, self._reading)
 
     def fixed_random(self, purpose: str) -> np.random.Generator:
-        """Return the generator for something that the meter on this channel has for good."""
+        """Return the random generator for a permanent property of the meter, such as its gain error."""
         return self._world.fixed_random(purpose, self._channel)
 
 
@@ -161,14 +164,14 @@ _CACHED_SIGNALS: Final = 4096
 
 @dataclass(frozen=True)
 class WorldSettings:
-    """What the world is like.
+    """Settings of the simulated world.
 
-    `stand` gives the distribution of each stand error by its name in `STAND_NAMES`: the stand angles
-    (rad, drawn at each mounting), "setting_error" alpha4 (rad, drawn at each turn of the head) and
-    "voltmeter_error" (V, drawn for each reading of each channel); a name left out is zero.
-    `ambient_c` is the room; `block_time_constant_s` is the lag of the block behind the chamber. A chamber
-    with a controller takes its air along at `chamber_rate_c_s` behind a lag of `chamber_lag_s`, and back to
-    the room with `chamber_off_lag_s` when it is switched off. A block without rails in `power` always has power.
+    `stand` maps names in `STAND_NAMES` to the distributions of the stand errors: the stand angles (rad, drawn at
+    each mounting), "setting_error" alpha4 (rad, drawn at each turn of the head) and "voltmeter_error" (V, drawn
+    for each reading of each channel); an omitted error is zero. `ambient_c` is the room temperature;
+    `block_time_constant_s` is the lag of the block behind the chamber air. A controlled chamber ramps its demand
+    at `chamber_rate_c_s`, and its air follows with the lag `chamber_lag_s`; switched off, it relaxes to the room
+    temperature with `chamber_off_lag_s`. A block without rails in `power` always has power.
     """
 
     block: Block
@@ -184,17 +187,17 @@ class WorldSettings:
     power: PowerSettings = field(default_factory=PowerSettings)
 
     def __post_init__(self) -> None:
-        """Raise `ValueError` for a stand error that the world does not know."""
+        """Raise `ValueError` for an unknown name in `stand`."""
         unknown = sorted(set(self.stand) - set(STAND_NAMES))
         if unknown:
             raise ValueError(f"not a stand error: {', '.join(unknown)}; known are {', '.join(STAND_NAMES)}")
 
 
 class World(KeyedNumbers):
-    """The bench as it really is: what the head's scale cannot show and the meters only look at.
+    """The true state of the bench, including what the head's scale and the meters do not show.
 
-    `began_s` is the clock's time at which the world began (0 for a virtual clock; a world on the system's
-    clock passes its present time). All methods may be called from any thread.
+    `began_s` is the clock time at which the world began (0 for a virtual clock; on the system clock, pass the
+    present time). All methods may be called from any thread.
     """
 
     def __init__(self, settings: WorldSettings, clock: Clock, began_s: float = 0.0) -> None:
@@ -218,12 +221,14 @@ class World(KeyedNumbers):
         self._read: list[Visit] = []
         self._level_turned = False
         self._triggered: dict[int, tuple[int, ...]] = {}
+        self._asides = itertools.count(1)
+        self._aside = False
 
     def _draw(self, name: str, generator: np.random.Generator) -> float:
         return self.settings.stand.get(name, _NO_ERROR).draw(generator)
 
     def _stand_rad(self, installation: str, series: int) -> Floats:
-        """Return the stand angles of a mounting; drawn once, as a long run is recalled reading by reading."""
+        """Return the stand angles of a mounting, rad, shape (5,); cached for `recall` of every reading."""
         place = (installation, series)
         if place not in self._stands_rad:
             self._stands_rad[place] = stand_errors(
@@ -231,12 +236,29 @@ class World(KeyedNumbers):
             )
         return self._stands_rad[place]
 
-    # --- what is done to the bench ------------------------------------------------------------------
+    @contextmanager
+    def aside(self) -> Iterator[None]:
+        """Let instruments be read without a trace: afterwards time, history and random numbers are as before.
+
+        Its own random numbers belong to no step. Only a virtual clock can go back.
+        """
+        with self._lock:
+            now_s, kept = self.clock.now_s(), (self._step, self._counts.copy(), self._aside)
+            self._step, self._aside = f"aside {next(self._asides)}", True
+        try:
+            yield
+        finally:
+            if isinstance(self.clock, VirtualClock):
+                self.clock.return_to(now_s)
+            with self._lock:
+                self._step, self._counts, self._aside = kept
+
+    # --- actions on the bench -----------------------------------------------------------------------
 
     def mount(self, installation: str, series: int = 1) -> None:
-        """Mount the block; the stand angles depend on the seed, the series and the installation alone.
+        """Mount the block; the stand angles depend only on the seed, the series and the installation.
 
-        Raises `KeyError` for an installation that the model does not have.
+        Raises `KeyError` for an installation that is not in the model.
         """
         if installation not in self.settings.model.installations:
             known = ", ".join(self.settings.model.installations)
@@ -246,18 +268,18 @@ class World(KeyedNumbers):
             self._pose_on(installation=installation, series=series, stand_rad=stand_rad)
 
     def level_platform(self, installation: str, series: int) -> None:
-        """Level the platform before a mounting: it stands from now on as it does in that mounting."""
+        """Give the platform the tilt and zero offset of a mounting, as levelling before that mounting does."""
         with self._lock:
             stand_rad = self._poses[-1].stand_rad.copy()
             stand_rad[:2] = self._stand_rad(installation, series)[:2]
             self._pose_on(stand_rad=stand_rad)
 
     def place_level(self, *, turned: bool) -> None:
-        """Put the level on the platform, in its first position or half a turn from it."""
+        """Place the level on the platform in its first position, or rotated by half a turn."""
         self._level_turned = turned
 
     def turn(self, scale_angle_rad: float, direction: Direction) -> None:
-        """Turn the head until its scale shows `scale_angle_rad`; the true angle differs by a fresh alpha4."""
+        """Turn the head until its scale shows `scale_angle_rad`; the true angle differs by a newly drawn alpha4."""
         with self._lock:
             self._pose_on(
                 turn=HeadTurn(self.clock.now_s(), scale_angle_rad, scale_angle_rad),
@@ -268,10 +290,10 @@ class World(KeyedNumbers):
             )
 
     def move_head(self, target_rad: float, speed_rad_s: float) -> None:
-        """Let the motor take the head to `target_rad` of its scale, as far as `head_fault` lets it.
+        """Move the motorised head to the scale angle `target_rad`, as far as `head_fault` permits.
 
-        alpha4 belongs to the step and to the target, so that it is the same whether the head had to back
-        off first or not. A head that was sent there already is left alone.
+        alpha4 is drawn by step and target, so it does not depend on whether the head had to back off first.
+        Repeating the last target has no effect unless the head is stuck.
         """
         with self._lock:
             now_s, start_rad = self.clock.now_s(), self.scale_angle_rad
@@ -290,7 +312,7 @@ class World(KeyedNumbers):
             )
 
     def stop_head(self) -> None:
-        """Let the motor stop the head where it is."""
+        """Stop the motorised head at its present angle."""
         with self._lock:
             angle_rad = self.scale_angle_rad
             at_rest = HeadTurn(self.clock.now_s(), angle_rad, angle_rad)
@@ -300,9 +322,9 @@ class World(KeyedNumbers):
         self._poses.append(replace(self._poses[-1], since_s=self.clock.now_s(), **changes))
 
     def select_input(self, source: str, reference_v: float | None = None) -> None:
-        """Switch all three meters to the block's "signal", to a "short", or to a "reference" of `reference_v`, V.
+        """Switch all three meters to the block's "signal", a "short", or a "reference" of `reference_v`, V.
 
-        Raises `ValueError` for another source, or a reference without its voltage.
+        Raises `ValueError` for another source, or for a reference without a voltage.
         """
         inputs = {"signal": None, "short": 0.0, "reference": reference_v}
         if source not in inputs:
@@ -314,13 +336,13 @@ class World(KeyedNumbers):
             self._pose_on(input_v=input_v)
 
     def set_chamber(self, target_c: float) -> None:
-        """Set the air of the chamber to a temperature, at once, °C; the block follows with its lag."""
+        """Set the chamber air to a temperature at once, °C; the block follows with its lag."""
         with self._lock:
             self._chamber_demand_c = None
             self._heat.set_air(self.clock.now_s(), target_c)
 
     def ramp_chamber(self, target_c: float) -> None:
-        """Let the chamber's controller take the air to a temperature, °C, at its rate and with its lag."""
+        """Ramp the chamber air to a temperature, °C, at the controller's rate and with its lag."""
         with self._lock:
             self._chamber_demand_c = target_c
             self._heat.ramp_air(
@@ -331,13 +353,13 @@ class World(KeyedNumbers):
             )
 
     def switch_chamber_off(self) -> None:
-        """Let the air drift back to the room."""
+        """Let the chamber air relax to the room temperature."""
         with self._lock:
             self._chamber_demand_c = None
             self._heat.relax_air(self.clock.now_s(), self.settings.ambient_c, self.settings.chamber_off_lag_s)
 
     def disturb_chamber(self, offset_c: float) -> None:
-        """Put the chamber out of band: from now on its air goes to the demand and `offset_c`, °C."""
+        """Add a control error `offset_c`, °C: from now on the air settles at the demand plus `offset_c`."""
         with self._lock:
             self._chamber_offset_c = offset_c
             if self._chamber_demand_c is not None:
@@ -346,10 +368,12 @@ class World(KeyedNumbers):
     def new_reading(self, channel: Channel) -> int:
         """Begin a reading of a channel: draw its voltmeter error; return its number within the step.
 
-        A pose that was read with the head at rest is one that effects look back to. The order in which the
-        channels are begun is that of the scan.
+        A pose that was read with the head at rest becomes part of the history on which effects depend. The order
+        in which channels are begun is the scan order, unless the step stated one.
         """
         with self._lock:
+            if self._aside:  # the meter's error and the history stay those of the last reading
+                return self.count("reading", channel)
             now_s, pose = self.clock.now_s(), self._poses[-1]
             index, before = CHANNELS.index(channel), self._triggered.get(id(pose), ())
             in_turn = (index,) if index in before else (*before, index)
@@ -376,10 +400,10 @@ class World(KeyedNumbers):
         input_v: float | None = None,
         scan: tuple[int, ...] = (0, 1, 2),
     ) -> None:
-        """Say that a setting was read before the world was set up again, for effects that look back.
+        """Add a setting that was read before the world was rebuilt to the history on which effects depend.
 
-        Arguments are as recorded; without an installation the block was as in the last setting told. To be
-        called in the order of measurement, before anything is read.
+        Arguments are as recorded; without an installation the block is as in the previous recalled setting. Call
+        it in the order of measurement, before the first new reading.
         """
         with self._lock:
             time_s = self.began_s + elapsed_s
@@ -391,16 +415,16 @@ class World(KeyedNumbers):
             known_c = self.block_c_at(time_s) if block_c is None else block_c
             self._read.append(Visit(replace(pose, input_v=input_v), time_s, elapsed_s, known_c, scan))
 
-    # --- what is true -------------------------------------------------------------------------------
+    # --- true state ---------------------------------------------------------------------------------
 
     @property
     def installation(self) -> str:
-        """The installation that is mounted."""
+        """The label of the present installation."""
         return self._poses[-1].installation
 
     @property
     def series(self) -> int:
-        """The series of the mounting."""
+        """The series of the present mounting."""
         return self._poses[-1].series
 
     @property
@@ -410,23 +434,23 @@ class World(KeyedNumbers):
 
     @property
     def head_rate_rad_s(self) -> float:
-        """How fast the motor turns the head, rad/s: zero when it stands."""
+        """The signed rate at which the motor turns the head, rad/s; zero at rest."""
         return self._poses[-1].turn.rate_rad_s(self.clock.now_s())
 
     @property
     def head_stuck(self) -> bool:
-        """Whether the head stands stuck short of where it was sent."""
+        """Whether the head is stuck short of its target."""
         return self._poses[-1].stuck and self.head_rate_rad_s == 0.0
 
     @property
     def true_angle_rad(self) -> float:
-        """The angle at which the head really stands: the scale's and alpha4, rad."""
+        """The true angle of the head: the scale angle plus alpha4, rad."""
         pose = self._poses[-1]
         return pose.turn.angle_rad(self.clock.now_s()) + pose.setting_error_rad
 
     @property
     def direction(self) -> Direction | None:
-        """The side from which the head came, None before the first turn."""
+        """The direction of approach (+1 or -1); None before the first turn."""
         return self._poses[-1].direction
 
     @property
@@ -436,22 +460,22 @@ class World(KeyedNumbers):
 
     @property
     def chamber_c(self) -> float:
-        """The air in the chamber, °C."""
+        """The temperature of the chamber air, °C."""
         with self._lock:
             return self._heat.air_c(self.clock.now_s())
 
     @property
     def block_c(self) -> float:
-        """The block, °C."""
+        """The temperature of the block, °C."""
         return self.block_c_at(self.clock.now_s())
 
     def block_c_at(self, time_s: float) -> float:
-        """Return the temperature of the block at a time of the clock, °C: first-order lag, in closed form."""
+        """Return the temperature of the block at a time of the clock, °C (first-order lag, closed form)."""
         with self._lock:
             return self._heat.block_c(time_s)
 
     def level_shows_rad(self, axis: LevelAxis) -> float:
-        """Return what the level on the platform shows now, rad: its own zero and a fresh noise are in it."""
+        """Return the present reading of the level on the platform, rad, with its zero error and new noise."""
         with self._lock:
             visit = self._visit(self._poses[-1], self.clock.now_s())
             inclined_rad = platform_tilt_rad(visit, self.settings.model)[axis]
@@ -461,18 +485,18 @@ class World(KeyedNumbers):
         )
 
     def signal_v(self, channel: Channel, time_s: float | None = None) -> float:
-        """Return the voltage at a meter's terminals now, or as it was at `time_s` of the clock, V.
+        """Return the voltage at a meter's terminals at `time_s` of the clock (default: now), V.
 
-        It is the forward model's reading with all effects at the true angle, or what is at the inputs in its
-        place, plus the voltmeter error of the channel's present reading. A meter that hands over its samples
-        late asks for their own times.
+        The voltage is the forward model's reading with all effects at the true angle, or the voltage that
+        `select_input` switched in, plus the voltmeter error of the channel's present reading. A block without
+        power gives almost zero. A meter that evaluates its samples later passes the time of each sample.
         """
         at_s = self.clock.now_s() if time_s is None else time_s
         with self._lock:
             pose = self._poses[max(0, bisect_right(self._poses, at_s, key=lambda p: p.since_s) - 1)]
             if pose.input_v is None and not self.power.feeds_block(self._past_s(at_s)):
                 return dead_v(self.settings.power, self, channel, at_s) + self._voltmeter_error_v[channel]
-            # Without effects the output at rest depends on the pose alone; an effect may look at time and heat.
+            # Without effects the signal at rest depends only on the pose; effects may depend on the time.
             at_rest = at_s >= pose.turn.arrives_s and not self.settings.model.effects
             key = id(pose) if at_rest else (id(pose), at_s, self._scan(pose))
             signals = self._signals.get(key)
@@ -483,7 +507,7 @@ class World(KeyedNumbers):
             return float(signals[CHANNELS.index(channel)]) + self._voltmeter_error_v[channel]
 
     def _model_readings(self, pose: Pose, time_s: float) -> Floats:
-        """Return the three signals of a pose, V, shape (3,), after the settings read before it."""
+        """Return the three signals of a pose, V, shape (3,), given the settings read before it."""
         model, before = self.settings.model, []
         if model.needs_history:
             before = [visit for visit in self._read if visit.pose is not pose and visit.time_s < time_s]
@@ -505,16 +529,19 @@ class World(KeyedNumbers):
         )
 
     def _past_s(self, time_s: float) -> float:
-        """Return a time up to now: a meter on a bus may be ahead of the bench, whose power nobody foresees."""
+        """Return the earlier of `time_s` and now, since a meter on a bus may be ahead of the bench.
+
+        The power supply is simulated only up to now.
+        """
         return min(time_s, self.clock.now_s())
 
     def _scan(self, pose: Pose) -> tuple[int, ...]:
-        """Return the channels in the order of the scan; those that nobody triggered yet come after the others."""
+        """Return the channel indices in scan order; channels not yet triggered come last."""
         begun = self._triggered.get(id(pose), self.told_scan)
         return (*begun, *(index for index in range(len(CHANNELS)) if index not in begun))
 
     def terminals(self, channel: Channel) -> Terminals:
-        """Return what a meter that is wired to `channel` sees."""
+        """Return the terminals of `channel` for a meter. Raises `ValueError` for an unknown channel."""
         if channel not in CHANNELS:
             raise ValueError(f"the block has the channels {', '.join(CHANNELS)}, not {channel!r}")
         return Terminals(self, channel)

@@ -30,7 +30,7 @@ def test_there_is_one_of_each_kind():
         wires |= {meter.resource.partition(":")[0].rstrip("0123456789") for meter in sections.voltmeters}
     assert drivers == {
         "agilent-34401a", "keysight-34461a", "keysight-34970a", "manual-head", "zaber", "acutrol",
-        "manual-chamber", "espec", "watlow-f4t", "no chamber",
+        "manual-chamber", "espec", "watlow-f4t", "heidenhain-nd28x", "no chamber",
     }  # fmt: skip
     assert wires == {"GPIB", "prologix", "TCPIP", "ASRL/dev/ttyUSB"}
 

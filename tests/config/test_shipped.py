@@ -32,7 +32,7 @@ def test_an_unknown_name_is_told_with_the_nearest_and_the_list():
         "repeatability, return, stability, temperature, turn-12, turn-24, turn-on, verification"
     )
     listed = (
-        "shipped are: bench-gpib, bench-lan, bench-motorised, bench-multiplexer, bench-prologix, "
+        "shipped are: bench-encoder, bench-gpib, bench-lan, bench-motorised, bench-multiplexer, bench-prologix, "
         "bench-rate-table, bench-rs232, bench-stand, paper-stand"
     )
     with pytest.raises(FileMistakes, match=listed):

@@ -8,9 +8,9 @@ import pytest
 
 from drivers.interfaces import BenchError, InstrumentRefused, LimitExceeded, WentAstray
 from sim.world.pose import HeadFault
-from tests.support.instrument_stand import known, standing
+from tests.support.instrument_stand import standing, turned_by
 
-heads = pytest.mark.parametrize("device", known("head"), ids=lambda device: device.name)
+heads = pytest.mark.parametrize("device", turned_by("motor"), ids=lambda device: device.name)
 
 
 @pytest.mark.slow

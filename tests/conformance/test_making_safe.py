@@ -19,9 +19,9 @@ from drivers.interfaces import InstrumentLost
 from sim.wires.faults import Fault, FaultKind
 from tests.support.fed_bench import N15, P15
 from tests.support.fed_runs import section_of
-from tests.support.instrument_stand import Between, Stand, known, standing
+from tests.support.instrument_stand import Between, Stand, known, standing, turned_by
 
-MOVING = [device for role in ("head", "chamber", "power_supply") for device in known(role)]
+MOVING = [*turned_by("motor"), *known("chamber"), *known("power_supply")]
 
 BY_HAND = re.compile(r"by hand|by itself|emergency stop|at the controller")
 NEVER_ALONE = {":mode:rate 1": ":demand:rate 1"}

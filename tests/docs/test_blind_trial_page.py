@@ -32,7 +32,7 @@ def test_a_result_is_written_into_a_copy_of_the_page(result, tmp_path):
     result = json.loads(json.dumps(result))
     result["rows"][0]["score"]["agrees"] = [700, 800]
     page.write(result, copy, stored_at)
-    assert "| null paper 15 uV | 0.875 (700/800; " in copy.read_text(encoding="utf-8")
+    assert "| paper 15 uV | 0.875 (700/800; " in copy.read_text(encoding="utf-8")
     assert json.loads(stored_at.read_text(encoding="utf-8")) == result
     assert page.current_part(copy) == page.part(result)
 

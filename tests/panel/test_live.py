@@ -11,7 +11,7 @@ from starlette.testclient import TestClient
 from bench.panel.access import STATE, Access, Role, Settings
 from bench.panel.app import make_app
 from bench.panel.run_events import Tail
-from bench.panel.stream import Follower, Followers
+from bench.panel.stream import Follower, Followers, as_live
 from bench.run.events import EVENTS, MANIFEST, RecordError
 from bench.run.record import Record
 from drivers.clock import utc_now
@@ -19,6 +19,15 @@ from sim.world.clock import VirtualClock
 
 RECORDS = Path(__file__).parents[1] / "data" / "records"
 HOME = "http://127.0.0.1:8741"
+PROMPT = {
+    "id": "0012/turn#1@41",
+    "kind": "angle",
+    "text": "Turn the head to 45°00′00″",
+    "default": None,
+    "unit": "° ′ ″",
+    "choices": [],
+    "action": {"do": "turn", "target_rad": 0.7853981633974483, "direction": 1, "tolerance_rad": 3e-4},
+}
 HOSTILE = "<script>alert(1)</script>\x1b[31m\u202egnp"
 
 
@@ -45,16 +54,7 @@ def asking(runs):
     lines = (folder / EVENTS).read_bytes().splitlines(keepends=True)
     (folder / EVENTS).write_bytes(b"".join(lines[:40]))
     record, _ = Record.reopen(folder, utc_now)
-    prompt = {
-        "id": "0012/turn#1@41",
-        "kind": "angle",
-        "text": "Turn the head to 45°00′00″",
-        "default": None,
-        "unit": "° ′ ″",
-        "choices": [],
-        "action": {"do": "turn", "target_rad": 0.7853981633974483, "direction": 1, "tolerance_rad": 3e-4},
-    }
-    record.append("asked", 1000.0, **prompt)
+    record.append("asked", 1000.0, **PROMPT)
     yield folder
     record.close()
 
@@ -336,3 +336,32 @@ def test_of_a_long_record_the_beginnings_of_old_steps_are_passed_over_and_nothin
     skimmed, same_points = all_of(Follower(growing))
     assert skimmed == whole
     assert same_points == points
+
+
+def test_a_live_value_is_sent_while_its_question_waits(growing, lines):
+    async def heard():
+        followers = Followers()
+        stream = followers.stream(growing)
+        found = []
+        async for event in stream:
+            found.append(event)
+            if event.startswith(b"event: live"):
+                break
+        followers.close()
+        return found
+
+    append(growing, b"".join(lines[:40]))
+    record, _ = Record.reopen(growing, utc_now)
+    try:
+        told = {"prompt": "1", "time": "2026-11-22T00:00:00+00:00", "signals_v": [1.0, 2.0, 3.0]}
+        record.append("asked", 1000.0, **PROMPT)
+        (growing / "live.json").write_text(json.dumps(told), encoding="utf-8")
+        event = asyncio.run(asyncio.wait_for(heard(), 20.0))[-1]
+    finally:
+        record.close()
+    assert json.loads(event.split(b"data: ")[1]) == told
+
+
+@pytest.mark.parametrize("content", [b"", b"{", b"[1]", b"\xff", b'{"a": NaN}'])
+def test_a_broken_live_value_is_none(content):
+    assert as_live(content) == b"event: live\ndata: {}\n\n"

@@ -10,6 +10,7 @@ import pytest
 from sim.acutrol import AcutrolTable
 from sim.agilent_34401a import Agilent34401A
 from sim.chambers import EspecP300, Thermotron8800, WatlowF4T
+from sim.counters import EncoderLine, HeidenhainNd28x, MitutoyoMux10
 from sim.keithley_2000 import Keithley2000
 from sim.newport_esp301 import Esp301
 from sim.scpi import never
@@ -23,6 +24,9 @@ HEADS_AND_CHAMBERS = """\
 :mode:position :mode:rate :demand:rate :demand:position :read:position 1, 045.000 nan inf 1e999
 TEMP? TEMP, S25.0 H L-45 MODE, CONSTANT RUN3 MON? *IDN? SETP1, RUNM PVAR1? STOP
 :SOURCE:CLOOP1:SPOINT :UNIT:TEMPERATURE? F ? ; , \x00 \xe9 \xb2"""
+COUNTERS = (
+    "\x1bA0000 \x1bA0100 \x1bA0200 \x1bA0400 \x1bA0800 \x1bA0900 \x02 \x05 \x1bS0000 1 2 POS? ? \x00 \xe9"
+)
 NEWPORT = "1 2 PA PR TP MD MO MF ST VA SN OR TB? TE? *IDN? ? ; , -5 45.0 nan inf 1e9 \x00 \xe9"
 SCPI = """\
 CONF VOLT : ; ? , DC RANG NPLC AUTO SAMP:COUN TRIG:SOUR BUS IMM INIT :INIT :ABOR READ? FETC? *TRG *WAI *RST 2 10
@@ -31,6 +35,19 @@ KINDS: dict[str, tuple[Callable[[World], Dialect], str]] = {
     "zaber": (lambda world: ZaberStage(world, steps_per_degree=1000.0), HEADS_AND_CHAMBERS),
     "acutrol": (AcutrolTable, HEADS_AND_CHAMBERS),
     "esp301": (Esp301, NEWPORT),
+    "nd 28x": (HeidenhainNd28x, COUNTERS),
+    "mux-10": (MitutoyoMux10, COUNTERS),
+    "line": (
+        lambda world: EncoderLine(
+            world,
+            request="POS?",
+            pattern=r"(?P<angle>[+-]\d+)",
+            example="+1",
+            per_turn=4096.0,
+            ends=("\r", "\n"),
+        ),
+        COUNTERS,
+    ),
     "espec": (EspecP300, HEADS_AND_CHAMBERS),
     "f4t": (WatlowF4T, HEADS_AND_CHAMBERS),
     "thermotron": (Thermotron8800, HEADS_AND_CHAMBERS),

@@ -12,13 +12,14 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, Literal, get_args
 
 import yaml
 
 from bench.config.bench_file.file import BenchFile, load_bench
 from bench.config.devices.device import Device, Role
 from bench.config.devices.registry import devices
+from bench.config.devices.sections import MotorisedHeadForm
 from bench.config.shipped import find_bench
 from bench.model import ForwardModel
 from bench.run.assembly.instruments import (
@@ -44,6 +45,11 @@ def known(role: Role | None = None, *, wired: bool = True) -> list[Device]:
     """Return the devices there are, plug-ins too: those of a role, those that have a wire."""
     every = [device for name in get_args(Role) for device in devices().of(name)]
     return [d for d in every if role in (None, d.role) and (d.simulation is not None or not wired)]
+
+
+def turned_by(who: Literal["motor", "hand"]) -> list[Device]:
+    """Return the heads with a wire that a motor turns, or that a person turns and an encoder reads."""
+    return [d for d in known("head") if issubclass(d.section, MotorisedHeadForm) == (who == "motor")]
 
 
 # --- what stands on the wire ------------------------------------------------------------------------

@@ -69,7 +69,12 @@ class ScriptedSession:
         assert self._next(command) is None
 
     def query(
-        self, command: str, timeout_s: float | None = None, pattern: str | None = None, expected: str = ""
+        self,
+        command: str,
+        timeout_s: float | None = None,
+        pattern: str | None = None,
+        expected: str = "",
+        lines: int = 1,
     ) -> str:
         self.timeouts_s[command] = timeout_s
         reply = self._next(command)

@@ -1,4 +1,4 @@
-"""Consequences of a budget: any measured acceleration, the check at the verification points, Monte Carlo."""
+"""Results of a budget: uncertainty of measured accelerations and of the verification, and a Monte Carlo check."""
 
 from __future__ import annotations
 
@@ -92,9 +92,9 @@ def measured(
 ) -> MeasuredAcceleration:
     """Return the uncertainty of accelerations `force` (d, 3), g, each from one reading.
 
-    Without `reading` only the errors of the coefficients count. With `same_voltmeters` the block is read with
-    those of the calibration, whose gain and offset cancel; else with others of the same accuracy. Temperature
-    is that of the calibration. Raises `CalibrationError` for an acceleration of zero.
+    Without `reading` only the errors of the coefficients count. With `same_voltmeters` those of the calibration
+    read the block, and their gain and offset cancel; otherwise others of the same accuracy do. The temperature is
+    that of the calibration. Raises `CalibrationError` for an acceleration of zero.
     """
     if not np.all(np.linalg.norm(force, axis=1) > 0.0):
         raise CalibrationError("an acceleration of zero has no direction; give one of a few micro g or more")
@@ -116,7 +116,7 @@ def measured(
 def _of_reading(
     contribution: Contribution, budget: Budget, force: Floats, *, same_voltmeters: bool
 ) -> tuple[Floats, Floats]:
-    """Return the errors of the reading by a source, V: (d, 3, q) for the calibration's draws, and for new draws."""
+    """Return a source's errors of the reading, V, (d, 3, q): one for the calibration's draws, one for new draws."""
     source, block = contribution.source, budget.setup.block
     per_channel = np.eye(3)[None]
     alone = np.zeros((len(force), 3, 0))
@@ -139,7 +139,10 @@ def _of_reading(
 
 
 def _of_effect(source: ErrorSource, budget: Budget, force: Floats) -> Floats:
-    """Return an effect of the block in use: it acts as in calibration, at reference time and temperature."""
+    """Return the error by an effect of the block in use, V, (d, 3, 1), at reference time and temperature.
+
+    It is zero for an effect that does not act on the block's output, or that needs a history.
+    """
     unknown, setup = source.effect, budget.setup
     none = np.zeros((1, 3, 1))
     if unknown is None:
@@ -162,7 +165,7 @@ def _of_effect(source: ErrorSource, budget: Budget, force: Floats) -> Floats:
 
 
 def directions(count: int = DIRECTIONS) -> Floats:
-    """Return unit vectors (count + 6, 3), even over the sphere (golden spiral), then the six axes."""
+    """Return unit vectors (count + 6, 3): evenly over the sphere (golden spiral), then the six axes."""
     i = np.arange(count) + 0.5
     z, turn = 1.0 - 2.0 * i / count, np.pi * (1.0 + np.sqrt(5.0)) * i
     flat = np.sqrt(1.0 - z**2)
@@ -171,7 +174,7 @@ def directions(count: int = DIRECTIONS) -> Floats:
 
 
 def magnitudes(range_g: float) -> tuple[float, ...]:
-    """Return the magnitudes, g, to report up to a measuring range, which is included."""
+    """Return the magnitudes to report, g, up to and including the measuring range."""
     return (*(m for m in MAGNITUDES_G if m < range_g), range_g)
 
 
@@ -190,7 +193,7 @@ class AtMagnitude(ResultModel):
 def over_directions(
     budget: Budget, magnitude_g: float, *, reading: bool = True, same_voltmeters: bool = False
 ) -> AtMagnitude:
-    """Return the uncertainty of accelerations of one magnitude, mean and largest over directions."""
+    """Return the uncertainty of accelerations of one magnitude, g: mean and largest over directions."""
     found = measured(budget, magnitude_g * directions(), reading=reading, same_voltmeters=same_voltmeters)
     even = slice(0, DIRECTIONS)
     u, factor = found.u_modulus, coverage_factor(found.dof_modulus, budget.probability)
@@ -225,10 +228,10 @@ class DeltaG(ResultModel):
 
 
 def delta_g_variances(budget: Budget, *, reading: bool = True) -> Floats:
-    """Return the variances (v, sources) of delta g at the v verification points of the setup, local g².
+    """Return the variances of delta g by source, (v, sources), at the setup's verification points, local g².
 
-    Gain and gravity act on calibration and check alike and cancel; without `reading` only the errors
-    of the coefficients count.
+    Gain and gravity act alike on calibration and check, and cancel. Without `reading` only the errors of the
+    coefficients count.
     """
     setup = budget.setup
     rows = np.flatnonzero(setup.verification)
@@ -248,7 +251,7 @@ def delta_g(
     reading: bool = True,
     population: Population | None = None,
 ) -> tuple[DeltaG, ...]:
-    """Return the uncertainty of delta g at each verification point of the setup, and the possible decision.
+    """Return, for each verification point of the setup, the uncertainty of delta g and what the rule accepts.
 
     For `reading` see `delta_g_variances`. Raises `CalibrationError` for an unknown rule.
     """
@@ -292,9 +295,9 @@ DIGITS: Final = 1
 
 @dataclass(frozen=True)
 class ExactResult:
-    """Monte Carlo and linear result of 12 coefficients, then delta g at each verification point.
+    """Monte Carlo and linear results for 12 coefficients, then for delta g at each verification point.
 
-    `names` (m,) names the outputs; `verdict` is that of JCGM 101:2008, clause 8.
+    `names` (m,) are the outputs; `verdict` compares both methods by JCGM 101:2008, clause 8.
     """
 
     names: tuple[str, ...]
@@ -304,7 +307,7 @@ class ExactResult:
 
 
 def exact_monte_carlo(budget: Budget, trials: int, seed: int = 1, digits: int = DIGITS) -> ExactResult:
-    """Propagate the sources of a budget through the exact geometry and compare.
+    """Propagate the sources of a budget through the exact geometry, and compare with the linear budget.
 
     Raises `CalibrationError` for fewer trials than a coverage interval needs.
     """
@@ -325,7 +328,7 @@ def exact_readings(budget: Budget, trials: int, rng: np.random.Generator) -> Flo
 
 
 def _linear(budget: Budget) -> Propagated:
-    """Return coefficients and delta g by the linear budget, without covariances between the two."""
+    """Return coefficients and delta g of the linear budget; covariances between both are left out."""
     total, variances = budget.combined, delta_g_variances(budget)
     count = len(variances)
     covariance = np.diag(np.concatenate([np.zeros(12), variances.sum(axis=1)]))
@@ -337,7 +340,7 @@ def _linear(budget: Budget) -> Propagated:
 
 
 class _Simulation:
-    """The bench of a budget, many trials at once."""
+    """A Monte Carlo simulation of a budget's bench, many trials at once."""
 
     def __init__(self, budget: Budget) -> None:
         self._budget = budget
@@ -369,7 +372,7 @@ class _Simulation:
         return self._setup.block.vector + flat
 
     def readings(self, trials: int, rng: np.random.Generator) -> Floats:
-        """Return readings (trials, n, 3), V."""
+        """Return simulated readings (trials, n, 3), V."""
         setup = self._setup
         n, mounts = len(setup.conditions), len(setup.conditions.mounts)
         stand = np.zeros((trials, mounts, len(STAND_ANGLES)))
@@ -402,9 +405,9 @@ def _draw(source: ErrorSource, shape: tuple[int, ...], rng: np.random.Generator)
 
 
 DOMINATES: Final = 0.5
-"""A source (or all of what the block has beside K and U0) dominates with more than this part of the variance."""
+"""The block's nonlinearity and effects dominate if their share of the variance exceeds this."""
 NAMED: Final = 0.01
-"""Of those that dominate together, the ones with more than this part are named."""
+"""Of the dominant sources, those with a share above this are named."""
 
 
 @dataclass(frozen=True)
@@ -488,9 +491,9 @@ def assess(
     question: Question,
     known: KnownStand | None = None,
 ) -> Assessment:
-    """Return the budget of an estimator with its consequences; `known` is the learned knowledge of the stand.
+    """Return the budget of an estimator with its results; `known` is prior knowledge from other runs.
 
-    Raises `CalibrationError` as its parts do.
+    Raises the `CalibrationError` of `make_budget`, `measured`, `delta_g` and `exact_monte_carlo`.
     """
     budget = make_budget(setup, sources, estimator, known=known)
     accelerations = tuple(

@@ -1,4 +1,4 @@
-"""The budget: what each error of the bench does to the readings, and through an estimator to each coefficient."""
+"""The uncertainty budget: each bench error's effect on the readings and, by an estimator, on the coefficients."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ _SAME_FORCE_G: Final = 1e-6
 
 @dataclass(frozen=True)
 class Setup:
-    """The readings that a budget is about, with their model and block.
+    """The readings of a budget, with their model and block.
 
-    `conditions` has n readings, verification points included. `meters` numbers the voltmeters of the channels x,
-    y, z: channels with the same number share a meter.
+    `conditions` has n readings, verification points included. `meters` numbers the voltmeters of the channels x, y,
+    z: channels with the same number share a meter.
     """
 
     model: ForwardModel
@@ -46,13 +46,13 @@ class Setup:
 
     @cached_property
     def verification(self) -> Mask:
-        """Which readings are verification points, shape (n,)."""
+        """Mask of the readings that are verification points, shape (n,)."""
         of = np.array([mount.installation == VERIFICATION for mount in self.conditions.mounts])
         return np.asarray(of[self.conditions.mount])
 
     @property
     def fitted(self) -> Mask:
-        """Which readings the estimator uses, shape (n,)."""
+        """Mask of the readings that the estimator uses, shape (n,)."""
         return ~self.verification
 
     @cached_property
@@ -89,7 +89,7 @@ class Setup:
 
     @cached_property
     def orientation(self) -> Ints:
-        """A number for each reading, shape (n,): the same where the specific force is the same."""
+        """Orientation number of each reading, shape (n,): equal for equal specific forces."""
         rounded = np.round(self.force / _SAME_FORCE_G) + 0.0
         _, numbers = np.unique(rounded, axis=0, return_inverse=True)
         return numbers.ravel()
@@ -112,7 +112,7 @@ class Setup:
         return angles
 
     def readings(self) -> Readings:
-        """Return the readings to fit as a table without noise, in the order of `conditions`."""
+        """Return the readings to fit as a noise-free table, in the order of `conditions`."""
         own = self.conditions.select(self.fitted)
         return make_readings(
             [own.mounts[m].installation for m in own.mount],
@@ -131,7 +131,8 @@ class Setup:
 def planned_conditions(plan: Plan, line_hz: float = 50.0) -> Conditions:
     """Return the conditions of a plan's readings at known orientations, in order.
 
-    Times are the expected ones, temperatures the chamber's last set point.
+    Times are the expected ones, temperatures the chamber's last set point. Raises `CalibrationError` without any
+    such reading.
     """
     rows: list[tuple[Read, float, float]] = []
     time_s, temperature_c = 0.0, float("nan")
@@ -161,9 +162,9 @@ def planned_conditions(plan: Plan, line_hz: float = 50.0) -> Conditions:
 def make_setup(
     plan: Plan, bench: BenchFile, model: ForwardModel | None = None, block: Block | None = None
 ) -> Setup:
-    """Return the setup of a plan on a bench, about `block` or else the block of the bench file.
+    """Return the setup of a plan on a bench, for `block` or else the block of the bench file.
 
-    Raises `CalibrationError` when the plan has an installation that the bench lacks, or no reading to fit.
+    Raises `CalibrationError` if the plan has an installation that the bench lacks, or no reading to fit.
     """
     conditions = planned_conditions(plan, bench.line_frequency)
     chain = ForwardModel(bench.installation_models()) if model is None else model
@@ -193,10 +194,10 @@ def estimator_map(
 ) -> Floats:
     """Return an estimator's linear map (12, n, 3) from readings to coefficients; zero at verification points.
 
-    `stated` are the standard uncertainties of the stand errors by name (rad, V), by which generalised least squares
-    weighs the readings; `known` is learned knowledge that replaces them. An iterating estimator has the map
-    of its last step on readings without outliers. Raises `CalibrationError` for an unknown estimator, and
-    for readings that do not determine the coefficients or that the closed form does not know.
+    `stated` maps stand errors to standard uncertainties (rad, V), by which generalised least squares weighs the
+    readings; `known`, prior knowledge from other runs, replaces them. An iterative estimator has the map of its
+    last step on readings without outliers. Raises `CalibrationError` for an unknown estimator, and for readings
+    that do not determine the coefficients or do not suit the closed form.
     """
     by = in_a_budget(estimator)
     require_rank(setup.force[setup.fitted])
@@ -216,7 +217,7 @@ def estimator_map(
 def _task(
     problem: Problem, setup: Setup, stated: Mapping[str, float], known: KnownStand | None
 ) -> WeightingTask:
-    """Return the fit to noise-free readings, whose first step has the map of the last step on real ones."""
+    """Return the weighting task of noise-free readings; its fit has the map of the last step on real readings."""
     signal = setup.signal[setup.fitted]
     floor = gls.LEAST_NOISE * float(np.max(np.abs(signal)))
     reading, setting = max(stated.get("voltmeter_error", 0.0), floor), stated.get("setting_error", 0.0)
@@ -229,10 +230,10 @@ def _task(
 
 @dataclass(frozen=True)
 class Influence:
-    """The influence of one unit of an error on the signals of n readings.
+    """The effect of one error on the signals of n readings.
 
     `pattern` (n, 3) is in V per unit of the error. Entries with the same number in `group` (n, 3), from 0 to
-    `draws` - 1, share one draw.
+    `draws` - 1, share one random draw.
     """
 
     pattern: Floats
@@ -241,12 +242,12 @@ class Influence:
 
     @classmethod
     def of(cls, pattern: Floats, group: Ints) -> Influence:
-        """Build from a pattern (n, 3) and labels that broadcast to it: equal labels share a draw."""
+        """Return the influence with a pattern (n, 3) and labels that broadcast to it: equal labels share a draw."""
         labels, numbers = np.unique(np.broadcast_to(group, pattern.shape), return_inverse=True)
         return cls(pattern, numbers.reshape(pattern.shape), len(labels))
 
     def through(self, functionals: Floats) -> Floats:
-        """Return the change (m, draws) of linear functionals (m, n, 3) of the readings by a unit of each draw."""
+        """Return the change (m, draws) of linear functionals (m, n, 3) of the readings per unit of each draw."""
         m = len(functionals)
         flat: Floats = (functionals * self.pattern).reshape(m, -1)
         group = self.group.ravel()
@@ -278,11 +279,11 @@ class AnyReadings(Protocol):
 
     @property
     def orientation(self) -> Ints:
-        """A number for each reading, shape (n,): the same where the specific force is the same."""
+        """Orientation number of each reading, shape (n,): equal for equal specific forces."""
 
     @property
     def conditions(self) -> Conditions:
-        """Where, when and how warm each reading is."""
+        """Mounting, angle, time and temperature of each reading."""
 
     @property
     def block(self) -> Block:
@@ -290,20 +291,20 @@ class AnyReadings(Protocol):
 
     @property
     def meters(self) -> tuple[int, int, int]:
-        """The number of the voltmeter of x, y and z."""
+        """The voltmeter numbers of x, y and z."""
 
 
 _Patterns = Sequence[tuple[Floats, Ints]]
 """Changes of the signals by a unit of a source, V (n, 3), with labels of draws as in `Influence.of`."""
 
 _SAME_ANGLE_RAD: Final = math.radians(0.05)
-"""Settings no further apart than this have the error of one angle of the head."""
+"""Settings no further apart than this share the error of one angle of the head."""
 
 _EVERYTHING: Final = np.zeros((1, 1), dtype=np.int64)
 
 
 def influences(source: ErrorSource, setup: AnyReadings) -> tuple[Influence, ...]:
-    """Return the independent ways in which a unit of the source acts on readings.
+    """Return the independent influences on the readings of one unit of the source.
 
     Stand angles and effects act on a `Setup` alone: for measured readings the fit has estimated them.
     """
@@ -327,7 +328,7 @@ def _linearity(source: ErrorSource, setup: AnyReadings) -> _Patterns:
 
 
 def _same_angle(setup: AnyReadings) -> Ints:
-    """Return a number for each reading, shape (n,): the same where the head stands at one angle of its scale."""
+    """Return a number for each reading's angle of the head, shape (n,): the same at the same angle of its scale."""
     angle_rad = np.mod(setup.conditions.angle_rad + _SAME_ANGLE_RAD, math.tau)
     order = np.argsort(angle_rad, kind="stable")
     numbers = np.empty(len(order), dtype=np.int64)
@@ -347,7 +348,7 @@ def _supply(source: ErrorSource, seen: AnyReadings) -> _Patterns:
 
 
 def _off_and_known(source: ErrorSource, seen: AnyReadings, recorded: Floats) -> _Patterns:
-    """Return the patterns of an unknown course within the limits, and of the `recorded` one (n,)."""
+    """Return the patterns of an unknown time course within its limits, and of the `recorded` one (n,)."""
     courses = list(_unknown(seen.conditions.elapsed_s, source.correlation_s).T)
     known = recorded - recorded.mean()
     if source.u > 0 and np.any(known):
@@ -376,13 +377,14 @@ def _warmed(source: ErrorSource, seen: AnyReadings, course: Floats) -> _Patterns
 
 
 HARDLY_ANY: Final = 1e-3
-"""Eigenvectors with less than this part of the total variance are left out."""
+"""Eigenvectors with less than this fraction of the total variance are left out."""
 
 
 def _unknown(time_s: Floats, correlation_s: float) -> Floats:
-    """Return the principal shapes (n, q) of a stationary process of unit variance; a constant without correlation.
+    """Return the principal components (n, q) of a stationary process of unit variance.
 
-    Limits alone say nothing about a course within them; a constant offset is not averaged by passes (GUM, 4.3.7).
+    Without a correlation time this is a constant: limits alone say nothing of the course within them, and averaging
+    over passes does not reduce a constant offset (GUM, 4.3.7).
     """
     if math.isinf(correlation_s):
         return np.ones((len(time_s), 1))
@@ -441,7 +443,7 @@ class Contribution:
 
 @dataclass(frozen=True)
 class Budget:
-    """The budget of an estimator at the readings of a setup; `gain` (12, n, 3) is the estimator's map."""
+    """The budget of an estimator for the readings of a setup; `gain` (12, n, 3) is the estimator's map."""
 
     estimator: str
     setup: Setup
@@ -455,12 +457,12 @@ class Budget:
         return self._sum(self.contributions)
 
     def of_group(self, group: str) -> Propagated:
-        """Return the coefficients with the sources of one group: "stand" is what `bench calibrate` states."""
+        """Return the coefficients with the uncertainty of one group of sources, such as "stand"."""
         return self._sum([c for c in self.contributions if c.source.group == group])
 
     @property
     def per_local_g(self) -> Propagated:
-        """Return the coefficients per local g, without u of gravity, as `bench calibrate` gives them."""
+        """The coefficients per local g, without the uncertainty of gravity, as `bench calibrate` gives them."""
         return self._sum([c for c in self.contributions if c.source.name != "gravity"])
 
     def _sum(self, contributions: Sequence[Contribution]) -> Propagated:
@@ -487,9 +489,9 @@ def make_budget(
 ) -> Budget:
     """Return the budget of an estimator, one of `bench.calibration.estimators` by name.
 
-    `stated` are the sizes that the estimator believes (see `estimators.gain`); left out, those of
-    the sources; `known` is learned knowledge that replaces them.
-    Raises `CalibrationError` when the readings do not determine the coefficients.
+    `stated` are the sizes by which the estimator weighs the readings (see `estimator_map`), by default those of the
+    sources; `known`, prior knowledge from other runs, replaces them. Raises `CalibrationError` if the readings do
+    not determine the coefficients.
     """
     gain = estimator_map(estimator, setup, sizes_by_name(sources) if stated is None else stated, known)
     contributions = tuple(Contribution(source, parts_of(source, setup, gain)) for source in sources)
@@ -502,6 +504,6 @@ def sizes_by_name(sources: Iterable[ErrorSource]) -> dict[str, float]:
 
 
 def parts_of(source: ErrorSource, setup: AnyReadings, functionals: Floats) -> Floats:
-    """Return the changes of linear functionals (m, n, 3) by u of each draw of a source, (m, q)."""
+    """Return the changes (m, q) of linear functionals (m, n, 3) of the readings by u of each draw of a source."""
     parts = [influence.through(functionals) for influence in influences(source, setup)]
     return source.acting(np.concatenate(parts, axis=1))

@@ -20,12 +20,18 @@ from bench.readings.corrected import DAY, FOUNDATION
 from bench.readings.table import Readings
 
 Common = Literal["reading", "setting", "angle", "orientation", "mounting", "time", "run"]
-"""What shares one draw of an error: one signal; the three signals of a setting of the head; all settings at one
-angle; all readings in one orientation; one mounting; readings close in time; the whole run."""
+"""The readings that share one random draw of an error.
+
+In this order: one signal; the three signals of a setting of the head; all settings at one angle; all readings in
+one orientation; one mounting; readings close in time; the whole run.
+"""
 
 Group = Literal["stand", "scale", "block"]
-"""The group of a source: errors of stand and readings, which `bench calibrate` states; errors of scale and zero,
-which no reading shows; nonlinearity and effects of the block."""
+"""The group of a source.
+
+In this order: errors of stand and readings, which `bench calibrate` states; errors of scale and zero, which no
+reading shows; nonlinearity and effects of the block.
+"""
 
 _SHOWN: Final[Mapping[str, tuple[str, float]]] = {
     "rad": ("arcsec", ARCSEC),
@@ -40,13 +46,13 @@ _SHOWN: Final[Mapping[str, tuple[str, float]]] = {
 
 @dataclass(frozen=True)
 class ErrorSource:
-    """An error source with its distribution in `unit` (SI), the scope of one draw, and degrees of freedom.
+    """An error source with its distribution in `unit` (SI), the scope `common` of one draw, and degrees of freedom.
 
-    `origin` says where the size comes from; a `prior` is a plausible size that nobody stated. `factors` scale the
-    error where it acts (temperature coefficients, per K). The parameter of an effect has `effect`, and in
-    `written_in` the unit of files with its size in SI. It acts on `channels`: a voltmeter's on its own; K2 and K3
-    on those for which the model has no such effect. Correlated draws have a `root` (q, k), which makes them of k
-    independent ones. `angles` are the kinds of stand angles of which this is the mean of all mountings.
+    `origin` says where the size comes from; `prior` marks a plausible size that nobody stated. `factors` scale the
+    error where it acts (temperature coefficients, per K). For a parameter of an effect, `effect` is set, and
+    `written_in` has the unit of model files and its size in SI. `channels` are those affected: a voltmeter's own;
+    for K2 and K3 those whose model has no such effect. For correlated draws `root` (q, k) makes q of them from k
+    independent ones. `angles` are the kinds of stand angle whose means over mountings this source describes.
     `correlation_s` is the correlation time of an error that is common in "time".
     """
 
@@ -87,11 +93,11 @@ class ErrorSource:
 
     @property
     def on_channels(self) -> Floats:
-        """1 for a channel that the error acts on, 0 for another, shape (3,)."""
+        """1 for each channel that the error acts on, else 0, shape (3,)."""
         return np.array([float(channel in self.channels) for channel in CHANNELS])
 
     def acting(self, draws: Floats) -> Floats:
-        """Return the effect of draws of size u, given that of draws of size 1, (..., q)."""
+        """Return the effects of draws of size u, given those of draws of size 1, (..., q)."""
         return self.u * draws if self.root is None else self.u * draws @ np.array(self.root)
 
     def sized(self, u: float) -> ErrorSource:
@@ -106,10 +112,11 @@ LEARNED: Final = "learned of the bench"
 def learned_sources(
     stated: Sequence[ErrorSource], known: KnownStand, mounts: Sequence[Mounting]
 ) -> tuple[ErrorSource, ...]:
-    """Return the stand's sources for readings in these mountings, given what was learned, as a calibration does.
+    """Return the stand's sources for readings in these mountings, with knowledge from other runs.
 
-    An angle of a mounting is a mean, shared by mountings, plus a departure of its own. The departures keep the
-    names of the `stated` sources; the means are correlated and one source. Noise has a size for each channel.
+    An angle of a mounting is a mean shared by mountings plus a departure of its own. The departures keep the names
+    of the `stated` sources; the means are one source with correlated draws. Reading noise becomes one source per
+    channel.
     """
     return tuple(_sources(stated, known, mounts))
 
@@ -134,7 +141,7 @@ def _sources(
 
 
 def _means(kinds: tuple[str, ...], known: KnownStand, labels: Sequence[str]) -> Iterator[ErrorSource]:
-    """Yield the means of all kinds (draws by kind, then by mounting), of which mountings share one each."""
+    """Yield one source for the means of all kinds; its draws are by kind, then by mounting."""
     size, axes = np.linalg.eigh(known.covariance)
     half = axes * np.sqrt(np.maximum(size, 0.0))
     places = [known.place(kind, label) for kind in kinds for label in labels]
@@ -148,7 +155,7 @@ def _means(kinds: tuple[str, ...], known: KnownStand, labels: Sequence[str]) -> 
 
 
 def _with_root(source: ErrorSource, root: Floats) -> ErrorSource:
-    """Return a source with correlated draws by a root in SI; its u is the root mean square of theirs."""
+    """Return the source with correlated draws by a root in SI; its u is the root mean square of their u."""
     u = rms(np.sqrt(np.sum(root**2, axis=1)))
     return replace(
         source,
@@ -196,7 +203,7 @@ class TiltRate:
         )
 
     def source(self) -> ErrorSource:
-        """Return the tilt rate as an error source of a bench, with the larger of both sizes."""
+        """Return the tilt rate as an error source of a bench, with the larger of the two sizes."""
         size = replace(FOUNDATION, limit=max(self.along_rad_s, self.across_rad_s), shape="normal", k=1.0)
         return ErrorSource(NAME, "α1, α2", "rad/s", size, "run", "stand", self.origin, self.dof, self.prior)
 
@@ -217,20 +224,20 @@ class TiltRate:
 def tilt_patterns(
     conditions: Conditions, block: Block, across: Floats, installations: Mapping[str, Installation]
 ) -> tuple[Floats, Floats]:
-    """Return the changes of the signals, V (n, 3), by a tilt of 1 rad/s along the shaft, and across it."""
+    """Return the changes of the signals, V, (n, 3) each, by a tilt rate of 1 rad/s along and across the shaft."""
     time_s = np.nan_to_num(conditions.elapsed_s)
     begun = np.array([time_s[conditions.mount == m].min() for m in range(len(conditions.mounts))])
     gone_s = (time_s - begun[conditions.mount])[:, None]
     known = [installations.get(mount.installation) for mount in conditions.mounts]
-    # tilted by α1 the specific force has so much along y of the platform
+    # a tilt α1 gives the specific force a component along y of the platform
     on_block = np.stack([np.zeros(3) if i is None else i.block_from_platform[:, 1] for i in known])
     return (on_block @ block.K.T)[conditions.mount] * gone_s, across * gone_s
 
 
 def foundation_of(readings: Readings | None, bench: BenchFile, *, levelled: bool) -> TiltRate | None:
-    """Return the foundation's tilt rate; None where nothing states it and the platform was not `levelled`.
+    """Return the foundation's tilt rate; None if nothing states it and the platform was not `levelled`.
 
-    Levellings in these `readings` take precedence over the bench file.
+    Levellings recorded with the readings take precedence over the bench file.
     """
     seen = None if readings is None else drift_rad_s(readings.extra)
     if seen is not None:

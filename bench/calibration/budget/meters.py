@@ -29,8 +29,10 @@ UNKNOWN_AGE: Final = 1.0
 
 USUAL_ACCURACY: Final = (20e-6, 5e-6)
 USUAL_LINEARITY: Final = (2e-6, 1e-6)
-"""Limits of 90 days, as parts of reading and of range, for a voltmeter of a recorded run whose driver is not
-installed: those of a 34401A on 10 V, which other meters of 6½ digits keep, too."""
+"""90-day limits, as fractions of reading and range, of a voltmeter whose driver is not installed.
+
+They are those of a 34401A on 10 V, which other meters of 6½ digits meet, too.
+"""
 
 _SHOWN: Final = {"voltmeter_gain": (1e6, "ppm"), "voltmeter_offset": (1e6, "µV")}
 
@@ -54,8 +56,8 @@ def size_of(quantity: Quantity, meter: VoltmeterForm, day: datetime.date | None)
     """Return the uncertainty of a meter's gain (1) or zero (V) on its range, on the day of the readings.
 
     With a certificate u² = (U / k)² + a² / 3, where a is the drift since the calibration: the certified drift per
-    year times the years, else the maker's limits for that time. Without a certificate: the maker's limits of 90
-    days. Source: JCGM 100:2008, 4.3.3, 4.3.7, (G.2b).
+    year times the years, or else the maker's limits for that time. Without a certificate the maker's 90-day limits
+    apply. Source: JCGM 100:2008, 4.3.3, 4.3.7, (G.2b).
     """
     found = _certified(quantity, meter)
     if meter.certificate is None or found is None:
@@ -75,7 +77,7 @@ def size_of(quantity: Quantity, meter: VoltmeterForm, day: datetime.date | None)
 
 
 def may_move(quantity: Quantity, meter: VoltmeterForm) -> float:
-    """Return u of the drift of a meter's gain (1) or zero (V) on its range within 90 days."""
+    """Return the standard uncertainty of the drift of a meter's gain (1) or zero (V) within 90 days."""
     found = _certified(quantity, meter)
     drift = _limit(quantity, meter, 0.0) if found is None or found.drift is None else found.drift * DAYS_90
     return drift / math.sqrt(3.0)
@@ -94,7 +96,7 @@ def _certified(quantity: Quantity, meter: VoltmeterForm) -> CertifiedGain | Cert
 
 
 def linearity_of(meter: VoltmeterForm, largest_v: float) -> Size:
-    """Return the limit of a meter's nonlinearity for signals up to `largest_v`, as its maker states it."""
+    """Return the maker's limit of a meter's nonlinearity, V, for signals up to `largest_v`."""
     of_reading, of_range = USUAL_LINEARITY if isinstance(meter, UnknownVoltmeter) else meter.kind.linearity
     limit = of_reading * largest_v + of_range * meter.range
     return Size(Distribution(limit, "rectangular"), _data_sheet(meter), prior=True)
@@ -115,7 +117,7 @@ def _limit(quantity: Quantity, meter: VoltmeterForm, years: float) -> float:
 
 
 def _age(certificate: Certificate, day: datetime.date | None) -> float:
-    """Return the years since the calibration; where the day is not known, until its validity ends."""
+    """Return the years from the calibration to `day`, or to the end of its validity if the day is unknown."""
     if day is not None:
         return certificate.years_until(day)
     return (
@@ -129,7 +131,10 @@ CONTRADICTS_P: Final = 0.01
 
 @dataclass(frozen=True)
 class LearnedDifferences:
-    """Learned differences of M meters from their group's mean: `values` (M,), `covariance` (M, M)."""
+    """Learned differences of M meters from their group's mean: `values` (M,), `covariance` (M, M).
+
+    Meters with the same number in `group` were compared with each other.
+    """
 
     values: Floats
     covariance: Floats
@@ -161,9 +166,9 @@ def joint_errors(
 ) -> JointErrors | str:
     """Return the joint errors of n meters given learned differences, or the reason for not using these.
 
-    `at` has the index of each meter in `told` (None: not there). `prior_u` (n,) is u by certificate or
-    limits, `certified` (n,) says which of them come from a certificate. `kept`, from 0 to 1, is the
-    correlation of a meter's error today with its error when the differences were learned.
+    `at` has the index of each meter in `told`, None if it is not there. `prior_u` (n,) is u by certificate or
+    limits, `certified` (n,) marks those by certificate. `kept`, from 0 to 1, is the correlation of a meter's error
+    today with its error when the differences were learned.
     """
     n = len(prior_u)
     places = [place if place is not None else -1 for place in at]
@@ -195,7 +200,7 @@ def joint_errors(
 
 
 def _never_over(found: JointErrors, prior: Floats, certified: Mask) -> JointErrors:
-    """Return joint errors that keep certified meters as certified, with the others conditional on them."""
+    """Return joint errors in which certified meters keep their certified u; the others are conditional on them."""
     if not np.any(certified):
         return found
     a, rest = np.flatnonzero(certified), np.flatnonzero(~certified)
@@ -217,7 +222,7 @@ def _never_over(found: JointErrors, prior: Floats, certified: Mask) -> JointErro
 
 @dataclass(frozen=True)
 class LearnedMeters:
-    """Learned differences of meters around a `day`: of gains (1) and of zeros (V)."""
+    """Learned differences between `meters` around a `day`: of gains (1) and of zeros (V)."""
 
     meters: tuple[str, ...]
     day: datetime.date
@@ -227,10 +232,10 @@ class LearnedMeters:
 
 @dataclass(frozen=True)
 class KnownMeters:
-    """The errors of a bench's voltmeters as far as differences between them were learned.
+    """The errors of a bench's voltmeters, as far as differences between them were learned.
 
-    `quantities` has, by the name of the source, its size in words and the joint errors of the meters. `gain` and
-    `offset_v` (x, y, z) correct the readings: U (1 + gain) + offset.
+    `quantities` maps a source's name to its size and the joint errors of the meters. `gain` and `offset_v` (x, y,
+    z) correct the readings: U (1 + gain) + offset.
     """
 
     quantities: Mapping[str, tuple[Size, JointErrors]]
@@ -241,7 +246,7 @@ class KnownMeters:
 def known_meters(
     bench: BenchFile, day: datetime.date, meters: Sequence[str], learned: LearnedMeters
 ) -> tuple[KnownMeters | None, tuple[str, ...]]:
-    """Return the voltmeters' errors on a day from learned differences (None: nothing used), and notes.
+    """Return the voltmeters' errors on a day from learned differences, or None if none are used, and notes.
 
     `meters` are the identities of the voltmeters.
     """

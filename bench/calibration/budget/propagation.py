@@ -1,4 +1,4 @@
-"""Propagation of uncertainty: linear, by Monte Carlo, and whether both agree."""
+"""Propagation of uncertainty, linear and by Monte Carlo, and the comparison of both."""
 
 from __future__ import annotations
 
@@ -40,10 +40,10 @@ def require_probability(probability: float) -> None:
 def effective_dof(variances: Floats, dof: ArrayLike) -> Floats:
     """Return the Welch-Satterthwaite degrees of freedom of each output, shape (m,).
 
-    `variances` (m, s) are the contributions of s independent sources to the variances of m outputs, `dof` (s,)
-    the degrees of freedom of each. Where no source with finite ones contributes, the result is infinite.
-    Source: JCGM 100:2008, (G.2b). Correlated inputs belong to one source with common degrees of
-    freedom (Willink, Metrologia 44 (2007) 340).
+    `variances` (m, s) are the contributions of s independent sources to the variances of m outputs, `dof` (s,) the
+    degrees of freedom of each. The result is infinite if no source with finite degrees of freedom contributes.
+    Source: JCGM 100:2008, (G.2b). Correlated inputs belong to one source with common degrees of freedom (Willink,
+    Metrologia 44 (2007) 340).
     """
     total = variances.sum(axis=1)
     share = np.sum(variances**2 / np.asarray(dof, dtype=np.float64), axis=1)
@@ -61,7 +61,7 @@ class Propagated(HasCovariance):
 
     @property
     def correlation(self) -> Floats:
-        """Correlation coefficients (m, m); zero with an output that has no uncertainty."""
+        """Correlation coefficients (m, m); zero for outputs without uncertainty."""
         return correlation_of(self.covariance)
 
     def expanded(self, probability: float = COVERAGE) -> Floats:
@@ -70,7 +70,7 @@ class Propagated(HasCovariance):
 
 
 def correlation_of(covariance: Floats) -> Floats:
-    """Return the correlation coefficients of a covariance (m, m); zero beside the diagonal where a u is zero."""
+    """Return the correlation coefficients of a covariance (m, m); zero off the diagonal where a u is zero."""
     u = u_of(covariance)
     size = np.where(u > 0.0, u, np.inf)
     matrix: Floats = covariance / np.outer(size, size)
@@ -96,7 +96,7 @@ class Distributed(HasCovariance):
     """Statistics of Monte Carlo outputs: `mean` (m,), `u` (m,), `covariance` (m, m).
 
     `symmetric` (m, 2) are the ends of the probabilistically symmetric coverage intervals for `probability`,
-    `shortest` (m, 2) of the shortest ones.
+    `shortest` (m, 2) those of the shortest coverage intervals.
     """
 
     mean: Floats
@@ -139,8 +139,8 @@ def numerical_tolerance(u: float, digits: int = 2) -> float:
 class Validation:
     """Validation of linear propagation by Monte Carlo, with one row for each of m outputs.
 
-    `low`, `high` (m,) are the absolute differences of the interval ends, `tolerance` (m,) is delta, `ratio`
-    (m,) Monte Carlo's u over the linear one.
+    `low`, `high` (m,) are the absolute differences of the interval ends, `tolerance` (m,) is delta, `ratio` (m,) is
+    u by Monte Carlo over u by linear propagation.
     """
 
     low: Floats
@@ -157,7 +157,7 @@ class Validation:
 def validate(linear: Propagated, trials: Distributed, digits: int = 1) -> Validation:
     """Compare the probabilistically symmetric coverage intervals of both methods. Source: JCGM 101:2008, 8.1.
 
-    `digits` of u are those that count as meaningful.
+    `digits` is the number of meaningful digits of u.
     """
     reach = linear.expanded(trials.probability)
     low, high = trials.symmetric.T
@@ -169,7 +169,7 @@ def validate(linear: Propagated, trials: Distributed, digits: int = 1) -> Valida
 
 
 def require_trials(trials: int, probability: float) -> None:
-    """Refuse too few trials for a coverage interval (JCGM 101:2008, 7.2). Raises `CalibrationError`."""
+    """Raise `CalibrationError` for too few trials for a coverage interval (JCGM 101:2008, 7.2)."""
     require_probability(probability)
     least = math.ceil(100.0 / (1.0 - probability))
     if trials < least:

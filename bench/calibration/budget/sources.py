@@ -33,9 +33,9 @@ SCALE_PER_K: Final = Distribution(180e-6, "rectangular")
 """Priors of the block's temperature coefficients, g/K and 1/K: limits of a quartz-flexure accelerometer."""
 BIAS_PER_V: Final = Distribution(20e-6)
 SCALE_PER_V: Final = Distribution(20e-6)
-"""Priors of how a block follows its supply, g/V and 1/V: the catalogue's plausible sizes, 1 sigma."""
+"""Priors of a block's sensitivity to its supply, g/V and 1/V: the catalogue's plausible sizes, 1 sigma."""
 TURN_ON: Final = Distribution(20e-6)
-"""Prior of how a bias comes back after it was off, g: 10 to 25 µg of a quartz-flexure accelerometer."""
+"""Prior of the turn-on repeatability of a bias, g: 10 to 25 µg for a quartz-flexure accelerometer."""
 K2_PRIOR: Final = Distribution(30e-6)
 K3_PRIOR: Final = Distribution(20e-6)
 """Priors of the nonlinearity of a channel, g/g² and g/g³: the catalogue's plausible sizes, 1 sigma."""
@@ -47,11 +47,11 @@ K3_PRIOR: Final = Distribution(20e-6)
 def bench_sources(
     bench: BenchFile, setup: Setup, day: datetime.date | None = None, known: KnownStand | None = None
 ) -> tuple[ErrorSource, ...]:
-    """Return the sources of a bench: stand, voltmeters, gravity, temperature, block.
+    """Return the error sources of a bench: stand, voltmeters, gravity, temperature, block.
 
-    `day` is that of the readings, from which the drift since each certificate follows. `known` is learned
-    knowledge of stand and noise. Parameters of effects in the model of `setup` are sources, too; K2 and K3
-    have a prior only for channels without such an effect.
+    `day` is the date of the readings, from which the drift since each certificate follows. `known` is prior
+    knowledge of stand and noise from other runs. Parameters of effects in the model of `setup` are sources, too; K2
+    and K3 have a prior only for channels without such an effect.
     """
     own = stand_sources(bench)
     if known is not None:
@@ -64,7 +64,7 @@ def bench_sources(
 def signed_sources(
     bench: BenchFile, model: ForwardModel, day: datetime.date | None = None
 ) -> tuple[ErrorSource, ...]:
-    """Return the sources of a calibration's combined u beside readings and stand angles.
+    """Return the sources that a calibration's combined u contains besides readings and stand angles.
 
     Local gravity is left out: coefficients are stated per local g.
     """
@@ -73,7 +73,7 @@ def signed_sources(
 
 
 def _foundation_source(bench: BenchFile) -> Iterator[ErrorSource]:
-    """Yield the tilt of the platform from the bench file; levellings of a calibration replace it."""
+    """Yield the tilt rate of the platform if the bench file states one; a calibration prefers its levellings."""
     stated = foundation_of(None, bench, levelled=False)
     if stated is not None:
         yield stated.source()
@@ -82,9 +82,9 @@ def _foundation_source(bench: BenchFile) -> Iterator[ErrorSource]:
 def hidden_sources(
     bench: BenchFile, model: ForwardModel, day: datetime.date | None = None, meters: KnownMeters | None = None
 ) -> tuple[ErrorSource, ...]:
-    """Return the sources that no reading shows and no fit estimates; a prior where the file states no size.
+    """Return the sources that no reading shows and no fit estimates, with a prior if the file states no size.
 
-    `meters` are the voltmeters' errors given learned differences.
+    `meters` replaces the voltmeter sources by errors inferred from learned differences between the meters.
     """
     return (
         *_voltmeter_sources(bench, day, meters),
@@ -101,7 +101,7 @@ def hidden_sources(
 def stand_sources(bench: BenchFile) -> tuple[ErrorSource, ...]:
     """Return the stand errors of a bench file.
 
-    A third mounting angle that is not stated counts as large as `mounting_error`: the same surfaces hold both.
+    An unstated third mounting angle counts as large as `mounting_error`: the same surfaces locate both.
     """
     sizes = bench.stand_distributions()
     dof = {name: section.dof for name in STAND_ERRORS if (section := getattr(bench.stand, name)) is not None}
@@ -119,7 +119,7 @@ ROLL_ORIGIN: Final = "not stated: as mounting_error"
 
 
 def assumed_stand(bench: BenchFile) -> dict[str, Distribution]:
-    """Return the stand errors that every bench has and this file does not state, by name."""
+    """Return the stand errors that every bench has but this file does not state, by name."""
     if bench.stand.mounting_roll is not None:
         return {}
     return {"mounting_roll": bench.stand_distributions()["mounting_error"]}
@@ -128,7 +128,7 @@ def assumed_stand(bench: BenchFile) -> dict[str, Distribution]:
 def stand_source(
     name: str, distribution: Distribution, dof: float = math.inf, origin: str = "as asked"
 ) -> ErrorSource:
-    """Return one of the stand errors by its name in a bench file, rad or V. Raises `KeyError` for others."""
+    """Return the stand error with this name in a bench file, rad or V. Raises `KeyError` for another name."""
     if name in STAND_ANGLES:
         symbol = {"mounting_offset": "mounting offset"}.get(name, SYMBOLS[name].replace("alpha", "α"))
         return ErrorSource(name, symbol, "rad", distribution, "mounting", "stand", origin, dof)
@@ -175,7 +175,7 @@ def _voltmeter_sources(
 
 
 def _of_size(name: str, symbol: str, unit: str, common: Common, size: Size) -> ErrorSource:
-    """Return a source of scale and zero that no reading shows."""
+    """Return a source of this size in the group "scale", which no reading shows."""
     return ErrorSource(
         name, symbol, unit, size.distribution, common, "scale", size.origin, size.dof, size.prior
     )
@@ -248,7 +248,7 @@ def _thermometer_source(bench: BenchFile) -> Iterator[ErrorSource]:
 
 
 def _supply_sources(bench: BenchFile, model: ForwardModel) -> Iterator[ErrorSource]:
-    """Yield one source for each rail, on the channels whose model has no supply sensitivity to it."""
+    """Yield one source per supply rail, on the channels whose model has no sensitivity to this rail."""
     supply, section = bench.unit_under_test.supply, bench.uncertainty
     sizes = (section.bias_supply_coefficient, section.scale_supply_coefficient)
     bias, scale = (
@@ -278,7 +278,7 @@ def _supply_sources(bench: BenchFile, model: ForwardModel) -> Iterator[ErrorSour
 
 
 def _turn_on_source(bench: BenchFile) -> Iterator[ErrorSource]:
-    """Yield the turn-on repeatability of the biases, where it is stated or the bench switches the block."""
+    """Yield the turn-on repeatability of the biases, if it is stated or the bench has a supply for the block."""
     stated = bench.uncertainty.turn_on_repeatability
     if stated is not None or bench.unit_under_test.supply is not None:
         origin = "prior: of a quartz-flexure accelerometer"
@@ -314,7 +314,7 @@ def _stated(
 def effect_sources(setup: Setup) -> Iterator[ErrorSource]:
     """Yield a source for each parameter of the model's effects, with the u that the model file states.
 
-    Without a stated u the size is the catalogue's plausible one. (A fit uses a wider prior there, so that the data
+    Without a stated u the size is the catalogue's plausible one. (A fit uses a wider prior, so that the data
     decide.)
     """
     problem = setup.effect_problem

@@ -1,8 +1,7 @@
-"""The combined uncertainty of a calibration: from its readings, and from bench errors that these do not show.
+"""The combined uncertainty of a calibration, from its readings and from bench errors that these do not show.
 
-Each error acts on measured readings as on those of a plan, and through the estimator's map on the coefficients. So
-the budget of a plan and the calibration of its readings agree where their noise does. Source: JCGM 100:2008 (GUM),
-4.3 and 5.2.
+Each error acts on measured readings as on planned ones, and by the estimator's map on the coefficients. So a plan's
+budget and the calibration of its readings agree if their noise does. Source: JCGM 100:2008 (GUM), 4.3 and 5.2.
 """
 
 from __future__ import annotations
@@ -39,7 +38,7 @@ VOLTS: Final = "V"
 
 @dataclass(frozen=True)
 class MeasuredReadings:
-    """Measured readings on which errors act; `block` computes the forces from the signals."""
+    """Measured readings on which errors act; `block` converts their signals to forces."""
 
     readings: Readings
     block: Block
@@ -48,7 +47,7 @@ class MeasuredReadings:
 
     @cached_property
     def conditions(self) -> Conditions:
-        """Where, when and how warm each reading was."""
+        """Mounting, angle, time and temperature of each reading."""
         return self.readings.conditions()
 
     @property
@@ -63,7 +62,7 @@ class MeasuredReadings:
 
     @cached_property
     def orientation(self) -> Ints:
-        """A number for each orientation, (n,): installation and whole degree; else one per row."""
+        """Orientation number of each reading, (n,): by installation and whole degree, or its own if unoriented."""
         of = self.readings
         degrees = np.where(np.isfinite(of.angle_rad), np.degrees(of.angle_rad), 0.0)
         keys = np.stack([np.round(degrees) % 360, np.zeros(len(of))], axis=1)
@@ -86,10 +85,10 @@ def sign(
     day: date | None = None,
     meters: KnownMeters | None = None,
 ) -> Calibration:
-    """Return the calibration with the combined covariance: of its readings and of the errors they do not show.
+    """Return the calibration with the combined covariance: that of its readings and of the errors they do not show.
 
-    `readings` is the whole table behind it, `day` its date, `meters` the learned errors of the voltmeters. For
-    readings in another unit than volts nothing is added, since the meters' errors are in volts.
+    `readings` is the whole table of the calibration, `day` its date, `meters` the learned errors of the voltmeters.
+    For readings in another unit than volts only a note is added, since the meters' errors are in volts.
     """
     if readings.unit != VOLTS:
         return replace(calibration, notes=(*calibration.notes, _NO_VOLTS.format(unit=readings.unit)))
@@ -120,7 +119,8 @@ def sign(
 def dof_through(calibration: Calibration, jacobian: Floats, known: float | Floats = 0.0) -> Floats:
     """Return the effective degrees of freedom (m,) of quantities computed from the coefficients of `sign`.
 
-    `jacobian` (m, 12) has their derivatives by the coefficients, `known` further variances with infinite dof.
+    `jacobian` (m, 12) has their derivatives by the coefficients; `known` is a further variance with infinite
+    degrees of freedom.
     """
     if not calibration.sources:
         return np.full(len(jacobian), np.inf)
@@ -161,12 +161,12 @@ def delta_g_elsewhere(
     *, same_meters: bool, day: date | None = None, block_terms: Floats | None = None,
     meters: KnownMeters | None = None,
 ) -> Floats:  # fmt: skip
-    """Return the covariance (v, v) of |a| at the verification rows for coefficients of another day, in local g².
+    """Return the covariance (v, v) of |a| at the verification rows for coefficients of another day, local g².
 
-    `covariance` (12, 12) and `noise` (3,) belong to the coefficients. With the `same_meters` as here, gain and
-    offset of the meters cancel and must not be in that covariance; else those of today's meters are added.
-    `block_terms` (12, q) of `Calibration` correlate K2 and K3 in the coefficients with K2 and K3 in the readings at
-    the points. All other errors of the readings count in full.
+    `covariance` (12, 12) and `noise` (3,) belong to the coefficients. With `same_meters` the gain and offset of the
+    meters cancel and must not be in that covariance; otherwise those of today's meters are added. `block_terms`
+    (12, q) of `Calibration` correlate K2 and K3 in the coefficients with K2 and K3 in the readings at the points.
+    All other errors of the readings count in full.
     """
     rows = np.flatnonzero(readings.installation == VERIFICATION)
     taken = MeasuredReadings(readings, block, _meters(bench), np.zeros((len(readings), 3)))
@@ -198,10 +198,10 @@ def delta_g_contributions(
     day: date | None = None,
     meters: KnownMeters | None = None,
 ) -> dict[str, Floats]:
-    """Return the contributions to the covariance (v, v) of |a| at the verification rows of the calibration's table.
+    """Return the contributions, by name, to the covariance (v, v) of |a| at the verification rows, local g².
 
-    They are given by name, in local g²; their sum is the covariance. An error that acts on calibration and
-    check alike, such as the gain of a meter, cancels. The noise of the readings at the points is one of them.
+    Their sum is the covariance. An error that acts alike on calibration and check, such as the gain of a meter,
+    cancels. The noise of the readings at the points is a contribution of its own.
     """
     rows = np.flatnonzero(readings.installation == VERIFICATION)
     taken = _taken(calibration, readings, bench)
@@ -219,7 +219,7 @@ def delta_g_contributions(
         "reading_at_the_point": noise,
     }
     if calibration.drift is not None:
-        # U0 is the mean of the run; by the time of the check the biases have gone on
+        # U0 is the mean over the run, and the biases wander further until the check
         time_s = readings.conditions().elapsed_s
         used = np.any(calibration.gain != 0.0, axis=(0, 2))
         gone = walk_since(time_s[used], time_s[rows])
@@ -258,7 +258,7 @@ def _acting(
 ) -> list[ErrorSource]:
     """Return the errors that no reading shows.
 
-    Linearity is left out if the repeats share at least as large an error, which then contains it.
+    Linearity is left out if the repeats share an error at least as large, which then contains it.
     """
     shown = max((c.size for c in calibration.shared if c.what == "setting"), default=0.0)
     return [

@@ -21,7 +21,7 @@ _PLACE: Final = f"{NAMESPACES['dcc']} {NAMESPACES['dcc']}/v{VERSION}/dcc.xsd"
 
 @dataclass(frozen=True)
 class _Whole:
-    """A certificate with all items that a DCC requires."""
+    """A certificate with every item that a DCC requires; none of them is None."""
 
     certificate: Certificate
     laboratory: Laboratory
@@ -45,9 +45,9 @@ def _whole(certificate: Certificate) -> _Whole:
 
 
 def document_of(certificate: Certificate) -> bytes:
-    """Return the document of a certificate that has a number, unsigned: the same bytes for the same certificate.
+    """Return the unsigned DCC (XML) of a numbered certificate: the same bytes for the same certificate.
 
-    Raises `ValueError` for a draft, or where laboratory, order or unit are not stated.
+    Raises `ValueError` for a draft, or if laboratory, order, unit or calibration days are not stated.
     """
     whole = _whole(certificate)
     laboratory, order = whole.laboratory, whole.order
@@ -91,7 +91,7 @@ def software() -> Node:
 
 
 def contact(name: str, of: Contact) -> Node:
-    """Return the element of a contact: a name with the address."""
+    """Return the element `name` for a company: its name, e-mail, telephone and address."""
     address = of.address
     return node(
         name,
@@ -238,7 +238,7 @@ def _statement(ref: str, *words: Node, name: Iterable[Node] = ()) -> Node:
 
 
 def _record(certificate: Certificate) -> Node:
-    """Return the element that identifies the run's record, with its seal as a file."""
+    """Return the statement that identifies the run's record, with the seal as an embedded file."""
     record, texts = certificate.found.record, certificate.texts
     sealed = said(texts, "seal_text", sealed=record.sealed) if record.sealed else said(texts, "no_seal")
     about = said(texts, "record_text", run=record.run, events=record.events, head=record.head)

@@ -1,4 +1,4 @@
-"""Elements of a DCC: names, texts in all languages, numbers, units as D-SI spells them."""
+"""Elements of a DCC: texts, numbers, D-SI units, quantities; rules and schemas that check a document."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _OURS: Final = {
     "m/s^2": MS2, "m/s^2/g": MS2, "g/(m/s^2)": r"\metre\tothe{-1}\second\tothe{2}", "rad": RADIAN, "°C": CELSIUS,
     "A": AMPERE, "m/s²": MS2, "": ONE,
 }  # fmt: skip
-"""The units of results in D-SI notation. Ratios to local g are quantities of dimension one."""
+"""D-SI notation of each unit in results. Ratios to local g are quantities of dimension one."""
 
 _PREFIXES: Final = {
     "quecto": -30, "ronto": -27, "yocto": -24, "zepto": -21, "atto": -18, "femto": -15, "pico": -12, "nano": -9,
@@ -62,7 +62,7 @@ def si_unit(unit: str) -> str:
 
 
 def product(first: str, second: str) -> str:
-    r"""Return the unit of a product of two of ours, as that of a covariance: `\volt\tothe{2}`."""
+    r"""Return the unit of the product of two units in `_OURS`, as for a covariance: `\volt\tothe{2}`."""
     powers: dict[str, int] = {}
     for name, power in _POWER.findall(first + second):
         if name != "one":
@@ -74,9 +74,9 @@ def product(first: str, second: str) -> str:
 
 
 def read_unit(text: str) -> tuple[float, dict[str, int]]:
-    r"""Return the SI value of a D-SI unit, and its dimension by base: `\milli\volt` is 0.001, {"V": 1}.
+    r"""Return the factor to SI and the dimension of a D-SI unit: `\milli\volt` -> 0.001, {"V": 1}.
 
-    An angle counts as a number. Raises `ValueError` for an unknown unit.
+    Angles are dimensionless, in radians. Raises `ValueError` for an unknown unit.
     """
     if _WORD.sub("", text).strip() or not text.strip():
         raise ValueError(f"{text!r} is no unit of D-SI")
@@ -93,7 +93,7 @@ def read_unit(text: str) -> tuple[float, dict[str, int]]:
 
 
 def _parts(text: str) -> list[tuple[int, str, int]]:
-    """Return power of ten, name and power of each unit in a text. Raises `ValueError`."""
+    """Return the power of ten, name and exponent of each unit in a D-SI text. Raises `ValueError`."""
     parts: list[tuple[int, str, int]] = []
     scale, sign = 0, 1
     for word, power in _WORD.findall(text):
@@ -125,7 +125,7 @@ Node = etree._Element
 
 
 def node(name: str, *content: Node | str | None, **attributes: str) -> Node:
-    """Return an element, "dcc:item" or "si:real", with text or children in their order; None is left out."""
+    """Return an element, such as "dcc:item" or "si:real", with text or children; a child None is left out."""
     made = etree.Element(tag(name), nsmap=NAMESPACES)
     for key, value in attributes.items():
         made.set(key, value)
@@ -138,43 +138,43 @@ def node(name: str, *content: Node | str | None, **attributes: str) -> Node:
 
 
 def tag(name: str) -> str:
-    """Return the name of an element with its namespace."""
+    """Return the qualified name of an element: "dcc:item" -> "{https://ptb.de/dcc}item"."""
     prefix, _, local = name.partition(":")
     return f"{{{NAMESPACES[prefix]}}}{local}"
 
 
 def clean(text: str) -> str:
-    """Return a text that XML can hold, in one line, without blanks at its ends; "–" for an empty one."""
+    """Return a text in one line without control characters or outer blanks; "–" for an empty text."""
     return " ".join(visible(text).split()) or "–"
 
 
 def said(texts: Iterable[Texts], key: str, **values: object) -> tuple[Node, ...]:
-    """Return a text of a certificate as `content`, once in each language."""
+    """Return the text `key` of a certificate as `dcc:content` elements, one for each language."""
     return tuple(node("dcc:content", one.say(key, **values), lang=one.language) for one in texts)
 
 
 def plain(text: str) -> Node:
-    """Return a text without a language: a name, a number, or a customer's wording."""
+    """Return a text as a `dcc:content` element without a language, for names, numbers and customers' wordings."""
     return node("dcc:content", text)
 
 
 def number(value: float) -> str:
-    """Return a number in D-SI notation, which reads back to the same float. NaN is the only word."""
+    """Return a number in D-SI notation, which reads back as the same float; "NaN" if it is not finite."""
     return repr(float(value)) if math.isfinite(value) else "NaN"
 
 
 def positional(value: float) -> str:
-    """Return a number without an exponent: coverage factors and probabilities have none."""
+    """Return a number without an exponent, as D-SI requires for coverage factors and probabilities."""
     return format(Decimal(repr(float(value))), "f")
 
 
 def numbers(values: Iterable[float]) -> str:
-    """Return a list of numbers."""
+    """Return numbers in D-SI notation, separated by blanks."""
     return " ".join(number(value) for value in values)
 
 
 def real(value: float, unit: str, u: float | None = None) -> Node:
-    """Return a single quantity, with its standard uncertainty where there is one."""
+    """Return the element of a single quantity, with its standard uncertainty if `u` is given."""
     uncertain = None if u is None else node("si:standardMU", node("si:valueStandardMU", number(u)))
     return node(
         "si:real",
@@ -191,9 +191,10 @@ def real_list(
     expanded: tuple[Sequence[float], Sequence[float], Sequence[float]] | None = None,
     covariance: Node | None = None,
 ) -> Node:
-    """Return a list of quantities; one unit in `units` is that of all.
+    """Return the element of a list of quantities; a single unit in `units` applies to all of them.
 
-    `expanded` are U, k and coverage probability, each of every value; `covariance` as `ellipsoidal` gives it.
+    `expanded` holds U, k and coverage probability, each a sequence with one item per value. `covariance` is an
+    element from `ellipsoidal`.
     """
     univariate = None
     if expanded is not None:
@@ -220,9 +221,9 @@ def real_list(
 def ellipsoidal(
     covariance: Sequence[Sequence[float]], units: Sequence[str], k: float, probability: float
 ) -> Node:
-    """Return a covariance (n, n) of quantities in `units` (n), a unit for every entry, column by column.
+    """Return the element of a `covariance` (n, n) of quantities in `units` (n), column by column.
 
-    `k` and `probability` are those of the ellipsoid (x - m)ᵀ V⁻¹ (x - m) ≤ k².
+    `k` and `probability` describe the coverage ellipsoid (x - m)ᵀ V⁻¹ (x - m) ≤ k².
     """
 
     columns = [
@@ -248,7 +249,7 @@ def ellipsoidal(
 
 
 def byte_data(file: Attached) -> Node:
-    """Return a file as a DCC holds it."""
+    """Return a file as a `dcc:byteData` element (Base64)."""
     return node(
         "dcc:byteData",
         node("dcc:name", plain(file.description)),
@@ -259,7 +260,7 @@ def byte_data(file: Attached) -> Node:
 
 
 def broken_rules(document: bytes) -> tuple[str, ...]:
-    """Return a sentence with the line for each rule of this program that a document violates."""
+    """Return a sentence, with the line number, for each violation of this program's own rules for a DCC."""
     try:
         root = etree.fromstring(document, parser())
     except etree.XMLSyntaxError as error:
@@ -268,7 +269,7 @@ def broken_rules(document: bytes) -> tuple[str, ...]:
 
 
 def parser() -> etree.XMLParser:
-    """Return the parser of documents from elsewhere: no entities, no DTD, nothing from a network."""
+    """Return an XML parser for documents from elsewhere, without entities, DTD or network access."""
     return etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False, huge_tree=False)
 
 
@@ -282,13 +283,13 @@ def _at(element: Node, text: str) -> str:
 
 
 def _version(root: Node) -> Iterator[str]:
-    """Yield a fault unless the document is a DCC of the version written here."""
+    """Yield a fault unless the document is a DCC of version `VERSION`."""
     if root.tag != f"{{{DCC}}}digitalCalibrationCertificate" or root.get("schemaVersion") != VERSION:
         yield _at(root, f"not a DCC {VERSION}")
 
 
 def _languages(root: Node) -> Iterator[str]:
-    """Yield a fault for each text that is not given in all languages."""
+    """Yield a fault for each text that is not stated in every language of the document."""
     used = {one.text for one in root.iter(f"{{{DCC}}}usedLangCodeISO639_1")}
     for element in root.iter(f"{{{DCC}}}*", f"{{{SI}}}*"):
         said = [one.get("lang") for one in element.findall("dcc:content", NAMESPACES)]
@@ -298,7 +299,7 @@ def _languages(root: Node) -> Iterator[str]:
 
 
 def _lists(root: Node) -> Iterator[str]:
-    """Yield a fault for each list with parts of differing lengths or with unknown units."""
+    """Yield a fault for each list whose parts differ in length or whose units are unknown."""
     for element in root.iter(f"{{{SI}}}realListXMLList"):
         words = {local(one): (one.text or "").split() for one in element.iter(f"{{{SI}}}*") if one.text}
         count = len((element.findtext("si:valueXMLList", "", NAMESPACES)).split())
@@ -316,7 +317,7 @@ def _lists(root: Node) -> Iterator[str]:
 
 
 def _covariances(root: Node) -> Iterator[str]:
-    """Yield a fault for each covariance that is not square, not possible, or does not agree with U / k."""
+    """Yield a fault for each covariance that is not square, not positive semidefinite, or contradicts U / k."""
     for element in root.iter(f"{{{SI}}}realListXMLList"):
         columns = element.findall(".//si:covarianceXMLList/si:valueXMLList", NAMESPACES)
         if not columns:
@@ -342,7 +343,7 @@ def _covariances(root: Node) -> Iterator[str]:
 
 
 def _days(root: Node) -> Iterator[str]:
-    """Yield a fault unless receipt, calibration and issue are in this order."""
+    """Yield a fault unless receipt, calibration and issue are in chronological order."""
     core = root.find("dcc:administrativeData/dcc:coreData", NAMESPACES)
     names = ("receiptDate", "beginPerformanceDate", "endPerformanceDate", "issueDate")
     days = [] if core is None else [core.findtext(f"dcc:{name}", "", NAMESPACES) for name in names]
@@ -351,7 +352,7 @@ def _days(root: Node) -> Iterator[str]:
 
 
 def _simulation(root: Node) -> Iterator[str]:
-    """Yield a fault unless exactly the simulated certificates say so and have numbers of their series."""
+    """Yield a fault unless certificate number and statements agree on whether the run was simulated."""
     number = root.findtext("dcc:administrativeData/dcc:coreData/dcc:uniqueIdentifier", "", NAMESPACES)
     said = root.find(".//dcc:statement[@refType='bench_simulated']", NAMESPACES) is not None
     if said != number.startswith(SIMULATED_SERIES):
@@ -359,7 +360,7 @@ def _simulation(root: Node) -> Iterator[str]:
 
 
 def _statements(root: Node) -> Iterator[str]:
-    """Yield a fault for statements of conformity whose number differs from that of their values."""
+    """Yield a fault for each list of conformity statements that does not have one statement per value."""
     for element in root.iter(f"{{{DCC}}}conformityXMLList"):
         quantity = next(element.iterancestors(f"{{{DCC}}}quantity"), None)
         values = "" if quantity is None else quantity.findtext(".//si:valueXMLList", "", NAMESPACES)
@@ -368,7 +369,7 @@ def _statements(root: Node) -> Iterator[str]:
 
 
 def _signed(root: Node) -> Iterator[str]:
-    """Yield a fault for each comment or foreign element, except signatures."""
+    """Yield a fault for each comment, and for each element of another namespace outside a signature."""
     for element in root.iter():
         if not isinstance(element.tag, str):
             yield f"line {element.sourceline}: a comment or an instruction, which nobody signs for"
@@ -396,12 +397,12 @@ _STAND_INS: Final = {
         "</xs:element>",
     ),
 }
-"""Stand-ins for schemas that the two import, if the folder lacks them; documents use only signatures."""
+"""Minimal replacements for imported schemas that the folder lacks, by file name: namespace and content."""
 
 
 @dataclass(frozen=True)
 class Schemas:
-    """The compiled schemas of a folder; `stood_in` names missing files that were replaced by stand-ins."""
+    """The compiled schemas of a folder; `stood_in` names imported schemas that were missing and replaced."""
 
     folder: Path
     checker: etree.XMLSchema
@@ -417,9 +418,10 @@ class Schemas:
 
 
 def read_schemas(folder: Path) -> Schemas:
-    """Read dcc.xsd, SI_Format.xsd and what they import from anywhere below a folder; nothing from a network.
+    """Compile dcc.xsd, SI_Format.xsd and the schemas that they import, from anywhere below a folder.
 
-    Raises `Refused` where one is missing, of another version or cannot be read.
+    Nothing is fetched from a network. Raises `Refused` if one of the two is missing or has another version, or if
+    a schema cannot be read.
     """
     there = {path.name.lower(): path for path in sorted(folder.rglob("*.xsd"))}
     for name, version in _FILES.items():

@@ -36,16 +36,17 @@ _VOLT_PER_MS2: Final[Dimension] = (("V", 1), ("m", -1), ("s", 2))
 
 @dataclass(frozen=True)
 class DocumentReading:
-    """The result for a block in a document, in the form of `bench calibrate --json`, and notes on it."""
+    """The result for a block in a DCC, in the form of `bench calibrate --json`, with notes for the user."""
 
     result: dict[str, Any]
     notes: tuple[str, ...]
 
 
 def document_in(path: Path) -> tuple[Node, tuple[str, ...]]:
-    """Return the root of a document, limited to its signed content if signed, and notes on the signature.
+    """Read a DCC from XML or PDF; return its root element and a note on the signature.
 
-    Raises `Refused` where it cannot be read, is no DCC, or where its signature does not hold.
+    If the DCC is signed, only the signed content is returned. Raises `Refused` if the file cannot be read, is not
+    a DCC, or has an invalid signature.
     """
     try:
         content = read_regular(path, MOST_BYTES)
@@ -75,7 +76,7 @@ def document_in(path: Path) -> tuple[Node, tuple[str, ...]]:
 
 
 def _attached(path: Path, paper: bytes) -> bytes:
-    """Return the XML in a certificate's PDF. Raises `Refused` where there is none, or more than one."""
+    """Return the only XML attached to a certificate's PDF. Raises `Refused` if there is none or several."""
     import pikepdf
 
     try:
@@ -91,7 +92,7 @@ def _attached(path: Path, paper: bytes) -> bytes:
 
 
 def has_coefficients(root: Node) -> bool:
-    """Whether a document has a list of the twelve coefficients."""
+    """Return whether a document has a list with the names of the twelve coefficients."""
     words = (one.text or "" for one in root.iter(f"{{{SI}}}labelXMLList"))
     members = (
         " ".join(label.text or "" for label in one.iter(f"{{{SI}}}label"))
@@ -101,11 +102,11 @@ def has_coefficients(root: Node) -> bool:
 
 
 def coefficients_in(path: Path, g_m_s2: float | None = None, noise: str | None = None) -> DocumentReading:
-    """Return the twelve coefficients of a document with their covariance.
+    """Return the twelve coefficients in a DCC with their covariance.
 
-    `g_m_s2` is the local gravity at which coefficients of another's document are to be stated, `noise` the noise
-    of a reading ("50 uV"): a certificate of ours tells both. Raises `Refused` where there are
-    none, or more than one.
+    `g_m_s2` is the local gravity for which K is to be stated, and `noise` the noise of a reading, such as "50
+    uV". Both are needed only for certificates of other programs. Raises `Refused` if the DCC has no list of the
+    coefficients, or several.
     """
     try:
         noise_v = None if noise is None else parse_quantity(noise, VOLTAGE)
@@ -134,7 +135,7 @@ def coefficients_in(path: Path, g_m_s2: float | None = None, noise: str | None =
 
 
 def _ours(path: Path, root: Node, listed: RealList) -> dict[str, Any]:
-    """Return the result in a certificate of ours; its numbers are those of the list, or it is refused."""
+    """Return the result in a certificate of this program. Raises `Refused` if its list has other numbers."""
     data = from_text(_file(path, root))
     taken = coefficients_of(data, str(path))
     if listed.covariance is None or not (
@@ -167,12 +168,12 @@ def _about(root: Node) -> dict[str, str]:
 
 
 def said(root: Node, path: str) -> str:
-    """Return a text of a document in one line, with nothing in it that acts; empty where there is none."""
+    """Return a text of a document in one line with control characters made visible; "" if there is none."""
     return " ".join(visible(root.findtext(path, "", NAMESPACES)).split())
 
 
 def _order(labels: tuple[str, ...]) -> tuple[int, ...] | None:
-    """Return the index of each coefficient in a list with these labels; None if one is missing."""
+    """Return the index of each coefficient among `labels`; None unless the labels are the twelve names."""
     plain = [label.replace("_", "").replace("{", "").replace("}", "").casefold() for label in labels]
     wanted = [name.casefold() for name in COEFFICIENTS]
     if sorted(plain) != sorted(wanted):
@@ -189,7 +190,11 @@ def _others(
     g_m_s2: float | None,
     noise_v: float | None,
 ) -> DocumentReading:
-    """Return the coefficients of another's list as a result: K in V/g; what is unknown is asked for."""
+    """Return the coefficients of another program's list as a result with K in V/g.
+
+    Raises `Refused` if gravity or noise are not given, or if the units or uncertainties in the list do not
+    suffice.
+    """
     wanting = [] if g_m_s2 is not None else ["--g, the local gravity for which K is to be stated (m/s²)"]
     wanting += [] if noise_v is not None else ["--noise, the noise of a reading (V), which a check needs"]
     if g_m_s2 is None or noise_v is None:
@@ -252,19 +257,22 @@ def _result(
 
 _ERROR: Final = "basic_measurementError"
 _AXIS: Final = ("basic_nominalValue", "basic_referenceValue", "basic_measuredValue", "basic_indicatedValue")
-"""Words of refType by which good practice of DCCs names columns."""
+"""Words of refType that mark the column of a table to whose values the errors apply, by good practice of DCCs."""
 
 
 @dataclass(frozen=True)
 class Section:
-    """The section `certificate` of a bench file: its text to be pasted, and notes for the user."""
+    """The section `certificate` for a bench file as text, and notes for the user."""
 
     text: str
     notes: tuple[str, ...]
 
 
 def section_of(path: Path, root: Node) -> Section:
-    """Return the section `certificate` of an instrument. Raises `Refused` for a document that says too little."""
+    """Return the section `certificate` of an instrument from its DCC.
+
+    Raises `Refused` if the document does not state number, laboratory or date.
+    """
     stated: dict[str, Any] = {**_about(root)}
     lacking = [name for name, text in stated.items() if not text]
     if lacking:
@@ -279,7 +287,7 @@ def section_of(path: Path, root: Node) -> Section:
 
 
 def _serial(root: Node) -> str:
-    """Return the serial number of the item: what its manufacturer gave it."""
+    """Return the serial number that the manufacturer gave to the item; "" if there is none."""
     for one in root.iterfind(".//dcc:item/dcc:identifications/dcc:identification", NAMESPACES):
         if one.findtext("dcc:issuer", "", NAMESPACES) == "manufacturer":
             return said(one, "dcc:value")
@@ -287,7 +295,10 @@ def _serial(root: Node) -> str:
 
 
 def _values(path: Path, root: Node) -> tuple[list[dict[str, str]], list[str]]:
-    """Return the rows of corrections, of the head's angles or of temperatures, and what is to be done by hand."""
+    """Return the rows of corrections, and notes on tables that must be copied by hand.
+
+    The rows are corrections of the head's angles (deg, arcsec) or of temperatures (degC, K).
+    """
     try:
         tables = list(_tables(root))
     except NotRead as error:
@@ -312,7 +323,7 @@ def _values(path: Path, root: Node) -> tuple[list[dict[str, str]], list[str]]:
 
 
 def _tables(root: Node) -> Iterator[tuple[RealList, RealList]]:
-    """Yield each column of errors with the column of the values to which they apply."""
+    """Yield pairs of lists: the values of a table's axis, and the errors at these values."""
     for table in root.iter(f"{{{DCC}}}list"):
         columns = [
             one for quantity in table.findall("dcc:quantity", NAMESPACES) for one in real_lists(quantity)
@@ -328,7 +339,10 @@ def _tables(root: Node) -> Iterator[tuple[RealList, RealList]]:
 def _rows(
     key: str, unit: str, small: str, axis: RealList, error: RealList, per: float, per_small: float
 ) -> Iterator[dict[str, str]]:
-    """Yield the rows: a correction is an error with the other sign; U with k = 2 of what is known of u."""
+    """Yield a row for each error; the correction is its negative, and U has k = 2.
+
+    `per` and `per_small` convert SI values to `unit` (axis) and `small` (error).
+    """
     u = error.u
     if u is None:
         return
@@ -342,7 +356,7 @@ def _rows(
 
 
 def _checked(stated: dict[str, Any], values: list[dict[str, str]]) -> Iterator[str]:
-    """Yield the mistakes that a bench file with these values would have."""
+    """Yield a sentence for each mistake that a bench file would have with these values."""
     if not values:
         return
     form = HeadCertificate if "angle" in values[0] else ChamberCertificate
@@ -359,15 +373,15 @@ Dimension = tuple[tuple[str, int], ...]
 
 
 class NotRead(ValueError):
-    """Raised for a list that violates D-SI; the message says where and why."""
+    """Raised for a list that violates D-SI; the message has line and reason."""
 
 
 @dataclass(frozen=True)
 class RealList:
-    """A list as it stands in a document: values (n,) in SI units, their dimensions, what is known of u.
+    """A list of quantities in a document, with values (n,) converted to SI units.
 
-    `covariance` (n, n) is None where the document states none, `u` (n,) where it states nothing univariate either.
-    `roles` are the words of refType of it and of what it stands in.
+    `dimensions` (n) maps SI bases to exponents. `covariance` (n, n) and `u` (n,) are None if the document does
+    not state them. `roles` are the words of refType of the list and of its enclosing elements.
     """
 
     line: int
@@ -386,7 +400,7 @@ class RealList:
 
 
 def real_lists(root: Node) -> Iterator[RealList]:
-    """Yield the lists of a document, of either form. Raises `NotRead` for one that is not what D-SI says."""
+    """Yield every list of quantities of a document, XMLList or realList. Raises `NotRead` if one violates D-SI."""
     for element in root.iter(f"{{{SI}}}realListXMLList"):
         values = _floats(element, "si:valueXMLList")
         units = _words(element, "si:unitXMLList")
@@ -405,7 +419,7 @@ def real_lists(root: Node) -> Iterator[RealList]:
 
 
 def _made(element: Node, labels: list[str], values: Floats, units: list[str], u: Floats | None) -> RealList:
-    """Return a list of values and u in `units` as one in SI units."""
+    """Return the list of an element with values and u (n,) converted from `units` to SI."""
     factors, dimensions = _units(element, units, len(values))
     if u is not None and len(u) not in {1, len(values)}:
         raise NotRead(f"line {element.sourceline}: {len(values)} values, but {len(u)} uncertainties")
@@ -436,11 +450,11 @@ _UNCERTAINTIES: Final = (
     ("valueExpandedMU", "coverageFactor"), ("uncertainty", "coverageFactor"), ("valueStandardMU", ""),
     ("standardUnc", ""),
 )  # fmt: skip
-"""Elements that state an uncertainty, with that of its k; in a list each ends in XMLList."""
+"""Elements that state an uncertainty, each with the element of its k; in a list, both names end in XMLList."""
 
 
 def _sizes(element: Node) -> Floats | None:
-    """Return the standard uncertainties of a list, one of each value or one of all; None where it states none."""
+    """Return the standard uncertainties of a list, one for each value or one for all; None if it states none."""
     for name, factor in _UNCERTAINTIES:
         text = element.findtext(f"si:*//si:{name}XMLList", None, NAMESPACES)
         if text is not None:
@@ -450,7 +464,7 @@ def _sizes(element: Node) -> Floats | None:
 
 
 def _u_of(element: Node) -> float | None:
-    """Return the standard uncertainty of a single value; None where it states none."""
+    """Return the standard uncertainty of a single value; None if the document states none."""
     for name, factor in _UNCERTAINTIES:
         size = element.findtext(f".//si:{name}", None, NAMESPACES)
         if size is not None:
@@ -472,7 +486,7 @@ def _units(element: Node, units: list[str], count: int) -> tuple[Floats, tuple[D
 def _covariance(
     element: Node, columns: list[tuple[Floats, list[str]]], dimensions: tuple[Dimension, ...]
 ) -> Floats:
-    """Return a covariance in SI units. Raises `NotRead` for a matrix that is none, or of other units."""
+    """Return the covariance (n, n) in SI units. Raises `NotRead` for a matrix of the wrong size or unit."""
     count = len(dimensions)
     if len(columns) != count or any(len(values) != count for values, _ in columns):
         raise NotRead(f"line {element.sourceline}: {count} values, but a covariance of another size")

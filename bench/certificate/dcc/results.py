@@ -1,4 +1,4 @@
-"""The measurement results of a DCC: method, instruments, conditions, coefficients, check, readings."""
+"""The measurement results of a DCC, written and read back."""
 
 from __future__ import annotations
 
@@ -56,11 +56,11 @@ _CONFORMITY: Final = {
     Statement.NOT_COMPLETE: "noPass",
     Statement.FAIL: "fail",
 }
-"""Where no statement can be made a DCC has `noPass`: conformity is not shown; the declaration says why."""
+"""The DCC's word for each statement; `noPass` where none can be made, and the declaration says why."""
 
 
 def measurement_results(certificate: Certificate) -> Node:
-    """Return the element of all results; results before an adjustment come first, as a separate result."""
+    """Return the element of all measurement results; those before an adjustment come first."""
     parts = [_measured(certificate, certificate.found, "found-")]
     if certificate.as_found is not None:
         parts.insert(0, _measured(certificate, certificate.as_found, "before-"))
@@ -189,7 +189,7 @@ def _result(texts: Sequence[Texts], name: str, ref: str, prefix: str, data: Node
 
 
 def _per_ms2(found: RunFindings) -> Values:
-    """Return the coefficients for a specific force in m/s², with the uncertainty of local g in their covariance."""
+    """Return the coefficients with K per m/s² instead of per g; their covariance includes the u of local g."""
     own = found.result.calibration
     scale = np.concatenate([np.full(9, 1.0 / own.g_m_s2), np.ones(3)])
     values = own.block.vector * scale
@@ -204,7 +204,7 @@ def _per_ms2(found: RunFindings) -> Values:
 
 
 def _listed(values: Values, certificate: Certificate) -> Node:
-    """Return results as one list: names, values, U with k, and the full covariance."""
+    """Return results as one list: names, values, U with k, and the full covariance matrix."""
     members = values.values
     spelt = [one.unit if "\\" in one.unit else si_unit(one.unit) for one in members]
     coverage = certificate.coverage
@@ -220,7 +220,7 @@ def _listed(values: Values, certificate: Certificate) -> Node:
 
 
 def _freedom(members: Sequence[Value]) -> Node | None:
-    """Return the list of the degrees of freedom of u; None if all are infinite."""
+    """Return the list of the finite degrees of freedom; None if all are infinite."""
     if not any(math.isfinite(one.dof) for one in members):
         return None
     finite = [(one.name, one.dof) for one in members if math.isfinite(one.dof)]
@@ -233,12 +233,12 @@ def _freedom(members: Sequence[Value]) -> Node | None:
 
 
 def region_factor(probability: float, dimension: int) -> float:
-    """Return k of the normal distribution's coverage ellipsoid of this probability (JCGM 102, 6.5.2)."""
+    """Return the factor k of the coverage ellipsoid of a normal distribution (JCGM 102, 6.5.2)."""
     return float(np.sqrt(2.0 * special.gammaincinv(0.5 * dimension, probability)))
 
 
 def _checked(texts: Sequence[Texts], verification: Verification) -> Node:
-    """Return Δg at the verification points with U and covariance, limit, risks, and a statement on each point."""
+    """Return Δg at the verification points with U and covariance, the limit, the risks, and the statements."""
     points = verification.points
     coverage = [math.erf(math.sqrt(2.0))] * len(points)
     one = [nodes.ONE] * len(points)
@@ -280,7 +280,7 @@ def _quantity(name: Node | Sequence[Node], quantity: Node, ref: str) -> Node:
 
 
 def _conformity(texts: Sequence[Texts], verification: Verification) -> Node:
-    """Return the statement of conformity on the whole, with limit and rule."""
+    """Return the overall statement of conformity, with limit and decision rule."""
     statement, _ = stated(verification)
     words = tuple(
         node(
@@ -322,7 +322,7 @@ def _uncertainty(certificate: Certificate) -> Node:
 
 
 def _table(texts: Sequence[Texts], readings: Readings) -> Node:
-    """Return the readings as they were read: a list for each column."""
+    """Return the readings as they were read, with a list for each column."""
     unit = si_unit(readings.unit)
     columns: dict[str, tuple[Floats, str]] = {
         "series": (readings.series.astype(float), nodes.ONE),
@@ -356,10 +356,10 @@ _LIST: Final = ".//si:realListXMLList"
 
 @dataclass(frozen=True)
 class ShownValues:
-    """The values in a certificate; `files` are its attachments, `covariance` is for the coefficients.
+    """The values in a certificate; `covariance` is that of the coefficients, `files` maps names to attachments.
 
-    `release` is that of the program that made it; `says_signed` whether it says that it is signed, None where it
-    says nothing of that.
+    `release` is the version of the program that wrote it. `says_signed` is whether the certificate states that it
+    is signed; None if it states neither.
     """
 
     says: CertificateSays
@@ -370,7 +370,7 @@ class ShownValues:
 
 
 def shown_of(content: bytes) -> ShownValues:
-    """Return the values in the XML `content`. Raises `NotIntact` if it is no DCC."""
+    """Return the values in an XML. Raises `NotIntact` if it is not a DCC or cannot be read completely."""
     root = etree.fromstring(content, nodes.parser())
     if root.tag != nodes.tag("dcc:digitalCalibrationCertificate"):
         raise NoCertificate("it is no digital calibration certificate (DCC)")
@@ -398,7 +398,7 @@ def shown_of(content: bytes) -> ShownValues:
 
 
 def _states(root: Any, ref: str) -> bool:
-    """Whether a document has a statement of ours of this name."""
+    """Return whether a document has this program's statement `ref`."""
     path = f"dcc:administrativeData/dcc:statements/dcc:statement[@refType='bench_{ref}']"
     return root.find(path, nodes.NAMESPACES) is not None
 
@@ -430,7 +430,7 @@ def _file(node: Any) -> tuple[str, bytes]:
 
 
 def _coefficients(root: Any) -> tuple[tuple[tuple[float, ...], ...], dict[str, CertifiedCoefficient]]:
-    """Return covariance and coefficients of the last result that has them: of the unit as it is now."""
+    """Return covariance and coefficients of the last result, which shows the unit as it is now; empty if none."""
     results = root.findall(_COEFFICIENTS, nodes.NAMESPACES)
     found = None if not results else results[-1].find(_LIST, nodes.NAMESPACES)
     if found is None:

@@ -1,4 +1,4 @@
-"""Mistakes between the parts of a bench file: what each part by itself cannot know."""
+"""Checks between the parts of a bench file: the mistakes that no section can detect by itself."""
 
 from __future__ import annotations
 
@@ -20,17 +20,20 @@ from bench.readings.table import UNORIENTED
 from drivers.interfaces import OutputSettings, SupplyLimits
 
 _OVER_RANGE: Final = 1.2
-"""Up to which part of its range a voltmeter reads whose driver cannot be read."""
+"""The fraction of its range up to which a voltmeter with an unknown driver is assumed to read."""
 
 _LACKS: Final = {"sensor_noise": "a sensor without noise"}
 
 
 FURTHER: Final[tuple[Role, ...]] = ("head", "chamber", "level", "thermometer", "power_supply")
-"""The roles of which a bench has one instrument at most."""
+"""The roles that at most one instrument of a bench has."""
 
 
 def mistakes_between_parts(data: Any) -> Iterable[tuple[Place, str]]:
-    """Yield every mistake with its place; `data` is the file as written, whatever else is wrong in it."""
+    """Yield the place and the text of every mistake between the parts of a bench file.
+
+    `data` is the file as written; any part of it may be missing or malformed.
+    """
     voltmeters = part(data, "instruments", "voltmeters")
     yield from _channel_mistakes(voltmeters)
     yield from _resource_mistakes(data)
@@ -43,7 +46,7 @@ def mistakes_between_parts(data: Any) -> Iterable[tuple[Place, str]]:
 
 
 def _channel_mistakes(voltmeters: Any) -> Iterator[tuple[Place, str]]:
-    """Each of x, y, z is carried once."""
+    """Check that exactly one voltmeter carries each of x, y and z."""
     place: Place = ("instruments", "voltmeters")
     if not isinstance(voltmeters, list):
         return
@@ -53,7 +56,7 @@ def _channel_mistakes(voltmeters: Any) -> Iterator[tuple[Place, str]]:
         key, channels = written_channels(meter) or ("", ())
         unreadable |= not key
         for channel in channels:
-            unreadable |= channel not in CHANNELS  # a list, too, which pydantic tells
+            unreadable |= channel not in CHANNELS  # pydantic reports these
             if not isinstance(channel, str):
                 continue
             if channel in carried:
@@ -66,7 +69,7 @@ def _channel_mistakes(voltmeters: Any) -> Iterator[tuple[Place, str]]:
 
 
 def _one_range_mistakes(voltmeters: Any) -> Iterator[tuple[Place, str]]:
-    """All voltmeters read on one range."""
+    """Check that all voltmeters are on the same range."""
     ranges = [_value(part(meter, "range") or "10 V", VOLTAGE) for meter in _items(voltmeters)]
     for index, range_v in enumerate(ranges):
         if range_v is not None and ranges[0] is not None and range_v != ranges[0]:
@@ -75,7 +78,7 @@ def _one_range_mistakes(voltmeters: Any) -> Iterator[tuple[Place, str]]:
 
 
 def _resource_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
-    """Each resource is one instrument."""
+    """Check that no two instruments share a resource, except a thermometer beside a multiplexer's signals."""
     meters = enumerate(_items(part(data, "instruments", "voltmeters")))
     places: list[tuple[str, Place]] = [(f"voltmeter {i + 1}", ("voltmeters", i)) for i, _ in meters]
     places += [(f"the {role.replace('_', ' ')}", (role,)) for role in FURTHER]
@@ -92,7 +95,7 @@ def _resource_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
 
 
 def _is_beside_signals(data: Any, resource: str) -> bool:
-    """Whether the thermometer is on a channel of the multiplexer at this address that has no signal."""
+    """Whether the thermometer is on a free channel of the multiplexer with this address."""
     section = part(data, "instruments", "thermometer")
     meters = [m for m in _items(part(data, "instruments", "voltmeters")) if part(m, "resource") == resource]
     taken = [str(part(meter, "inputs", channel)) for meter in meters for channel in CHANNELS]
@@ -106,7 +109,7 @@ def _is_beside_signals(data: Any, resource: str) -> bool:
 
 
 def _signal_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
-    """The block's signals at 1 g stay within what the voltmeters read."""
+    """Check that the block's signals at 1 g stay within the voltmeters' range."""
     range_v = _value(part(data, "instruments", "voltmeters", 0, "range") or "10 V", VOLTAGE)
     if range_v is None:
         return
@@ -145,7 +148,7 @@ def _label_mistakes(installations: Any) -> Iterator[tuple[Place, str]]:
 
 
 def _name_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
-    """Names are given once, and a fault names an instrument with a wire."""
+    """Check that instrument names are unique, and that each fault names an instrument with a wire."""
     instruments = _instruments(data)
     if instruments is None:
         return
@@ -163,7 +166,7 @@ def _name_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
 
 
 def _simulation_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
-    """What is said of a simulated instrument is there to be simulated."""
+    """Check that the simulation section describes only what the named instruments can simulate."""
     accuracy: Place = ("simulation", "voltmeter", "accuracy")
     if part(data, *accuracy) == CERTIFICATE:
         meters = enumerate(_items(part(data, "instruments", "voltmeters")), start=1)
@@ -194,7 +197,7 @@ def _simulation_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
 
 
 def _instruments(data: Any) -> InstrumentsSection | None:
-    """Return the section on instruments when there is nothing wrong with it."""
+    """Return the validated section `instruments`; None if it is invalid."""
     try:
         return InstrumentsSection.model_validate(part(data, "instruments"))
     except ValidationError:
@@ -217,7 +220,10 @@ _A: Final[tuple[Place, ...]] = (
 
 
 def supply_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
-    """Yield every mistake with its place; `data` is the bench file as written, whatever else is wrong in it."""
+    """Yield place and text of every mistake in the block's rails, against the block's limits and the power supply.
+
+    `data` is the bench file as written; any part of it may be missing or malformed.
+    """
     if part(data, *_UNIT) is None:
         return
     if part(data, *_INSTRUMENT) is None:
@@ -248,7 +254,7 @@ def supply_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
 
 @dataclass(frozen=True)
 class _Rail:
-    """The numbers of a rail as written, V and A; None where one cannot be read, which is told elsewhere."""
+    """The numbers of a rail as written, V and A, by key; None where unreadable, which is reported elsewhere."""
 
     numbers: dict[Place, float | None]
 
@@ -261,14 +267,14 @@ class _Rail:
         return self.numbers[keys]
 
     def all(self, *keys: Place) -> tuple[float, ...] | None:
-        """Return the numbers of places, None where one of them is not there."""
+        """Return the numbers at several keys; None if any of them is missing."""
         found = [self.numbers[key] for key in keys]
         known = tuple(number for number in found if number is not None)
         return known if len(known) == len(found) else None
 
 
 def _against_block(rail: _Rail) -> Iterator[tuple[Place, str]]:
-    """A rail stays within what the block may be given, in what it is set to and in what it is protected at."""
+    """Check that a rail's settings and protections stay within the limits of the block."""
     yield from _voltages_against_block(rail)
     if (window := rail.all(("current", "minimum"), ("current", "maximum"))) and window[0] >= window[1]:
         yield (
@@ -330,7 +336,7 @@ def _voltages_against_block(rail: _Rail) -> Iterator[tuple[Place, str]]:
 
 
 def _against_supply(rail: _Rail, output: Any, limits: SupplyLimits | None) -> Iterator[tuple[Place, str]]:
-    """The supply has the output, and can do what it is to be set to."""
+    """Check that the supply has the rail's output, and that the output supports its settings."""
     if limits is None or not isinstance(output, str):
         return
     if output not in limits.outputs:
@@ -345,7 +351,7 @@ def _against_supply(rail: _Rail, output: Any, limits: SupplyLimits | None) -> It
 
 
 def _limits_of_supply(written: Any) -> SupplyLimits | None:
-    """Return what the supply can do; None where it is not told, or not known."""
+    """Return the settings that the supply's outputs support; None if the section is invalid or they are unknown."""
     device = devices().get(part(written, "driver"))
     if device is None or not issubclass(device.section, SupplyForm):
         return None
@@ -356,7 +362,7 @@ def _limits_of_supply(written: Any) -> SupplyLimits | None:
 
 
 def _value(written: Any, kind: QuantityKind) -> float | None:
-    """Return a quantity as written, None where it cannot be read or is not there."""
+    """Return a quantity as written in its SI unit; None if it is missing or unreadable."""
     try:
         return parse_quantity(written, kind)
     except ValueError:

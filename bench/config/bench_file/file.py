@@ -1,4 +1,4 @@
-"""Bench files, `config/*.yaml`, and what the certificates of their instruments are worth on a day."""
+"""Bench files, `config/*.yaml`, and the state of their instruments' certificates on a given day."""
 
 from __future__ import annotations
 
@@ -55,11 +55,11 @@ from bench.readings.corrected import Corrections
 __all__ = ["BenchFile", "FileMistakes", "load_bench", "load_recorded_bench", "sha256_of_file"]
 
 STAND_ERRORS: Final = (*STAND_ANGLES, "setting_error", "voltmeter_error")
-"""Names of all stand errors."""
+"""The names of all stand errors."""
 
 
 class BenchFile(FileModel):
-    """A bench file, validated; numbers in SI, angles in rad, temperatures in °C."""
+    """A validated bench file: numbers in SI, angles in rad, temperatures in °C."""
 
     name: str
     description: str = ""
@@ -86,7 +86,7 @@ class BenchFile(FileModel):
 
     @classmethod
     def cross_checks(cls, data: Any) -> Iterable[tuple[Place, str]]:
-        """Yield mistakes between parts of the file: channels, resources, ranges, labels, effects, faults."""
+        """Yield the mistakes between parts of the file: channels, resources, ranges, labels, effects, faults."""
         yield from mistakes_between_parts(data)
         stated = part(data, "installations")
         labels = {"1", "2", *(map(str, stated) if isinstance(stated, dict) else ())}
@@ -98,92 +98,92 @@ class BenchFile(FileModel):
                 "the simulated bench has effects here and in 'simulation'; put all of them there",
             )
         wrong: list[tuple[Place, str]] = []
-        # its effects may rest on formulas of the whole file, too; two of a name are told above
+        # effects of the simulation may use the file's top-level formulas; duplicate names are reported above
         with suppress(ValueError), CATALOGUE.also(effects_as_written(part(data, "formulas"))):
             wrong = list(mistakes_with_formulas(simulation, labels, ("simulation",)))
         yield from wrong
 
     @property
     def gravity_m_s2(self) -> float | None:
-        """Local gravity as stated or by the WGS 84 formula, None where the file gives neither."""
+        """Local gravity, m/s², as stated or by the WGS 84 formula; None if the file states neither."""
         if isinstance(self.gravity, Location):
             return normal_gravity_m_s2(self.gravity.latitude, self.gravity.height)
         return self.gravity.value if isinstance(self.gravity, MeasuredGravity) else self.gravity
 
     @property
     def voltmeter_range_v(self) -> float:
-        """The fixed range of the voltmeters: the same for all."""
+        """The fixed range that all voltmeters share, V."""
         return self.instruments.voltmeters[0].range
 
     @property
     def verification_limit_g(self) -> float:
-        """Delta g_A, in local g."""
+        """The verification limit Delta g_A, in local g."""
         return self.verification.limit
 
     @property
     def knows_its_meters(self) -> bool:
-        """Whether the drivers of its voltmeters are known; those of a recorded run may be missing."""
+        """Whether the drivers of all voltmeters are known; those of a recorded run may be missing."""
         return not any(isinstance(meter, UnknownVoltmeter) for meter in self.instruments.voltmeters)
 
     @property
     def nplc_supported(self) -> tuple[float, ...]:
-        """Integration times that every voltmeter of the bench has, in power-line cycles, rising."""
+        """The integration times that all voltmeters support, in power-line cycles, ascending."""
         kinds = [meter.kind.limits.nplc for meter in self.instruments.voltmeters]
         return tuple(sorted(set(kinds[0]).intersection(*kinds)))
 
     @property
     def most_samples(self) -> int:
-        """Most samples of a reading; a multiplexer's memory holds those of all its channels."""
+        """The most samples in a reading; a multiplexer's memory is shared by its channels."""
         meters = self.instruments.voltmeters
         return min(meter.kind.limits.of_channels(len(meter.channels)).most_samples for meter in meters)
 
     @property
     def least_samples(self) -> int:
-        """Fewest samples of a reading that every voltmeter accepts."""
+        """The fewest samples in a reading that all voltmeters accept."""
         return max(meter.kind.limits.least_samples for meter in self.instruments.voltmeters)
 
     @property
     def head_limits_rad(self) -> tuple[float, float] | None:
-        """Lowest and highest angle of the head, rad; None for one that a person turns."""
+        """The lowest and highest angle of the head, rad; None for a manual head."""
         head = self.instruments.head
         return (head.minimum, head.maximum) if isinstance(head, MotorisedHeadForm) else None
 
     @property
     def head_backoff_rad(self) -> float:
-        """Distance from which the head approaches an angle, rad; 0 for a manual head."""
+        """The least distance from which the head approaches an angle, rad; 0 for a manual head."""
         head = self.instruments.head
         return head.backoff if isinstance(head, MotorisedHeadForm) else 0.0
 
     @property
     def block_limits_c(self) -> tuple[float, float]:
-        """Lowest and highest temperature that the block may be given, °C."""
+        """The lowest and highest permitted temperature of the block, °C."""
         allowed = self.unit_under_test.temperature
         return allowed.minimum, allowed.maximum
 
     def installation_models(self) -> dict[str, Installation]:
-        """Return the installations by label: the paper's 1 and 2, and those that the file states."""
+        """Return the installations by label: the paper's 1 and 2, and those in the file."""
         stated = {label: section.to_model(label) for label, section in self.installations.items()}
         return {"1": INSTALLATION_1, "2": INSTALLATION_2} | stated
 
     def stand_distributions(self) -> dict[str, Distribution]:
         """Return the distribution of each stand error by its name in `STAND_ERRORS`, rad and V.
 
-        An angle that the file does not state is zero.
+        The distribution of an angle that the file omits is zero.
         """
         sections = {name: getattr(self.stand, name) for name in STAND_ERRORS}
         return {name: s.to_distribution() if s else Distribution(0.0) for name, s in sections.items()}
 
     def applied_effects(self) -> tuple[AppliedEffect, ...]:
-        """Return the effects that the simulated bench has; no calibration knows of them.
+        """Return the effects that the simulated bench has; calibrations do not use them.
 
-        Earlier versions had them as `effects` of the file.
+        Files of earlier versions list them as `effects` at the top level instead of under `simulation`.
         """
         with CATALOGUE.also(self.own_effects()):
             before = tuple(entry.applied() for entry in self.effects)
             return before + self.simulation.applied_effects()
 
     def own_effects(self) -> tuple[Effect, ...]:
-        """Return the effects whose formulas the file states: a diagnosis looks for them, too."""
+        """Return the effects that the file defines by formulas; a diagnosis considers them as candidates."""
         return tuple(entry.effect() for entry in self.formulas)
 
     def nominal_block(self) -> Block:
@@ -191,7 +191,7 @@ class BenchFile(FileModel):
         return Block(np.diag(self.unit_under_test.scale_factors.values), np.zeros(3))
 
     def simulated_block(self) -> Block:
-        """Return the block of the simulated bench: as stated, else nominal scale factors and no bias."""
+        """Return the block of the simulated bench as stated; by default the nominal block."""
         truth = self.simulation.block
         if truth is None:
             return self.nominal_block()
@@ -199,26 +199,26 @@ class BenchFile(FileModel):
 
 
 def load_bench(path: Path) -> BenchFile:
-    """Read a bench file. Raises `FileMistakes` with every mistake in it."""
+    """Read a bench file. Raises `FileMistakes` with every mistake in the file."""
     return load_validated(path, BenchFile)
 
 
 class _WithUnknownInstruments(BenchFile):
-    """A recorded bench file with instruments of unknown drivers; it was checked when its run began."""
+    """A recorded bench file that names unknown drivers; it was checked when its run began."""
 
     instruments: RecordedInstruments
 
     @classmethod
     def cross_checks(cls, data: Any) -> Iterable[tuple[Place, str]]:
-        """Yield nothing: without the instruments the parts cannot be checked against each other."""
+        """Yield nothing: without the drivers, the parts cannot be checked against each other."""
         return ()
 
 
 def load_recorded_bench(path: Path) -> BenchFile:
-    """Read the bench file of a run for its evaluation, without the effects of the simulation.
+    """Read the bench file of a recorded run for evaluation, without the effects of the simulation.
 
-    Evaluations do not use these, and the catalogue may have lost some of them. The section of an instrument whose
-    plug-in is missing is kept as written. Raises `FileMistakes` with every other mistake.
+    Evaluations do not use these effects, and the catalogue may no longer contain them. The section of an instrument
+    with a missing plug-in is kept as written. Raises `FileMistakes` with every other mistake.
     """
     document = load_document(path)
     if isinstance(document.data, dict):
@@ -230,12 +230,12 @@ def load_recorded_bench(path: Path) -> BenchFile:
 
 
 def missing_drivers(path: Path) -> list[str]:
-    """Return the unknown drivers of a bench file. Raises `FileMistakes` where it cannot be read."""
+    """Return the unknown drivers that a bench file names. Raises `FileMistakes` if it cannot be read."""
     return unknown_drivers(_sections_of(load_document(path).data))
 
 
 def foreign_drivers(bench: BenchFile) -> dict[str, str]:
-    """Return the drivers that came with plug-ins, with their origins."""
+    """Return the drivers of a bench that came from plug-ins, each with the file or distribution it came from."""
     origins = {section.driver: devices().origin(section.driver) for section in bench.instruments.all()}
     return {name: origin for name, origin in origins.items() if origin}
 
@@ -251,9 +251,10 @@ _MICRO: Final = 1e-6
 
 @dataclass(frozen=True)
 class Standing:
-    """A certificate on the day of readings: of which instrument, and the serial number that answered.
+    """The certificate of an instrument as it applies to readings of a certain day.
 
-    `answered` is None where it is unknown, as for readings from a file, and empty where the instrument has none.
+    `answered` is the serial number that the instrument reported: None if unknown, as for readings from a file, and
+    empty if the instrument has none.
     """
 
     section: InstrumentForm
@@ -263,7 +264,7 @@ class Standing:
 
     @property
     def instrument(self) -> str:
-        """Name of the instrument."""
+        """The name of the instrument."""
         return self.section.name
 
     @property
@@ -274,7 +275,7 @@ class Standing:
 
     @property
     def foreign(self) -> bool:
-        """Whether another instrument answered than the one that was calibrated."""
+        """Whether the instrument reported a serial number other than that of its certificate."""
         stated = self.certificate.serial
         return bool(
             stated and self.answered and stated.strip().casefold() != self.answered.strip().casefold()
@@ -282,7 +283,7 @@ class Standing:
 
     @property
     def correction(self) -> str:
-        """The correction that it adds to readings, in words; empty for none."""
+        """The correction that the certificate adds to readings, in words; empty for no correction."""
         certificate = self.certificate
         if isinstance(self.section, VoltmeterForm):
             return ", ".join(self._of_the_meter(self.section))
@@ -303,7 +304,7 @@ class Standing:
             yield f"offset {values.offset.correction / _MICRO:+.4g} µV"
 
     def remarks(self) -> Iterator[str]:
-        """Yield the caveats of the certificate, a sentence each."""
+        """Yield the caveats on the certificate, one sentence each."""
         certificate = self.certificate
         which = f"{self.instrument}: its {certificate.words}"
         if self.foreign:
@@ -323,7 +324,7 @@ class Standing:
                 yield f"{which}, says nothing of the {range_v:g} V range: there the data sheet's limits count"
 
     def to_json(self, *, why_not: str) -> dict[str, Any]:
-        """Return what a result says of it."""
+        """Return the entry of a result on this certificate; `why_not` says why it is not applied, or is empty."""
         certificate = self.certificate
         until = certificate.valid_until
         return {
@@ -344,7 +345,10 @@ class Standing:
 def standings(
     bench: BenchFile, day: datetime.date, answered: Mapping[str, str] | None = None
 ) -> tuple[Standing, ...]:
-    """Return the certificates of a bench on a day; `answered` are serial numbers by the instrument's name."""
+    """Return the certificates of a bench as they apply on a day.
+
+    `answered` maps instrument names to reported serial numbers.
+    """
     serials = answered or {}
     return tuple(
         Standing(section, section.certificate, day, None if section.by_hand else serials.get(section.name))
@@ -354,7 +358,7 @@ def standings(
 
 
 def without(bench: BenchFile, names: Set[str]) -> BenchFile:
-    """Return a bench without the certificates of some of its instruments, by name."""
+    """Return a copy of a bench in which the named instruments have no certificates."""
     if not names:
         return bench
 
@@ -373,7 +377,10 @@ def without(bench: BenchFile, names: Set[str]) -> BenchFile:
 
 
 def corrections_of(bench: BenchFile) -> Corrections:
-    """Return what the certificates of a bench add to readings: each voltmeter's for its range to its channels."""
+    """Return the corrections that the certificates of a bench add to readings.
+
+    Gain and offset are those of the voltmeter of each channel on its range.
+    """
     gain, offset_v = dict.fromkeys(CHANNELS, 0.0), dict.fromkeys(CHANNELS, 0.0)
     for meter in bench.instruments.voltmeters:
         values = meter.certificate and meter.certificate.of_range(meter.range)

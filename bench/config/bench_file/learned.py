@@ -1,4 +1,4 @@
-"""Files made from many runs: the learned file of a bench, and the prior file of a type of unit."""
+"""Files made from many runs: the learned file of a bench, and the prior file of a unit type."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ Dof = Annotated[float, Field(gt=0.0)]
 
 
 class RunEntry(FileModel):
-    """A run behind the file: its name, the head of its chain (empty without one), the hash of its readings."""
+    """A run behind the file: its name, the head of its record's hash chain (or empty), the hash of its readings."""
 
     name: str
     head: str = Field("", min_length=0)
@@ -41,7 +41,7 @@ class RunEntry(FileModel):
 
 
 class MeanEntry(FileModel):
-    """The mean of an angle over all mountings, or over those of one installation, with its standard uncertainty."""
+    """The mean of an angle with its standard uncertainty, over all mountings or those of one `installation`."""
 
     angle: AngleName
     installation: str = Field("", min_length=0)
@@ -50,21 +50,21 @@ class MeanEntry(FileModel):
 
 
 class SizeEntry(FileModel):
-    """A size of the noise of one channel, in the unit of the signal, with degrees of freedom."""
+    """The noise of one channel (1 σ), in the unit of the signal, with its degrees of freedom."""
 
     size: Annotated[float, Field(gt=0.0)]
     dof: Dof
 
 
 class AngleSizeEntry(FileModel):
-    """The setting error of the head with degrees of freedom."""
+    """The setting error of the head (1 σ) with its degrees of freedom."""
 
     size: SizeRad
     dof: Dof
 
 
 class NoiseEntry(FileModel):
-    """The noise of the channels in `unit`, and the setting error."""
+    """The noise of the three channels, in `unit`, and the setting error of the head."""
 
     unit: str
     x: SizeEntry
@@ -74,7 +74,7 @@ class NoiseEntry(FileModel):
 
 
 class StandEntry(FileModel):
-    """The stand's angles: means with their covariance in rad², and what a mounting adds (1 σ)."""
+    """The learned angles: means with covariance, rad², and standard deviations between mountings (`remount`)."""
 
     means: tuple[MeanEntry, ...] = Field(min_length=1)
     covariance_rad2: tuple[tuple[float, ...], ...]
@@ -97,26 +97,29 @@ class StandEntry(FileModel):
 
     @property
     def covariance(self) -> Floats:
-        """The covariance of the means, rad², (k, k)."""
+        """The covariance matrix of the means, rad², (k, k); (0, 0) if the rows differ in length."""
         ragged = len({len(row) for row in self.covariance_rad2}) > 1
         return np.zeros((0, 0)) if ragged else np.array(self.covariance_rad2, dtype=np.float64)
 
 
 def _symmetric(covariance: Floats) -> bool:
-    """Whether a covariance (k, k) is symmetric, in terms of its own variances: in rad² all of it is tiny."""
+    """Whether a covariance (k, k) is symmetric, relative to its own variances: values in rad² are all tiny."""
     u = np.sqrt(np.abs(np.diag(covariance)))
     return bool(np.all(np.abs(covariance - covariance.T) <= 1e-9 * np.outer(u, u)))
 
 
 class MeterValuesEntry(FileModel):
-    """One quantity of each meter about the mean of its group, SI, with the covariance."""
+    """One quantity of each meter relative to its group's mean, with the covariance matrix, in SI units."""
 
     values: tuple[float, ...]
     covariance: tuple[tuple[float, ...], ...]
 
 
 class MetersEntry(FileModel):
-    """How meters differ, about `day`: those of one `group` were compared, by the `runs` that exchanged them."""
+    """The differences between meters, referred to the date `day`.
+
+    Meters with the same `group` number were compared with each other; `runs` are those that exchanged meters.
+    """
 
     meters: Annotated[tuple[str, ...], Field(min_length=2)]
     group: tuple[int, ...]
@@ -141,7 +144,10 @@ class MetersEntry(FileModel):
 
 
 class LearnedFile(WithEffects):
-    """What runs told of a bench; `sizes`, `contradicting` and `not_identified` are for the reader of the file."""
+    """The errors of a bench as learned from its runs.
+
+    `sizes`, `contradicting` and `not_identified` inform the reader of the file; nothing is computed from them.
+    """
 
     learned_file: Literal["1"]
     bench: str
@@ -161,7 +167,7 @@ class LearnedFile(WithEffects):
     not_identified: tuple[str, ...] = ()
 
     def has(self, head: str, readings: Sequence[str]) -> bool:
-        """Whether a record by the head of its chain, or readings by any of their hashes, are behind the file."""
+        """Whether the record with this chain head, or readings with any of these hashes, are behind the file."""
         return any((head and run.head == head) or run.readings in readings for run in self.runs)
 
     def expired(self, day: datetime.date) -> bool:
@@ -170,14 +176,14 @@ class LearnedFile(WithEffects):
 
 
 def learned_for(bench: BenchFile) -> str:
-    """Return the hash of what learned sizes are sizes of: stand, head, installations, meters."""
+    """Return the hash of the bench's stand, head, installations and meters, to which learned values apply."""
     own = {
         "stand": bench.stand.model_dump(mode="json"),
         "installations": {label: one.model_dump(mode="json") for label, one in bench.installations.items()},
         "head": bench.instruments.head.model_dump(mode="json"),
         "meters": [
             {"driver": m.driver, "channels": list(m.channels), "range": m.range}
-            # the same kinds on the same channels, in whichever order, exchanged or not
+            # sorted by channel: neither the order of the meters nor an exchange between equal ones matters
             for m in sorted(bench.instruments.voltmeters, key=lambda m: m.channels)
         ],
     }
@@ -185,7 +191,7 @@ def learned_for(bench: BenchFile) -> str:
 
 
 def load_learned(path: Path, bench: BenchFile) -> LearnedFile:
-    """Read a learned file for a bench. Raises `FileMistakes`, also where it is of another stand."""
+    """Read a learned file for a bench. Raises `FileMistakes`, also if it was learned from another stand."""
     file = load_validated(path, LearnedFile)
     if file.learned_for != learned_for(bench):
         text = (
@@ -197,13 +203,13 @@ def load_learned(path: Path, bench: BenchFile) -> LearnedFile:
 
 
 def write_learned(path: Path, content: Mapping[str, Any], effects: Sequence[AppliedEffect]) -> None:
-    """Write a learned file that `load_learned` reads back to the same values. Raises `OSError`."""
+    """Write a learned file that `load_learned` reads back with equal values. Raises `OSError`."""
     whole = {"learned_file": int(FORMAT), **content, **written_effects(effects)}
     write_whole(path, yaml.safe_dump(whole, sort_keys=False, allow_unicode=True, width=110))
 
 
 def arcsec(angle_rad: float) -> str:
-    """Return an angle as a learned file states it."""
+    """Return an angle as text for a learned file, such as "1.5 arcsec"."""
     return f"{angle_rad / ARCSEC!r} arcsec"
 
 
@@ -211,7 +217,7 @@ Row = Annotated[tuple[float, ...], Field(min_length=len(COEFFICIENTS), max_lengt
 
 
 class PriorCoefficient(FileModel):
-    """One coefficient of a further unit: its mean, u, what units differ by, and the u of the mean."""
+    """The prior of one coefficient: mean, u, standard deviation between units, standard uncertainty of the mean."""
 
     mean: float
     u: Annotated[float, Field(gt=0)]
@@ -220,7 +226,7 @@ class PriorCoefficient(FileModel):
 
 
 class PriorFile(FileModel):
-    """A prior file, validated. Scale factors are per g of `per_g_m_s2`, in the unit of the signal."""
+    """A validated prior file; scale factors are per g of `per_g_m_s2`, in the unit of the signal."""
 
     type: str
     signal: str
@@ -238,7 +244,7 @@ class PriorFile(FileModel):
 
     @classmethod
     def cross_checks(cls, data: Any) -> Iterable[tuple[Place, str]]:
-        """Yield coefficients that are missing or none, and a covariance that is none."""
+        """Yield the mistakes in the names of coefficients and in the covariance matrix."""
         named = part(data, "coefficients")
         if isinstance(named, dict):
             missing = [name for name in COEFFICIENTS if name not in named]
@@ -250,7 +256,7 @@ class PriorFile(FileModel):
             usable = bool(np.all(size > 0)) and np.allclose(matrix, matrix.T, rtol=1e-9, atol=0.0)
             usable = usable and bool(np.linalg.eigvalsh(matrix / np.outer(size, size))[0] > 0)
         except (TypeError, ValueError):
-            return  # its form is told
+            return  # its form is reported by the field itself
         if not usable:
             yield (
                 ("covariance",),
@@ -259,5 +265,5 @@ class PriorFile(FileModel):
 
 
 def load_prior(path: Path) -> PriorFile:
-    """Read a prior file. Raises `FileMistakes` with every mistake in it."""
+    """Read a prior file. Raises `FileMistakes` with every mistake in the file."""
     return load_validated(path, PriorFile)

@@ -1,4 +1,4 @@
-"""Sections of a bench file on instruments, their simulation, and the check block."""
+"""Sections of a bench file on the instruments, the simulation and the check block."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ InstrumentForm = VoltmeterForm | HeadForm | ChamberForm | LevelForm | Thermomete
 
 
 class InstrumentsSection(FileModel):
-    """Everything that is opened for a run; the driver chooses what else a section says."""
+    """The instruments of a bench; the `driver` of each determines the other keys of its section."""
 
     voltmeters: Annotated[
         tuple[Annotated[VoltmeterForm, chosen_by_driver("voltmeter")], ...],
@@ -57,7 +57,7 @@ class InstrumentsSection(FileModel):
     power_supply: Annotated[SupplyForm | None, chosen_by_driver("power_supply")] = None
 
     def all(self) -> Iterator[InstrumentForm]:
-        """Yield the section of every instrument: voltmeters, head, and what else there is."""
+        """Yield the section of every instrument: voltmeters, head, then the optional ones."""
         yield from self.voltmeters
         yield self.head
         for further in (self.chamber, self.level, self.thermometer, self.power_supply):
@@ -66,13 +66,13 @@ class InstrumentsSection(FileModel):
 
     @property
     def meter_of_thermometer(self) -> VoltmeterForm | None:
-        """The voltmeter of which the thermometer is one channel more; None where it has its own wire, or none."""
+        """The voltmeter whose resource the thermometer shares; None if it shares none."""
         resource = getattr(self.thermometer, "resource", None)
         return next((meter for meter in self.voltmeters if resource and meter.resource == resource), None)
 
     @property
     def adapters(self) -> dict[str, str]:
-        """The GPIB adapters, by the address of each its name on the bench: "adapter", "adapter.2" …."""
+        """The GPIB adapters: instrument name ("adapter", "adapter.2", …) by adapter address."""
         places = [section.place for section in self.all() if isinstance(section, WiredForm)]
         known = dict.fromkeys(place.adapter for place in places if place is not None)
         return {
@@ -81,13 +81,13 @@ class InstrumentsSection(FileModel):
         }
 
     def names(self) -> Iterator[str]:
-        """Yield the name of every instrument, then of every adapter."""
+        """Yield the name of every instrument, then of every GPIB adapter."""
         yield from (section.name for section in self.all())
         yield from self.adapters.values()
 
 
 class RecordedInstruments(InstrumentsSection):
-    """The instruments of a run that is evaluated: of those that nobody here knows what is written is kept."""
+    """The instruments of a recorded run; sections with unknown drivers are kept as written."""
 
     voltmeters: Annotated[
         tuple[Annotated[VoltmeterForm, chosen_by_driver("voltmeter", recorded=True)], ...],
@@ -107,13 +107,13 @@ FaultWord = Literal[
     "drop", "refuse", "late", "twice", "cut", "garble", "silence", "hang", "power-cycle", "overload", "local",
     "error",
 ]  # fmt: skip
-"""What can go wrong with a simulated instrument and its wire (`sim.wires.faults.FaultKind`)."""
+"""The faults of a simulated instrument and its wire (`sim.wires.faults.FaultKind`)."""
 
 _TAKE_SECONDS: Final = ("late", "refuse", "hang")
 
 
 class BlockTruth(FileModel):
-    """The simulated block as it is: K row by row (V/g) and U0 (V)."""
+    """The true coefficients of the simulated block: K by rows (V/g) and U0 (V)."""
 
     K: Annotated[tuple[Row, ...], Field(min_length=3, max_length=3)]
     U0: Annotated[tuple[VoltageV, ...], Field(min_length=3, max_length=3)]
@@ -122,9 +122,9 @@ class BlockTruth(FileModel):
 class OperatorTruth(FileModel):
     """The simulated operator.
 
-    `setting_deviation` is the standard deviation of the angle left on the scale from its target, read to
-    `resolution`; a turn takes between the two times of `turn_time`; `slip_probability` is how often the
-    angle that is typed has a classic slip.
+    `setting_deviation` is the standard deviation of the set angle from its target; the scale is read to
+    `resolution`. A turn takes a time between the two values of `turn_time`. `slip_probability` is the probability
+    that a typed angle contains a classic slip.
     """
 
     setting_deviation: SizeRad = 2 * ARCSEC
@@ -149,10 +149,10 @@ class OperatorTruth(FileModel):
 
 
 class FaultSection(FileModel):
-    """What goes wrong, when, with which instrument (all that can have it, where it is left out).
+    """A fault of the simulated bench, in one instrument or in all that can have it.
 
-    Of the commands that contain `matching`, each is struck with `probability`, or the `at`-th alone, or every
-    one. `seconds` is how late a reply comes, how long connections are refused or the instrument hangs.
+    It affects commands that contain `matching`: each with `probability`, only the `at`-th, or every one. `seconds`
+    is the delay of a late reply, or the time for which connections are refused or the instrument hangs.
     """
 
     fault: FaultWord
@@ -178,15 +178,15 @@ class FaultSection(FileModel):
         return self
 
     def to_plain(self) -> dict[str, Any]:
-        """Return it as written, without what was left out."""
+        """Return the section as a dictionary without the omitted keys."""
         return self.model_dump(exclude_none=True)
 
 
 class SimulationSection(WithEffects):
-    """What the simulated bench is like; without a block it has the nominal scale factors alone.
+    """The true state of the simulated bench; without `block`, the block has nominal scale factors only.
 
-    `effects`, with `formulas` and `left_open`, are those of a model file: the simulated bench has them, and nothing
-    that evaluates its readings knows of them.
+    `effects`, `formulas` and `left_open` are written as in a model file. They affect the simulated readings; their
+    evaluation does not use them.
     """
 
     block: BlockTruth | None = None
@@ -206,42 +206,43 @@ class SimulationSection(WithEffects):
 
 DAY_S: Final = 86400.0
 LEAST_SMOOTHING: Final = 0.03
-"""Below it the published tables of run lengths end."""
+"""The smallest smoothing constant in the published tables of run lengths."""
 LEAST_ARL: Final = 20.0
 MOST_ARL: Final = 1e5
 
 
 class DriftSection(FileModel):
-    """How a coefficient of the check block is known to drift in a year, with its standard uncertainty u."""
+    """The known drift of a coefficient of the check block per year, with its standard uncertainty `u`."""
 
     per_year: str
     u: str
 
     def value(self, coefficient: str) -> tuple[float, float]:
-        """Return both, V/g or V. Raises `ValueError` for text that is no quantity of its kind."""
+        """Return the drift per year and its u, in V/g or V. Raises `ValueError` for text that states neither."""
         kind = VOLTAGE if coefficient.startswith("U0") else SCALE_FACTOR
         return parse_quantity(self.per_year, kind), parse_quantity(self.u, kind)
 
 
 class BaselineDaysSection(FileModel):
-    """The days, both included, whose runs of the check block are the baseline."""
+    """The first and the last day (both included) of the check block runs that form the baseline."""
 
     first: Day
     last: Day
 
 
 class CheckBlockSection(FileModel):
-    """A block of known history that is measured before a day's work, and what its control chart does to runs.
+    """A block of known history that is measured before a day's work, and the rules of its control chart.
 
-    It is known by its serial number and `type` (that of `unit_under_test`, if left out). Its first `baseline`
-    runs on this bench that are in control say what the block is; in their place those of `baseline_days`, or
-    what `reference` names: runs, or one result of `bench calibrate --json` from elsewhere (its path from
-    here). The chart gives a false alarm once in `arl` runs (370), or with `k` as often as one Shewhart chart
-    with limits of k standard deviations. `smoothing` is the λ of its EWMA, which begins anew on the day
-    `restarted`. Limits are from u as `stated`, from that `scaled` as the baseline shows, or from the `scatter`
-    of the baseline alone. `between_runs` names sources of u that come anew with each measurement of the check
-    block. With `rule: refuse` no run begins unless the last check is in control and not older than `max_age`;
-    with `warn` it is told.
+    The block is identified by its serial number and `type` (default: the type in `unit_under_test`). The baseline
+    is its first `baseline` accepted runs on this bench. Instead, it can be the runs of `baseline_days`, or those
+    that `reference` names: runs, or one result of `bench calibrate --json` from elsewhere (a path relative to this
+    file).
+
+    The chart gives one false alarm in `arl` runs (default 370), or, with `k`, as many as one Shewhart chart with
+    limits of k standard deviations. `smoothing` is the λ of its EWMA, which starts anew on the day `restarted`.
+    `limits` sets the basis of the limits: u as "stated", u "scaled" to the baseline, or the "scatter" of the
+    baseline alone. `between_runs` names the sources of u that vary from run to run. With `rule: refuse`, a run
+    starts only if the last check was in control and is no older than `max_age`; with `warn`, the run only warns.
     """
 
     serial: str
@@ -281,5 +282,5 @@ class CheckBlockSection(FileModel):
         return self
 
     def is_of(self, unit_type: str, serial: str, type_of_bench: str) -> bool:
-        """Whether a unit is the check block; `type_of_bench` is what `unit_under_test` states."""
+        """Whether a unit is the check block; `type_of_bench` is the type in `unit_under_test`."""
         return (unit_type, serial) == (self.type or type_of_bench, self.serial)

@@ -1,4 +1,4 @@
-"""Sections of a bench file on gravity, stand, block and its supply, and on errors that no reading shows."""
+"""Sections of a bench file on gravity, stand, block, block supply, and errors invisible in the readings."""
 
 from __future__ import annotations
 
@@ -46,14 +46,14 @@ def _names_a_column(name: str) -> str:
 
 
 class CurrentWindow(FileModel):
-    """What a rail draws in operation, A."""
+    """The range of a rail's current in operation, A."""
 
     minimum: SizeA
     maximum: SizeA
 
 
 class RailLimits(FileModel):
-    """What the block may never be given on a rail: absolute limits of its data sheet."""
+    """The absolute limits of the block on a rail, from its data sheet."""
 
     minimum: VoltageV
     maximum: VoltageV
@@ -61,11 +61,11 @@ class RailLimits(FileModel):
 
 
 class RailSection(FileModel):
-    """A rail: the supply's output that feeds it, its voltage with the tolerance it is kept within, its current.
+    """A rail of the block: the supply output that feeds it, its voltage with tolerance, and its current.
 
-    `limits` are the block's own; `current_limit` and `over_voltage` are what the supply's output is set to before
-    it is switched on. A negative rail has negative voltages throughout. What these must be to one another is
-    checked with the supply (`bench.config.bench_file.stand`).
+    `limits` are those of the block. `current_limit` and `over_voltage` are set at the supply's output before it is
+    switched on. All voltages of a negative rail are negative. `bench.config.bench_file.crosschecks` checks these
+    values against each other and against the supply.
     """
 
     name: Annotated[str, AfterValidator(_names_a_column)]
@@ -79,23 +79,23 @@ class RailSection(FileModel):
 
     @property
     def settings(self) -> OutputSettings:
-        """What the supply's output is set to."""
+        """The settings of the supply's output."""
         return OutputSettings(self.voltage, self.current_limit, self.over_voltage)
 
     @property
     def window_v(self) -> tuple[float, float]:
-        """Lowest and highest voltage that is as it should be, V."""
+        """The lowest and the highest voltage within tolerance, V."""
         return self.voltage - self.tolerance, self.voltage + self.tolerance
 
 
 MOST_SAMPLES: Final = 1_000_000
-"""Of a warm-up that is waited for."""
+"""The most samples of the signals during a warm-up."""
 
 
 class DriftForm(FileModel):
-    """Warm once each signal has moved by no more than `drift` for the time `per`; looked at each `interval`.
+    """Criterion of warm-up: each signal has moved by no more than `drift` within the time `per`.
 
-    What has not come to that within `timeout` is a failure.
+    The signals are sampled every `interval`. Warm-up fails if they have not met the criterion by `timeout`.
     """
 
     drift: SizeV
@@ -129,11 +129,11 @@ WarmUp = Annotated[
 
 
 class UnitSupplySection(FileModel):
-    """The block's supply. Rails are switched on in the order in which they stand, `pause` apart, off in reverse.
+    """The block's supply.
 
-    Once off, the block stays off for `least_off`. `warm_up` is a time, or until the signals have settled, from
-    switching on. `when_unsafe` says what is safe for the block on every way out of a run: that it stays on, or
-    that it is switched off.
+    The rails are switched on in the listed order, `pause` apart, and off in reverse. Once off, the block stays off
+    for at least `least_off`. `warm_up` starts at switch-on; it is a fixed time, or ends when the signals have
+    settled. `when_unsafe` is the safe state of the block whenever a run ends: it stays on, or is switched off.
     """
 
     rails: Annotated[tuple[RailSection, ...], Field(min_length=1)]
@@ -144,22 +144,22 @@ class UnitSupplySection(FileModel):
 
     @property
     def switching_s(self) -> float:
-        """How long it takes to switch all rails on, or off, s."""
+        """The time to switch all rails on, or off, s."""
         return self.pause * (len(self.rails) - 1)
 
     @property
     def warm_up_s(self) -> float:
-        """The shortest warm-up, s."""
+        """The shortest possible warm-up, s."""
         return self.warm_up if isinstance(self.warm_up, float) else self.warm_up.per + self.warm_up.interval
 
     @property
     def longest_warm_up_s(self) -> float:
-        """The longest warm-up, s."""
+        """The longest possible warm-up, s."""
         return self.warm_up if isinstance(self.warm_up, float) else self.warm_up.timeout
 
 
 LARGEST_RAD: Final = math.radians(2.0)
-"""Largest limit of a stand error: for comparison, 0.01 g along a level axis is 0.6 deg."""
+"""The largest accepted limit of a stand error; for comparison, 0.01 g along a level axis is 0.6°."""
 
 SizeG = Annotated[float, not_negative(ACCELERATION)]
 
@@ -168,7 +168,7 @@ SizeG = Annotated[float, not_negative(ACCELERATION)]
 
 
 class Location(FileModel):
-    """Where the bench stands, for the WGS 84 formula."""
+    """The location of the bench, from which the WGS 84 formula gives gravity."""
 
     latitude: AngleRad
     height: LengthM = 0.0
@@ -194,7 +194,7 @@ def _plausible_gravity(g_m_s2: float) -> float:
 
 
 class MeasuredGravity(FileModel):
-    """A measured value of local gravity with source, date and expanded uncertainty U = k u."""
+    """A measured value of local gravity with its source, date and expanded uncertainty U = k u."""
 
     value: Annotated[AccelerationMS2, AfterValidator(_plausible_gravity)]
     source: str
@@ -222,9 +222,9 @@ Gravity = Annotated[
 
 
 class ErrorSize(FileModel):
-    """Limit of an error with its distribution; a normal one needs the coverage factor k.
+    """The limit of an error with its distribution; a normal distribution requires the coverage factor k.
 
-    `dof` are the degrees of freedom of a limit found from repeats; by default infinite.
+    `dof` are the degrees of freedom if the limit was estimated from repeats; by default infinite.
     """
 
     limit: float
@@ -241,7 +241,7 @@ class ErrorSize(FileModel):
         return self
 
     def to_distribution(self) -> Distribution:
-        """Return the distribution, in SI."""
+        """Return the distribution, in SI units."""
         return Distribution(self.limit, self.distribution, 1.0 if self.k is None else self.k)
 
 
@@ -255,7 +255,7 @@ def _of_a_bench(limit_rad: float) -> float:
 
 
 class AngleError(ErrorSize):
-    """An angle of the stand, rad: so small that its sine is the angle."""
+    """A stand error that is an angle, rad; it is so small that its sine equals the angle."""
 
     limit: Annotated[SizeRad, AfterValidator(_of_a_bench)]
 
@@ -267,11 +267,11 @@ class VoltageError(ErrorSize):
 
 
 class StandSection(FileModel):
-    """The stand errors, alpha1…alpha4 and Delta U_M of the paper.
+    """The stand errors: alpha1 to alpha4 and Delta U_M of the paper, and three more angles.
 
-    By default the mounting roll is as large as the mounting error, and the mounting offset zero. `foundation` is
-    the tilt of the levelled platform in a day. A levelling during a run replaces `axis_tilt` and `zero_offset` in
-    its mounting.
+    By default the mounting roll has the limit of the mounting error, and the mounting offset is zero. `foundation`
+    is the tilt of the levelled platform in a day. If the platform is levelled during a run, the measured values
+    replace `axis_tilt` and `zero_offset` for that mounting.
     """
 
     axis_tilt: AngleError
@@ -285,7 +285,10 @@ class StandSection(FileModel):
 
 
 class InstallationSection(FileModel):
-    """The platform axis along which each block axis lies, and a turn of the block about a platform axis."""
+    """An installation: the platform axis along which each block axis lies.
+
+    The block may also be turned by the angle `turned` about the platform axis `about`.
+    """
 
     axes: Annotated[tuple[str, ...], Field(min_length=3, max_length=3)]
     turned: AngleRad = 0.0
@@ -321,12 +324,12 @@ class ScaleFactors(FileModel):
 
     @property
     def values(self) -> tuple[float, float, float]:
-        """The three, V/g."""
+        """The scale factors of x, y and z, V/g."""
         return self.x, self.y, self.z
 
 
 class UnitUnderTest(FileModel):
-    """The block: identity, nominal scale factors, measuring range, temperatures it may be given, its supply."""
+    """The block: identity, nominal scale factors, measuring range, permitted temperatures, and supply."""
 
     type: str
     serial: str
@@ -337,7 +340,7 @@ class UnitUnderTest(FileModel):
 
 
 class PopulationSection(FileModel):
-    """What is known of Δg over many blocks of this type, before one is measured: a normal distribution."""
+    """The normal distribution of Δg, the error of measured gravity, over blocks of this type, in g."""
 
     mean: AccelerationG = 0.0
     standard_deviation: Annotated[
@@ -347,14 +350,17 @@ class PopulationSection(FileModel):
 
 
 class StatedRule(FileModel):
-    """A decision rule as a file states it; the guard band is so many times U (of the non-binary if unnamed)."""
+    """A decision rule as stated in a file; the guard band is a multiple of the expanded uncertainty U.
+
+    A guard band without a rule selects the non-binary rule.
+    """
 
     rule: Literal["simple acceptance", "guarded", "non-binary"] | None = None
     guard_band: Annotated[float, Field(gt=0.0)] | None = None
 
     @property
     def names_a_rule(self) -> bool:
-        """Whether it says how a verdict is found; else the default rule holds."""
+        """Whether the file states a decision rule or a guard band; otherwise the default rule applies."""
         return self.rule is not None or self.guard_band is not None
 
     @model_validator(mode="after")
@@ -367,7 +373,10 @@ class StatedRule(FileModel):
 
 
 class VerificationSection(StatedRule):
-    """Delta g_A: how far the measured modulus of gravity may be from 1 g, and how the verdict is found."""
+    """The verification: the largest permitted deviation Delta g_A of measured gravity from 1 g.
+
+    Further keys state the decision rule and the population of blocks.
+    """
 
     limit: SizeG
     population: PopulationSection | None = None
@@ -395,10 +404,10 @@ class GravityError(ErrorSize):
 
 
 class TemperatureError(ErrorSize):
-    """How far the temperature of the block is from that of the calibration, K: throughout a run, as an offset.
+    """The limit of the difference between the block's temperature and that of the calibration, K.
 
-    Where the block's temperature wanders within the limit, `correlation_time` says in what time it forgets where it
-    was; only then do readings average it.
+    By default the difference is constant throughout a run. If it fluctuates, `correlation_time` is its correlation
+    time; only then do readings average it.
     """
 
     limit: SizeK
@@ -424,40 +433,40 @@ class ScalePerKelvin(ErrorSize):
 
 
 class BiasPerVolt(ErrorSize):
-    """How the bias follows the voltage of a rail, g/V."""
+    """A supply voltage coefficient of the bias, for one rail, g/V."""
 
     limit: Annotated[float, not_negative(BIAS_PER_V)]
 
 
 class ScalePerVolt(ErrorSize):
-    """How the scale factor follows the voltage of a rail, 1/V."""
+    """A supply voltage coefficient of the scale factor, for one rail, 1/V."""
 
     limit: Annotated[float, not_negative(SCALE_PER_V)]
 
 
 class BiasError(ErrorSize):
-    """How a bias differs from one switching-on to another, g."""
+    """The repeatability of a bias from one switch-on to another, g."""
 
     limit: Annotated[float, not_negative(BIAS)]
 
 
 class QuadraticError(ErrorSize):
-    """K2 of a channel, in g per g²."""
+    """The quadratic nonlinearity K2 of a channel, in g per g²."""
 
     limit: Annotated[float, not_negative(QUADRATIC)]
 
 
 class CubicError(ErrorSize):
-    """K3 of a channel, in g per g³."""
+    """The cubic nonlinearity K3 of a channel, in g per g³."""
 
     limit: Annotated[float, not_negative(CUBIC)]
 
 
 class UncertaintySection(FileModel):
-    """What is known of the errors that the readings do not show; what is left out has a default.
+    """The limits of errors that the readings do not reveal; omitted limits have defaults.
 
-    The defaults of the voltmeters are their makers' limits, that of the temperature the chamber's band, that of the
-    rails' voltages their tolerance; temperature and voltages are off by as much throughout a run.
+    The default for voltmeters is the maker's limits, for temperature the chamber's band, and for rail voltages
+    their tolerance. The deviations of temperature and rail voltages are taken to be constant throughout a run.
     """
 
     voltmeter_gain: RatioError | None = None

@@ -3,4 +3,4 @@
 from typing import Final
 
 FOLDERS: Final = "BENCH_DEVICES"
-"""The environment's name for folders of devices; here, where neither a form nor a driver comes with it."""
+"""The environment variable that lists folders of devices; defined here, so that importing it loads no driver."""

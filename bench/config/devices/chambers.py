@@ -29,11 +29,11 @@ class EspecSection(ControlledChamberForm):
     serial: PortSection = PortSection.of(espec)
 
     def driver_options(self) -> dict[str, Any]:
-        """Return the pattern of its identity."""
+        """Return the identity pattern of the controller."""
         return {"identity": self.identity}
 
     def simulation_options(self, truth: ChamberTruth) -> dict[str, Any]:
-        """Return its limits, its name where the pattern is one, and the noise of its sensor."""
+        """Return the chamber's limits, its name if the pattern is a plain name, and its sensor noise."""
         named = {"name": self.identity} if as_stated(self.identity) else {}
         return super().simulation_options(truth) | named | {"noise_c": truth.sensor_noise}
 
@@ -50,7 +50,7 @@ _ESPEC = Device(
 
 
 class ThermotronSection(ControlledChamberForm):
-    """A chamber with a Thermotron controller, set to °C; `identity` is the pattern of its name."""
+    """A chamber with a Thermotron controller that works in °C; `identity` is the pattern of its name."""
 
     facts: ClassVar = thermotron
 
@@ -65,11 +65,11 @@ class ThermotronSection(ControlledChamberForm):
     serial: PortSection = PortSection.of(thermotron)
 
     def driver_options(self) -> dict[str, Any]:
-        """Return the pattern of its identity."""
+        """Return the identity pattern of the controller."""
         return {"identity": self.identity}
 
     def simulation_options(self, truth: ChamberTruth) -> dict[str, Any]:
-        """Return its limits, and its name where the pattern is one."""
+        """Return the chamber's limits, and its name if the pattern is a plain name."""
         named = {"identity": self.identity} if as_stated(self.identity) else {}
         return super().simulation_options(truth) | named
 
@@ -86,10 +86,10 @@ _THERMOTRON = Device(
 
 
 class WatlowF4TSection(ControlledChamberForm):
-    """A chamber with a Watlow F4T.
+    """A chamber with a Watlow F4T controller.
 
-    `output` is the output that switches conditioning on; where it is left out, the chamber is set to `safe`
-    after a run.
+    `output` is the number of the output that switches conditioning on. Without `output`, a run ends by setting the
+    chamber to the temperature `safe`.
     """
 
     facts: ClassVar = f4t
@@ -108,11 +108,11 @@ class WatlowF4TSection(ControlledChamberForm):
         return self
 
     def driver_options(self) -> dict[str, Any]:
-        """Return loop and output, what is safe, and the pattern of its identity."""
+        """Return the loop, the output, the safe temperature (°C) and the identity pattern."""
         return {"loop": self.loop, "output": self.output, "safe_c": self.safe, "identity": self.identity}
 
     def simulation_options(self, truth: ChamberTruth) -> dict[str, Any]:
-        """Return its limits, loop and output."""
+        """Return the chamber's limits, its loop and its output."""
         return super().simulation_options(truth) | {"loop": self.loop, "output": self.output or 1}
 
 

@@ -1,4 +1,4 @@
-"""An instrument as it declares itself: name, section in bench files, certificate, wire, driver, simulation."""
+"""The declaration of an instrument: name, bench-file section, certificate, wire, driver, simulation."""
 
 from __future__ import annotations
 
@@ -44,42 +44,45 @@ Role = Literal["voltmeter", "head", "chamber", "level", "thermometer", "power_su
 
 
 class DeviceSection(FileModel):
-    """Base of the sections of instruments in a bench file; the forms of roles derive from it."""
+    """Base class of instrument sections in a bench file; the form of each role derives from it."""
 
-    # a field that cannot be read is a mistake of the module that declares it, told when that is loaded
+    # build the schema at import: a faulty field is then reported as a mistake of the module that declares it
     model_config = ConfigDict(defer_build=False)
 
     role: ClassVar[Role]
     by_hand: ClassVar[bool] = False
-    """Whether a person operates the instrument: it has neither a wire nor a simulation."""
+    """Whether a person operates the instrument; such an instrument has no wire and no simulation."""
     sections_of: ClassVar[Callable[[Role], Sequence[type[FileModel]]]] = staticmethod(lambda role: ())
-    """The sections of all instruments of a role; the registry, which knows them, sets it."""
+    """Return the section classes of all instruments of a role; set by the registry, which knows them."""
 
     driver: str
 
     @classmethod
     def alternatives(cls) -> Iterable[type[FileModel]]:
-        """Return the sections of all instruments, for the form of a role."""
+        """Return the section classes of all instruments of a role if this is the form of the role, else nothing."""
         return cls.sections_of(cls.role) if "role" in cls.__dict__ else ()
 
     def driver_options(self) -> dict[str, Any]:
-        """Return the keyword arguments of its driver beyond those of its role."""
+        """Return the driver's keyword arguments beyond those that every driver of its role has."""
         return {}
 
     def simulation_options(self, truth: Any) -> dict[str, Any]:
-        """Return the keyword arguments of its simulation; `truth` is the simulation section of its role."""
+        """Return the keyword arguments of the simulated instrument.
+
+        `truth` is the section on this role under `simulation` in the bench file.
+        """
         return {}
 
 
 @dataclass(frozen=True)
 class Device:
-    """The declaration of an instrument: the `DEVICE` of a module in this folder or of a plug-in.
+    """The declaration of an instrument, found as `DEVICE` in a module of this folder or of a plug-in.
 
-    `name` is its `driver` in bench files. `driver` and `simulation` name classes as "module:Class", where a leading
-    dot means a module beside the declaration; an instrument that a person operates has no simulation. `example` is
-    a section of a bench file (of a voltmeter with one signal: that of x). `simulated` are the keys of its role's
-    simulation section that its simulation heeds. `place` orders the instruments of a role in lists; those without
-    one follow by name.
+    `name` is the instrument's `driver` in bench files. `driver` and `simulation` name classes as "module:Class"; a
+    leading dot means a module beside the declaration. `simulation` is None for an instrument that a person
+    operates. `example` is a bench-file section of the instrument (for a voltmeter with one signal, that of x).
+    `simulated` lists the keys of the role's simulation section that take effect. `place` orders the instruments of
+    a role in lists; equal places are ordered by name.
     """
 
     name: str
@@ -90,15 +93,15 @@ class Device:
     simulated: tuple[str, ...] = ()
     place: int = 100
     package: str = ""
-    """The package of modules with a leading dot; the registry sets it."""
+    """The package against which a leading dot is resolved; set by the registry."""
 
     @property
     def role(self) -> Role:
-        """What kind of instrument it is."""
+        """The kind of instrument."""
         return self.section.role
 
     def class_of(self, which: Literal["driver", "simulation"]) -> Any:
-        """Import the driver or the simulation and return its class. Raises what the import raises."""
+        """Import the module of the driver or simulation and return the class. Raises any error of the import."""
         module, _, attribute = str(getattr(self, which)).partition(":")
         return getattr(importlib.import_module(module, self.package or None), attribute)
 
@@ -109,18 +112,18 @@ _VISA: Final = re.compile(r"(ASRL|GPIB|PRLGX|TCPIP|USB)[^\s]*::[^\s]+")
 _ADAPTER: Final = re.compile(r"prologix://(/\S+|COM[0-9]+|[^\s/:]+(?::[0-9]{1,5})?)/([0-9]{1,2})")
 _HIGHEST_ADDRESS: Final = 30
 _ADAPTER_PORT: Final = ":1234"
-"""The port of an adapter on the network where none is stated (`drivers.wire.prologix`)."""
+"""The default TCP port of a GPIB adapter (`drivers.wire.prologix`)."""
 
 
 class BusPlace(NamedTuple):
-    """Where an instrument behind a GPIB adapter is: the adapter ("192.0.2.10", "/dev/ttyUSB0"), the address."""
+    """The location of an instrument behind a GPIB adapter, such as ("192.0.2.10", 22) or ("/dev/ttyUSB0", 22)."""
 
     adapter: str
     address: int
 
 
 def bus_place(resource: str) -> BusPlace | None:
-    """Return the place that `prologix://192.0.2.10/22` names, None for a resource of another kind."""
+    """Return the location that "prologix://192.0.2.10/22" names; None for any other kind of resource."""
     match = _ADAPTER.fullmatch(resource)
     if match is None or int(match[2]) > _HIGHEST_ADDRESS:
         return None
@@ -128,12 +131,12 @@ def bus_place(resource: str) -> BusPlace | None:
 
 
 def is_serial(resource: str) -> bool:
-    """Whether a resource is a serial port of the computer."""
+    """Whether a VISA resource is a serial port of the computer."""
     return resource.startswith("ASRL")
 
 
 def any_resource(resource: str) -> str:
-    """Return it when it is a VISA resource or one behind an adapter. Raises `ValueError` for another."""
+    """Return the resource if it is a VISA resource or lies behind a GPIB adapter. Raises `ValueError` otherwise."""
     if _VISA.fullmatch(resource) is None and bus_place(resource) is None:
         raise ValueError(
             "expected a VISA resource such as 'GPIB0::22::INSTR', 'ASRL/dev/ttyUSB0::INSTR' or "
@@ -144,7 +147,7 @@ def any_resource(resource: str) -> str:
 
 
 def resource_on(*interfaces: Literal["TCPIP", "ASRL"], example: str) -> AfterValidator:
-    """Return the validator of a VISA resource on one of the interfaces that an instrument has."""
+    """Return the validator of a VISA resource that accepts these interfaces only; `example` is for its message."""
 
     def check(resource: str) -> str:
         if _VISA.fullmatch(resource) is None or not resource.startswith(interfaces):
@@ -156,17 +159,17 @@ def resource_on(*interfaces: Literal["TCPIP", "ASRL"], example: str) -> AfterVal
 
 @dataclass(frozen=True)
 class Port:
-    """The setup of an instrument's wire: line ends, and the parameters of a serial port if it may have one."""
+    """The line terminations of an instrument's wire, and the serial port parameters (None without such a port)."""
 
     read_termination: str
     write_termination: str
     serial: Mapping[str, Any] | None = None
     read_tail: int = 0
-    """How many bytes follow the termination of a reply."""
+    """The number of bytes that follow the termination of a reply."""
 
 
 WIRE_FACTS: Final = ("READ_TERMINATION", "WRITE_TERMINATION")
-"""Names that the facts of an instrument with a wire must define; with a serial port also `SERIAL`."""
+"""Names that the facts of every wired instrument define; with a serial port, also `SERIAL`."""
 
 
 Timeout = Annotated[
@@ -175,7 +178,7 @@ Timeout = Annotated[
 
 
 class WiredForm(DeviceSection):
-    """An instrument with a wire: its resource and timeout; its `facts` describe the protocol."""
+    """An instrument with a wire; the module `facts` describes its protocol."""
 
     facts: ClassVar[ModuleType]
 
@@ -184,11 +187,11 @@ class WiredForm(DeviceSection):
 
     @property
     def place(self) -> BusPlace | None:
-        """Where it is behind a GPIB adapter, None without one."""
+        """The location behind a GPIB adapter; None without an adapter."""
         return bus_place(self.resource)
 
     def port(self) -> Port:
-        """Return the setup of its wire by its facts, of a serial port by the section."""
+        """Return the setup of the wire: the facts of the instrument, overridden by the `serial` section."""
         stated = getattr(self, "serial", None)
         serial = None if stated is None else {**self.facts.SERIAL, **stated.settings()}
         tail = getattr(self.facts, "READ_TAIL", 0)
@@ -196,7 +199,7 @@ class WiredForm(DeviceSection):
 
 
 class PortSection(FileModel):
-    """The speed of a serial port, one of those `known`; its other parameters are fixed by the maker."""
+    """The speed of a serial port, one of `known`; the instrument's facts fix all other parameters."""
 
     known: ClassVar[tuple[int, ...]] = BAUD_RATES
 
@@ -209,16 +212,16 @@ class PortSection(FileModel):
 
     @classmethod
     def of(cls, facts: ModuleType) -> Self:
-        """Return the port as delivered."""
+        """Return the port with the factory setting in an instrument's facts."""
         return cls(baud_rate=facts.SERIAL["baud_rate"])
 
     def settings(self) -> dict[str, Any]:
-        """Return what it says of the port."""
+        """Return the stated serial port parameters."""
         return {"baud_rate": self.baud_rate}
 
 
 def usual_baud_rate(baud_rate: int, known: tuple[int, ...]) -> int:
-    """Return it when it is one of those known. Raises `ValueError` for another."""
+    """Return the baud rate if it is one of those known. Raises `ValueError` otherwise."""
     if baud_rate not in known:
         raise ValueError(f"expected one of {', '.join(map(str, known))}, got '{baud_rate}'")
     return baud_rate
@@ -237,7 +240,7 @@ IdentityPattern = Annotated[str, AfterValidator(_pattern)]
 
 
 def as_stated(identity: str) -> bool:
-    """Whether the stated identity is a plain name and no pattern; a simulation then has that name."""
+    """Whether the identity is a plain name, not a regular expression; its simulation then has that name."""
     return re.fullmatch(r"[\w -]+", identity) is not None
 
 
@@ -248,9 +251,9 @@ OFFSET_DRIFT: Final = QuantityKind("a drift of the zero", "10 uV/year", "V/year"
 
 LARGEST_GAIN: Final = 0.01
 LARGEST_OF_SCALE_RAD: Final = math.radians(1.0)
-"""Larger corrections are slips, or of an instrument to be mended."""
+"""Larger corrections are typing errors, or belong to a faulty instrument."""
 WIDEST_GAP_RAD: Final = math.radians(45.0)
-"""So far apart may the angles of a head's table lie: between them its correction is drawn straight."""
+"""The largest gap between angles of a head's table, across which corrections are interpolated linearly."""
 _ROUNDING_RAD: Final = 1e-6
 
 
@@ -269,7 +272,7 @@ Day = Annotated[datetime.date, BeforeValidator(_day)]
 
 
 class Certified(FileModel):
-    """A correction with its expanded uncertainty U = k u, and the degrees of freedom of u where they are few."""
+    """A correction with its expanded uncertainty U = k u, and the degrees of freedom of u (default infinite)."""
 
     k: Annotated[float, Field(gt=0.0)]
     dof: Annotated[float, Field(gt=0.0)] = float("inf")
@@ -278,7 +281,7 @@ class Certified(FileModel):
 class CertifiedGain(Certified):
     """The correction of a voltmeter's gain on a range.
 
-    `drift` is how much it may change in a year, of either sign.
+    `drift` is the largest change in a year, in either direction.
     """
 
     correction: Ratio = 0.0
@@ -296,7 +299,7 @@ class CertifiedGain(Certified):
 class CertifiedOffset(Certified):
     """The correction of a voltmeter's zero on a range.
 
-    `drift` is how much it may change in a year, of either sign.
+    `drift` is the largest change in a year, in either direction.
     """
 
     correction: VoltageV = 0.0
@@ -305,7 +308,7 @@ class CertifiedOffset(Certified):
 
 
 class RangeValues(FileModel):
-    """What a certificate states of a range: the corrected reading is U (1 + gain) + offset."""
+    """The corrections of a voltmeter on one range: the corrected reading is U (1 + gain) + offset."""
 
     range: VoltageV
     gain: CertifiedGain | None = None
@@ -323,7 +326,7 @@ class RangeValues(FileModel):
 
 
 class AngleValue(Certified):
-    """The correction of the head's scale at an angle."""
+    """The correction of the head's scale at one angle."""
 
     angle: AngleRad
     correction: AngleRad
@@ -338,7 +341,7 @@ class AngleValue(Certified):
 
 
 class TemperatureValue(Certified):
-    """The correction of the chamber's thermometer at a temperature."""
+    """The correction of a thermometer at one temperature."""
 
     temperature: TemperatureC
     correction: Annotated[float, reads(DIFFERENCE)]
@@ -346,9 +349,9 @@ class TemperatureValue(Certified):
 
 
 class Certificate(FileModel):
-    """Who calibrated an instrument when, until when that counts, and the serial number of what was calibrated.
+    """A calibration certificate: its number, laboratory, date, expiry date and the instrument's serial number.
 
-    A serial number that is left out is compared with none.
+    An omitted serial number matches any instrument.
     """
 
     number: str
@@ -366,17 +369,17 @@ class Certificate(FileModel):
         return until
 
     def years_until(self, day: datetime.date) -> float:
-        """Return how far a day is from that of the calibration, years; a day before counts as one after."""
+        """Return the time between the calibration and a day, in years; never negative."""
         return abs((day - self.date).days) / DAYS_OF_YEAR
 
     @property
     def words(self) -> str:
-        """Which one it is."""
+        """The number, date and laboratory in words: "certificate 123 of 2026-03-02, Acme"."""
         return f"certificate {self.number} of {self.date}, {self.laboratory}"
 
 
 class VoltmeterCertificate(Certificate):
-    """The certificate of a voltmeter: what was found on each range."""
+    """The certificate of a voltmeter: corrections for each range."""
 
     values: Annotated[tuple[RangeValues, ...], Field(min_length=1)]
 
@@ -387,11 +390,11 @@ class VoltmeterCertificate(Certificate):
         return values
 
     def of_range(self, range_v: float) -> RangeValues | None:
-        """Return what it states of a range; None where it states nothing."""
+        """Return the corrections for a range; None if the certificate does not cover the range."""
         return next((value for value in self.values if value.range == range_v), None)
 
     def errors(self) -> dict[float, tuple[float, float]]:
-        """Return by range the gain error and the offset, V, that the corrections take away."""
+        """Return, by range, the gain error and the offset (V) that the corrections remove."""
         found = {}
         for value in self.values:
             gain = 1.0 + (value.gain.correction if value.gain else 0.0)
@@ -401,7 +404,7 @@ class VoltmeterCertificate(Certificate):
 
 
 class HeadCertificate(Certificate):
-    """The certificate of a dividing head: its table of corrections all round, drawn straight between the angles."""
+    """The certificate of a dividing head: scale corrections over the full circle, interpolated linearly."""
 
     values: Annotated[tuple[AngleValue, ...], Field(min_length=1)]
 
@@ -423,7 +426,7 @@ class HeadCertificate(Certificate):
 
 
 class ChamberCertificate(Certificate):
-    """The certificate of a chamber's thermometer: corrections by temperature, those at the ends hold beyond."""
+    """The certificate of a thermometer: corrections by temperature; the end values hold beyond the ends."""
 
     values: Annotated[tuple[TemperatureValue, ...], Field(min_length=1)]
 
@@ -435,7 +438,7 @@ class ChamberCertificate(Certificate):
 
 
 def of_known_ranges(certificate: VoltmeterCertificate, known_v: Iterable[float]) -> None:
-    """Raise `ValueError` where a certificate is of a range that the meter does not have."""
+    """Raise `ValueError` if a certificate covers a range that the meter does not have."""
     known = list(known_v)
     for value in certificate.values:
         if value.range not in known:

@@ -1,4 +1,4 @@
-"""Motorised heads: ACUTROL, Newport ESP301, Zaber; and the level that watches a head, a Leica Nivel."""
+"""Motorised heads (ACUTROL, Newport ESP301, Zaber) and a level on the head's platform (Leica Nivel)."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from drivers.facts import newport_esp301 as newport
 
 
 class AcutrolSection(MotorisedHeadForm):
-    """One axis of a rate table with an ACUTROL controller; below `still_rate` it stands."""
+    """One axis of a rate table with an ACUTROL controller; below `still_rate` the axis counts as stationary."""
 
     facts: ClassVar = acutrol
     scale_on_axis: ClassVar[bool] = True
@@ -47,11 +47,11 @@ class AcutrolSection(MotorisedHeadForm):
         return tolerance_rad
 
     def driver_options(self) -> dict[str, Any]:
-        """Return the axis, and when it stands."""
+        """Return the axis, and the rate below which the axis counts as stationary (rad/s)."""
         return {"axis": self.axis, "still_rad_s": self.still_rate}
 
     def simulation_options(self, truth: HeadTruth) -> dict[str, Any]:
-        """Return the axis and the speed."""
+        """Return the speed and the axis."""
         return super().simulation_options(truth) | {"axis": self.axis}
 
 
@@ -85,15 +85,15 @@ def _on_a_wire_it_has(resource: str) -> str:
 
 
 class NewportPort(PortSection):
-    """The serial port: its RS-232, or the one that its USB is to the computer."""
+    """The controller's RS-232 port, or the serial port as which its USB appears on the computer."""
 
     known: ClassVar = newport.BAUD_RATES
 
 
 class NewportSection(MotorisedHeadForm):
-    """A rotary stage on one axis of a Newport ESP301 that is set up in degrees, at 0° where it was homed.
+    """A rotary stage on one axis of a Newport ESP301, configured in degrees, with 0° at its home position.
 
-    Homing turns the stage to its sensor, beyond any limit: it is done only with `allow_homing`.
+    Homing turns the stage to its sensor and ignores all limits; it therefore requires `allow_homing`.
     """
 
     facts: ClassVar = newport
@@ -106,11 +106,11 @@ class NewportSection(MotorisedHeadForm):
     serial: NewportPort = NewportPort.of(newport)
 
     def driver_options(self) -> dict[str, Any]:
-        """Return which axis it is, who it must be, and whether it may home."""
+        """Return the axis, the identity pattern, and whether homing is allowed."""
         return self.model_dump(include={"axis", "identity", "allow_homing"})
 
     def simulation_options(self, truth: HeadTruth) -> dict[str, Any]:
-        """Return which axis it is, how far it can turn, and whether it is homed."""
+        """Return the speed, the axis, the range of travel, whether it is homed, and any stated name."""
         named = {"model": self.identity} if as_stated(self.identity) else {}
         return {
             **super().simulation_options(truth),
@@ -141,8 +141,8 @@ _NEWPORT_ESP301 = Device(
 class ZaberSection(MotorisedHeadForm):
     """A rotary stage with a Zaber controller.
 
-    `steps_per_degree` are microsteps at the setting `resolution`, negative where the scale falls with rising
-    steps. Homing turns the stage to its sensor, beyond any limit: it is done only with `allow_homing`.
+    `steps_per_degree` counts microsteps at the setting `resolution`; it is negative if the scale falls as the step
+    count rises. Homing turns the stage to its sensor and ignores all limits; it therefore requires `allow_homing`.
     """
 
     facts: ClassVar = zaber
@@ -176,12 +176,12 @@ class ZaberSection(MotorisedHeadForm):
         return self
 
     def driver_options(self) -> dict[str, Any]:
-        """Return which device it is, and how its steps are counted."""
+        """Return the address, step scale, identity pattern, permission to home and use of checksums."""
         own = {"steps_per_degree", "resolution", "device", "axis", "identity", "allow_homing", "checksums"}
         return self.model_dump(include=own)
 
     def simulation_options(self, truth: HeadTruth) -> dict[str, Any]:
-        """Return which device it is, how far it can turn, and what is true of it."""
+        """Return the address, step scale, speed, range of travel, homed state and encoder."""
         named = {"device_id": int(self.identity)} if self.identity.isdecimal() else {}
         return {
             **super().simulation_options(truth),
@@ -217,8 +217,9 @@ Axis = Literal["+X", "-X", "+Y", "-Y"]
 class LeicaNivelSection(LevelForm, WiredForm):
     """A Leica Nivel210 (RS-232) or Nivel220 (RS-485), at a serial port or behind a terminal server.
 
-    `sensor` is its address without the N. `along` and `across` say which of its axes points along the shaft, away
-    from whoever looks at the end of the shaft, and which to the right, in the first of its two positions.
+    `sensor` is the sensor's address without the N. `along` and `across` name sensor axes in the first of its two
+    positions, for an observer who faces the end of the shaft: `along` points away along the shaft, `across` to the
+    right.
     """
 
     facts: ClassVar = nivel
@@ -244,11 +245,11 @@ class LeicaNivelSection(LevelForm, WiredForm):
         return self
 
     def driver_options(self) -> dict[str, Any]:
-        """Return its address, how its axes lie, and its averages."""
+        """Return the sensor's address, the directions of its axes, and the number of averages."""
         return self.model_dump(include={"sensor", "along", "across", "averages"})
 
     def simulation_options(self, truth: LevelTruth) -> dict[str, Any]:
-        """Return its address, and how its axes lie."""
+        """Return the sensor's address and the directions of its axes."""
         return self.model_dump(include={"sensor", "along", "across"})
 
 

@@ -1,4 +1,4 @@
-"""A head, a chamber, a level, a thermometer and a power supply that a person works."""
+"""Instruments that a person operates: head, chamber, level, thermometer, power supply."""
 
 from __future__ import annotations
 
@@ -24,9 +24,10 @@ from drivers.interfaces import OutputLimits, SupplyLimits
 
 
 class ManualHeadSection(HeadForm):
-    """A head that a person turns: value of a division of its scale, how far a reading may be from its target.
+    """A head that a person turns; `scale_division` is the value of one division of its scale.
 
-    Where `enter_accepts_target`, Enter alone says that the head stands at the target; else the angle is typed.
+    With `enter_accepts_target`, an empty answer (Enter) reports the target angle; otherwise the angle must be
+    typed.
     """
 
     by_hand: ClassVar = True
@@ -42,12 +43,12 @@ class ManualHeadSection(HeadForm):
         return self
 
     def driver_options(self) -> dict[str, Any]:
-        """Return how far a reading may be from its target, and what Enter says."""
+        """Return the tolerance of a reading (rad), and whether Enter accepts the target."""
         return {"tolerance_rad": self.tolerance, "enter_accepts_target": self.enter_accepts_target}
 
 
 class ManualChamberSection(ChamberForm):
-    """A chamber that a person sets and reads. `safe` is what it is set to after a run, off where left out."""
+    """A chamber that a person sets and reads; after a run it is set to `safe`, or switched off without it."""
 
     by_hand: ClassVar = True
 
@@ -61,16 +62,17 @@ class ManualChamberSection(ChamberForm):
         return self
 
     def driver_options(self) -> dict[str, Any]:
-        """Return its limits and the safe setting."""
+        """Return the temperature limits and the safe setting, °C."""
         return {"minimum_c": self.minimum, "maximum_c": self.maximum, "safe_c": self.safe}
 
 
 class ManualLevelSection(LevelForm):
-    """A bubble level that a person lays along the shaft and across it, and reads.
+    """A bubble level that a person lays along and across the shaft, and reads.
 
-    `division` is the value of a graduation of the vial, which has `divisions` to either side and is read to the
-    part `reading` of one (1 σ). `scale` is how well the value of a graduation is known, `turn` how well the level
-    is laid along an axis and turned end for end (1 σ).
+    `division` is the angle of one graduation of the vial, which has `divisions` graduations on either side.
+    `reading` is the standard uncertainty of a reading, in graduations. `scale` is the relative standard uncertainty
+    of `division`, `turn` the standard uncertainty with which the level is aligned with an axis or turned end for
+    end.
     """
 
     by_hand: ClassVar = True
@@ -85,7 +87,7 @@ class ManualLevelSection(LevelForm):
     turn: SizeRad = math.radians(1.0)
 
     def driver_options(self) -> dict[str, Any]:
-        """Return what a division is, and how well it is read."""
+        """Return the graduation, the number of graduations, and the standard uncertainties."""
         return {
             "division_rad": self.division,
             "reading_divisions": self.reading,
@@ -96,7 +98,7 @@ class ManualLevelSection(LevelForm):
 
 
 class ManualThermometerSection(TemperatureRange, ThermometerForm):
-    """A thermometer at the block that a person reads at each mounting; `tolerance` is the limit of its error."""
+    """A thermometer on the block, read by a person at each mounting; `tolerance` is its error limit."""
 
     by_hand: ClassVar = True
 
@@ -106,18 +108,18 @@ class ManualThermometerSection(TemperatureRange, ThermometerForm):
 
     @property
     def tolerance_k(self) -> float:
-        """As stated, K."""
+        """The stated tolerance, K."""
         return self.tolerance
 
     def driver_options(self) -> dict[str, Any]:
-        """Return its range, and what it is called in the record."""
+        """Return the temperature range (°C), and the sensor's description for the record."""
         return {"minimum_c": self.minimum, "maximum_c": self.maximum, "sensor": self.sensor}
 
 
 class ManualOutput(FileModel):
-    """An output of a supply: its voltages, its highest current, the last digits of its display.
+    """An output of a supply: its voltage range, highest current and display resolution.
 
-    `over_voltage` is the highest setting of its over-voltage protection, left out where it has none.
+    `over_voltage` is the highest setting of the over-voltage protection; omitted if the output has no protection.
     """
 
     minimum: VoltageV = 0.0
@@ -136,7 +138,7 @@ class ManualOutput(FileModel):
         return self
 
     def limits(self) -> OutputLimits:
-        """Return what the output can do."""
+        """Return the settings that the output supports."""
         highest_v = self.over_voltage
         protection_v = None if highest_v is None else (min(0.0, highest_v), max(0.0, highest_v))
         return OutputLimits(
@@ -150,9 +152,9 @@ class ManualOutput(FileModel):
 
 
 class ManualSupplySection(SupplyForm):
-    """A power supply that a person sets, reads and switches; `outputs` by the names on its front panel.
+    """A power supply that a person sets, reads and switches; the keys of `outputs` are front-panel names.
 
-    What an output gives may be `tolerance` from what it is set to.
+    `tolerance` is the largest deviation of an output voltage from its setting.
     """
 
     by_hand: ClassVar = True
@@ -163,11 +165,11 @@ class ManualSupplySection(SupplyForm):
 
     @property
     def limits(self) -> SupplyLimits:
-        """What its outputs can do."""
+        """The settings that the outputs support."""
         return SupplyLimits({name: output.limits() for name, output in self.outputs.items()})
 
     def driver_options(self) -> dict[str, Any]:
-        """Return what it can do, and how far what it gives may be from that."""
+        """Return the limits of the outputs, and the voltage tolerance (V)."""
         return {"limits": self.limits, "tolerance_v": self.tolerance}
 
 

@@ -1,9 +1,9 @@
-"""The known instruments: of this folder, of installed distributions, of the user's folders.
+"""The known instruments: from this folder, from installed distributions, from folders of the user.
 
-A distribution has the entry-point group `triaxial_bench.devices`; each entry is a `Device` or a module with one.
-Folders are named by the environment (`BENCH_DEVICES`, several with the system's path separator) or by `--devices`,
-never by a bench file, since their code is executed. Each module or package directly in a folder may have a
-`DEVICE`; such modules import one another relatively (`from .facts import …`).
+A distribution declares the entry-point group `triaxial_bench.devices`; each entry is a `Device` or a module with a
+`DEVICE`. Folders are listed in the environment variable `BENCH_DEVICES` (joined by the system's path separator) or
+given with `--devices`. A bench file cannot name them, since their code is executed. Each module or package directly
+in a folder may define a `DEVICE`; such modules import each other relatively (`from .facts import …`).
 """
 
 from __future__ import annotations
@@ -65,34 +65,34 @@ _HERE: Final = __name__.rpartition(".")[0]
 
 @dataclass
 class Devices:
-    """The devices found, by name, with the places they came from and the problems on the way."""
+    """The devices found, by name, with their origins and the problems met while loading them."""
 
     found: dict[str, Device] = field(default_factory=dict)
     places: dict[str, str] = field(default_factory=dict)
     doubled: dict[str, str] = field(default_factory=dict)
-    """By name: a sentence on two devices that share it, neither of which is used."""
+    """For each name that two devices share, a sentence on both; neither of the two is used."""
     troubles: list[str] = field(default_factory=list)
-    """A sentence for each module that could not be loaded."""
+    """One sentence for each module that could not be loaded."""
 
     def get(self, name: object) -> Device | None:
-        """Return the device of a name, None where there is none."""
+        """Return the device with this name; None if there is no such device."""
         return self.found.get(name) if isinstance(name, str) else None
 
     def of(self, role: Role) -> list[Device]:
-        """Return the devices of a role in the order in which they are listed."""
+        """Return the devices of a role in listing order."""
         return self._by_role[role]
 
     def adapter(self, role: Role) -> TypeAdapter[DeviceSection]:
-        """Return the validator of sections of this role, chosen by their known `driver`."""
+        """Return the validator for sections of this role; the key `driver` selects the section class."""
         return self._adapters[role]
 
     def origin(self, name: str) -> str | None:
-        """Return where a device came from: a file, a distribution; None for one of the bench itself."""
+        """Return the file or distribution that a device came from; None for a built-in device."""
         place = self.places.get(name, "")
         return None if place.startswith(str(Path(__file__).parent) + os.sep) else place
 
     def why_not(self, name: object) -> str | None:
-        """Return the reason why a device of this name could not be loaded; None where nothing has that name."""
+        """Return why the device of this name may have failed to load; None if it is known, or nothing failed."""
         if not isinstance(name, str) or name in self.found:
             return None
         if name in self.doubled:
@@ -112,7 +112,7 @@ class Devices:
         }
 
     def add(self, device: Device, place: str) -> None:
-        """Add a device; of two devices with the same name neither is used."""
+        """Add a device from an origin `place`; of two devices with the same name, neither is used."""
         wrong = _wrong_declaration(device)
         if wrong:
             self.troubles.append(f"{place} is not to be used: {wrong}")
@@ -127,7 +127,7 @@ class Devices:
 
 
 def devices() -> Devices:
-    """Return the instruments there are, for the folders that the environment names now."""
+    """Return the available instruments, including those in the folders that the environment lists now."""
     return _loaded(tuple(folder for folder in os.environ.get(FOLDERS, "").split(os.pathsep) if folder))
 
 
@@ -152,7 +152,7 @@ def _loaded(folders: tuple[str, ...]) -> Devices:
 
 
 def _modules_of(result: Devices, folder: Path) -> Iterator[tuple[str, str]]:
-    """Yield name and place of each module directly in a folder; the folder becomes a package of its own."""
+    """Yield name and path of each module directly in a folder; the folder becomes a package with a unique name."""
     if not folder.is_dir():
         result.troubles.append(f"there is no folder of devices {folder}")
         return
@@ -167,7 +167,7 @@ def _modules_of(result: Devices, folder: Path) -> Iterator[tuple[str, str]]:
 
 
 def _take(result: Devices, name: str, place: str) -> None:
-    """Import a module and take its device, if it has one."""
+    """Import a module and add the devices that it declares, if any; note a failed import."""
     try:
         module = importlib.import_module(name)
     except (Exception, SystemExit) as error:
@@ -228,10 +228,10 @@ def _union(sections: tuple[type[DeviceSection], ...]) -> Any:
 
 
 def chosen_by_driver(role: Role, *, recorded: bool = False) -> BeforeValidator:
-    """Return the validator that makes of a section as written that of its driver.
+    """Return a validator that turns a section as written into the section class of its `driver`.
 
-    Of a driver that is not known it tells alone, with where it stands and which is near, or why it cannot be
-    had; where the bench file was `recorded` with a run, the section is then kept as it is written.
+    For an unknown driver the only error is one about the driver: with similar names, or the reason why the driver
+    could not be loaded. If the bench file was `recorded` with a run, such a section is instead kept as written.
     """
 
     def choose(written: object) -> object:
@@ -241,7 +241,7 @@ def chosen_by_driver(role: Role, *, recorded: bool = False) -> BeforeValidator:
 
 
 def unknown_drivers(sections: Iterable[object]) -> list[str]:
-    """Return the drivers of sections as written that are not known."""
+    """Return the sorted driver names in sections as written for which no device is known."""
     stated = [section.get("driver") for section in sections if isinstance(section, dict)]
     return sorted({name for name in stated if isinstance(name, str) and devices().get(name) is None})
 
@@ -258,7 +258,7 @@ def _validated(written: dict[str, Any], role: Role, recorded: bool) -> DeviceSec
 
 
 def _strange(driver: object, names: tuple[str, ...]) -> str | None:
-    """Return what to say of a name that is like none of those known: it may be a device of the user's own."""
+    """Return the message for a driver name unlike all known names; None for a similar name or a non-string."""
     if not isinstance(driver, str) or difflib.get_close_matches(driver, names, n=1, cutoff=0.5):
         return None
     return (
@@ -268,7 +268,7 @@ def _strange(driver: object, names: tuple[str, ...]) -> str | None:
 
 
 def _refuse_driver(written: dict[str, Any], reason: str | None, names: tuple[str, ...]) -> None:
-    """Raise the error for a driver that is missing or not among the names."""
+    """Raise `ValidationError` for a driver that is missing or unknown; `reason` replaces the default text."""
 
     def refuse(_: str) -> str:
         raise ValueError(reason)
@@ -282,7 +282,7 @@ KEPT: Final = ConfigDict(extra="allow")
 
 
 class UnknownVoltmeter(VoltmeterForm):
-    """A voltmeter of which only the signals that it carried and their range are known."""
+    """A voltmeter with an unknown driver; only its signals and its range are known."""
 
     model_config = KEPT
 
@@ -302,14 +302,14 @@ class UnknownVoltmeter(VoltmeterForm):
 
     @property
     def channels(self) -> tuple[Channel, ...]:
-        """The signals, in the order of the inputs where these are numbers."""
+        """The signals; if the section states `inputs`, in the order of their channel numbers."""
         if isinstance(self.inputs, dict):
             return tuple(sorted(self.inputs, key=lambda signal: _number(self.inputs[signal])))
         return self.stated_channels
 
     @property
     def kind(self) -> VoltmeterKind:
-        """Raise `BenchError`: what it can do and how exact it is, nobody here knows."""
+        """Raise `BenchError`: without the driver, limits and accuracy are unknown."""
         raise BenchError(
             self.name,
             f"the driver '{self.driver}' is not here, so nobody knows how exact its voltmeters are",
@@ -318,7 +318,7 @@ class UnknownVoltmeter(VoltmeterForm):
 
 
 class UnknownHead(HeadForm):
-    """A head of an unknown driver."""
+    """A head with an unknown driver."""
 
     model_config = KEPT
 
@@ -326,7 +326,7 @@ class UnknownHead(HeadForm):
 
 
 class UnknownChamber(ChamberForm):
-    """A chamber of which the temperatures that could be demanded are known, and the band where it was stated."""
+    """A chamber with an unknown driver; its temperature range is known, and its band if stated."""
 
     model_config = KEPT
 
@@ -334,30 +334,30 @@ class UnknownChamber(ChamberForm):
 
 
 class UnknownLevel(LevelForm):
-    """A level of an unknown driver."""
+    """A level with an unknown driver."""
 
     model_config = KEPT
 
 
 class UnknownThermometer(ThermometerForm):
-    """A thermometer of which its certificate is known, if it has one."""
+    """A thermometer with an unknown driver; its certificate is known if stated."""
 
     model_config = KEPT
 
     @property
     def tolerance_k(self) -> float:
-        """Nobody here knows; as of a plain one."""
+        """The limit of its error, K; unknown, and taken to be that of an ordinary thermometer."""
         return 0.5
 
 
 class UnknownSupply(SupplyForm):
-    """A power supply of an unknown driver."""
+    """A power supply with an unknown driver."""
 
     model_config = KEPT
 
     @property
     def limits(self) -> SupplyLimits | None:
-        """Return None: what it can do, nobody here knows."""
+        """None: without the driver, the limits are unknown."""
         return None
 
 

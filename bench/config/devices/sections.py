@@ -43,20 +43,21 @@ from drivers.interfaces import Channel, SupplyLimits, VoltmeterLimits
 VOLTMETER_FACTS: Final = (
     "RANGES_V", "OVER_RANGE", "NPLC", "MEMORY_READINGS", "LEAST_SAMPLES", "ACCURACY_90_DAYS", "LINEARITY",
 )  # fmt: skip
-"""What the facts of a voltmeter must say (see those of a 34401A); with a serial port `BAUD_RATES`, too."""
+"""Names that the facts of a voltmeter define (example: 34401A); with a serial port, also `BAUD_RATES`."""
 
 DAYS_90: Final = 90.0 / 365.25
-"""The validity of the 90-day limits of error, years."""
+"""The time for which a data sheet's 90-day error limits hold, years."""
 
 
 @dataclass(frozen=True)
 class VoltmeterKind:
-    """The abilities of a driver's voltmeters: limits for one channel, and accuracy.
+    """The limits and accuracy of a voltmeter type, for one channel.
 
-    `over_range` is the part of a range up to which it reads. `accuracy` gives for each range the limits of error of
-    DC volts within 90 days at 23 ± 5 °C, as parts of reading and of range; `accuracy_of_year` those within a year,
-    for the ranges where they are known; `linearity` the limits of integral nonlinearity. `resolution`, where known,
-    gives by integration time (NPLC and longer) the resolved part of the range.
+    `over_range` is the fraction of a range up to which the meter reads. `accuracy` gives, by range, the error
+    limits of DC volts within 90 days at 23 ± 5 °C, as fractions of reading and of range; `accuracy_of_year` gives
+    the limits within a year where they are known. `linearity` gives the limits of integral nonlinearity in the same
+    form. `resolution` gives the resolved fraction of the range by integration time (in NPLC; it holds from that
+    time on), where known.
     """
 
     limits: VoltmeterLimits
@@ -68,7 +69,7 @@ class VoltmeterKind:
 
     @classmethod
     def of(cls, facts: ModuleType) -> VoltmeterKind:
-        """Return the kind that the facts of a voltmeter describe."""
+        """Return the voltmeter type that a module of facts describes."""
         return cls(
             VoltmeterLimits.of(facts),
             facts.OVER_RANGE,
@@ -79,10 +80,10 @@ class VoltmeterKind:
         )
 
     def limits_after(self, years: float, range_v: float) -> tuple[float, float]:
-        """Return the limits of error on a range some time after calibration, as parts of reading and of range.
+        """Return the error limits some years after calibration, as fractions of reading and of range.
 
-        The limits of 90 days, then those of a year; after a year, or where these are unknown, in proportion to the
-        time.
+        The 90-day limits hold for 90 days, then the one-year limits hold for a year. Later limits grow in
+        proportion to the time; without one-year limits they grow from day 90 on.
         """
         of_90_days = self.accuracy[range_v]
         if years <= DAYS_90:
@@ -94,37 +95,40 @@ class VoltmeterKind:
 
 
 CERTIFICATE: Final = "certificate"
-"""The word for simulated voltmeters that have the errors of their certificates."""
+"""The word in a bench file that gives simulated voltmeters the errors in their certificates."""
 
 
 class VoltmeterTruth(FileModel):
-    """The simulated voltmeters: with noise or not; without errors, with errors within the maker's limits of 90
-    days, or with the errors of their certificates."""
+    """The simulated voltmeters: with noise or without, and with or without errors.
+
+    `accuracy` chooses random errors within the 90-day limits of the maker, or the errors in the certificates.
+    """
 
     noise: bool = True
     accuracy: Literal["90 days", "certificate"] | None = None
 
 
 class SerialSection(FileModel):
-    """How a meter's serial port is set on its front panel; with a parity it has 7 data bits, without one 8."""
+    """The serial port settings at a meter's front panel; 7 data bits with parity, 8 without."""
 
     baud_rate: int = 9600
     parity: Literal["none", "even", "odd"] = "none"
 
     @property
     def data_bits(self) -> Literal[7, 8]:
-        """Data bits of a character."""
+        """The number of data bits in a character."""
         return 8 if self.parity == "none" else 7
 
     def settings(self) -> dict[str, Any]:
-        """Return what it says of the port."""
+        """Return the baud rate, parity and number of data bits."""
         return {"baud_rate": self.baud_rate, "parity": self.parity, "data_bits": self.data_bits}
 
 
 class VoltmeterForm(WiredForm):
-    """The settings of every voltmeter. The range is fixed, since a meter's errors differ between ranges.
+    """The settings of every voltmeter.
 
-    `interface` is the interface selected at the meter, independent of the wire that carries its messages.
+    The range is fixed, since a meter's errors differ between ranges. `interface` is the interface selected at the
+    meter, regardless of the wire that carries its messages.
     """
 
     role: ClassVar[Role] = "voltmeter"
@@ -140,21 +144,21 @@ class VoltmeterForm(WiredForm):
 
         @property
         def channels(self) -> tuple[Channel, ...]:
-            """The signals in the order in which it reads them."""
+            """The signals in the order in which the meter reads them."""
 
     @property
     def name(self) -> str:
-        """Name of the instrument: as stated, else "voltmeter.x"."""
+        """The instrument's name as stated; the default is "voltmeter.x" with its signals."""
         return self.stated_name or f"voltmeter.{''.join(self.channels)}"
 
     @property
     def kind(self) -> VoltmeterKind:
-        """Its abilities."""
+        """The limits and accuracy of the meter."""
         return VoltmeterKind.of(self.facts)
 
     @property
     def inputs_used(self) -> Channel | dict[Channel, int]:
-        """The signal at its input; of one with several, the number of the input of each."""
+        """The signal at the only input; for several inputs, the input number of each signal."""
         raise NotImplementedError
 
     @field_validator("range")
@@ -174,7 +178,7 @@ class VoltmeterForm(WiredForm):
         return certificate
 
     def simulation_options(self, truth: VoltmeterTruth) -> dict[str, Any]:
-        """Return what every simulated voltmeter is given."""
+        """Return the interface, whether there is noise, and the errors to simulate."""
         accuracy: str | dict[float, tuple[float, float]] | None = truth.accuracy
         if truth.accuracy == CERTIFICATE:
             accuracy = {} if self.certificate is None else self.certificate.errors()
@@ -182,13 +186,13 @@ class VoltmeterForm(WiredForm):
 
 
 class OneChannelForm(VoltmeterForm):
-    """A voltmeter with one signal."""
+    """A voltmeter that reads one signal."""
 
     channels: Annotated[tuple[Channel, ...], Field(min_length=1, max_length=1)]
 
     @property
     def inputs_used(self) -> Channel:
-        """The signal at its input."""
+        """The signal at the only input."""
         return self.channels[0]
 
 
@@ -205,7 +209,7 @@ class SerialPortForm(VoltmeterForm):
 
 
 def written_channels(voltmeter: Any) -> tuple[str, list[Any]] | None:
-    """Return the key of a voltmeter's signals as written, with the signals; None without them."""
+    """Return the key ("channels" or "inputs") and the signals of a voltmeter section as written, or None."""
     if not isinstance(voltmeter, dict):
         return None
     for key in ("channels", "inputs"):
@@ -221,32 +225,38 @@ SpeedRadS = Annotated[float, not_negative(SPEED)]
 
 
 class HeadTruth(FileModel):
-    """A simulated motorised head: homed when it is switched on or not, with an encoder to notice being stuck."""
+    """A simulated motorised head: whether it is homed at switch-on, and has an encoder that detects stalling."""
 
     homed: bool = True
     encoder: bool = True
 
 
 class HeadForm(DeviceSection):
-    """The settings of every head: how far the angle at a reading may be from its target."""
+    """The settings of every head; `tolerance` is the largest deviation of a reading's angle from its target."""
 
     role: ClassVar[Role] = "head"
     scale_on_axis: ClassVar[bool] = False
-    """Whether its scale is on the axis that turns the block, without gear or coupling between."""
+    """Whether the scale sits on the axis that turns the block, with no gear or coupling in between."""
 
     name: str = "head"
     tolerance: SizeRad
     certificate: HeadCertificate | None = None
+
+    @property
+    def turned_by_hand(self) -> bool:
+        """Whether a person turns the head."""
+        return self.by_hand
 
 
 _NO_HEAD: Final = "expected more than nothing: no head is exact, and none turns without a speed"
 
 
 class MotorisedHeadForm(HeadForm, WiredForm):
-    """A head with a motor, which always stays within `minimum` and `maximum` on its scale.
+    """A motorised head, which never leaves the range from `minimum` to `maximum` of its scale.
 
     It approaches an angle from at least `backoff` away, from the side that the procedure demands. It has arrived
-    when every sample of its scale lies within `tolerance` for the time `settle`. `speed` limits the time of a turn.
+    when all samples of its scale stay within `tolerance` for the time `settle`. A turn may take no longer than
+    `speed` allows.
     """
 
     tolerance: Annotated[SizeRad, above_zero(_NO_HEAD)]
@@ -269,7 +279,7 @@ class MotorisedHeadForm(HeadForm, WiredForm):
         return self
 
     def travel(self) -> dict[str, float]:
-        """Return the limits and criteria of its motion for its driver (`drivers.motion.Travel`)."""
+        """Return the arguments of `drivers.motion.Travel`: the limits and criteria of a move."""
         return {
             "minimum_rad": self.minimum,
             "maximum_rad": self.maximum,
@@ -280,8 +290,63 @@ class MotorisedHeadForm(HeadForm, WiredForm):
         }
 
     def simulation_options(self, truth: HeadTruth) -> dict[str, Any]:
-        """Return what every simulated head is given."""
+        """Return the speed of the head, deg/s."""
         return {"speed_deg_s": math.degrees(self.speed)}
+
+
+class ReadOutHeadForm(HeadForm, WiredForm):
+    """A head that a person turns, with an encoder that the program reads.
+
+    The person comes to an angle from at least `backoff` away. The head stands there within `tolerance`, when its
+    angle changed by no more than `rest` for the time `settle`. A change faster than `speed` is an error of the
+    encoder. With `hands_free`, the angle is read then without a key. With `typed`, the person types the angle on
+    the scale as well. The encoder shows `zero` at 0° of the scale; `falling` values fall where the angle rises.
+    """
+
+    tolerance: Annotated[SizeRad, above_zero(_NO_HEAD)]
+    backoff: SizeRad = math.radians(1.0)
+    rest: Annotated[SizeRad, above_zero("expected more than nothing: no encoder stands still")] = 2 * ARCSEC
+    settle: SpanS = 2.0
+    speed: Annotated[SpeedRadS, above_zero(_NO_HEAD)] = math.radians(90.0)
+    hands_free: bool = False
+    typed: bool = False
+    zero: AngleRad = 0.0
+    falling: bool = False
+
+    @model_validator(mode="after")
+    def _can_be_come_to(self) -> ReadOutHeadForm:
+        if self.backoff <= self.tolerance:
+            raise ValueError("the head must back off by more than its tolerance")
+        if self.settle == 0.0:
+            raise ValueError("expected a time longer than nothing for 'settle': rest is seen over a time")
+        if self.hands_free and self.typed:
+            raise ValueError("who types an angle has no hands free: state 'hands_free' or 'typed', not both")
+        return self
+
+    @property
+    def turned_by_hand(self) -> bool:
+        """Whether a person turns the head: always."""
+        return True
+
+    def approach(self) -> dict[str, Any]:
+        """Return how the head must come to an angle, for its driver (`drivers.readout.Approach`)."""
+        return {
+            "tolerance_rad": self.tolerance,
+            "backoff_rad": self.backoff,
+            "rest_rad": self.rest,
+            "settle_s": self.settle,
+            "speed_rad_s": self.speed,
+            "hands_free": self.hands_free,
+            "typed": self.typed,
+        }
+
+    def scale(self) -> dict[str, Any]:
+        """Return the relation of encoder and head, for its driver (`drivers.readout.ScaleOfEncoder`)."""
+        return {"zero_rad": self.zero, "falling": self.falling}
+
+    def simulation_options(self, truth: HeadTruth) -> dict[str, Any]:
+        """Return what every simulated counter is given."""
+        return {"zero_deg": math.degrees(self.zero), "falling": self.falling, "referenced": truth.homed}
 
 
 TEMPERATURE_RATE: Final = QuantityKind("a rate of temperature", "4 K/min", "K/s")
@@ -290,16 +355,18 @@ SizeK = Annotated[float, not_negative(DIFFERENCE)]
 RateKS = Annotated[float, not_negative(TEMPERATURE_RATE)]
 
 OF_THE_AIR: Final = ("rate", "lag", "off_lag")
-"""Keys that the simulated world heeds for any simulated chamber."""
+"""Keys of the simulation section that affect any simulated chamber."""
 
 
 _NO_CHAMBER: Final = "expected more than nothing: no chamber is at once where it is sent, nor never"
 
 
 class ChamberTruth(FileModel):
-    """A simulated chamber with a controller: how fast it takes its air along, how it drifts back when off.
+    """A simulated chamber with a controller.
 
-    `lag` is how far the air is behind; `sensor_noise` the standard deviation of what its sensor shows.
+    The set point of the air moves at `rate`, and the air follows with the time constant `lag`. When the chamber is
+    off, the air returns to ambient with the time constant `off_lag`. `sensor_noise` is the standard deviation of
+    its readings.
     """
 
     rate: Annotated[RateKS, above_zero(_NO_CHAMBER)] = 4.0 / 60.0
@@ -309,7 +376,7 @@ class ChamberTruth(FileModel):
 
 
 class TemperatureRange(FileModel):
-    """Lowest and highest temperature, °C."""
+    """The lowest and the highest temperature, °C."""
 
     minimum: TemperatureC
     maximum: TemperatureC
@@ -321,7 +388,7 @@ class TemperatureRange(FileModel):
         return self
 
     def refuse_outside(self, temperature_c: float, what: str) -> None:
-        """Raise `ValueError` for a temperature outside."""
+        """Raise `ValueError` for a temperature outside the range; `what` names it in the message."""
         if not self.minimum <= temperature_c <= self.maximum:
             raise ValueError(
                 f"{what} of {temperature_c:g} °C is outside {self.minimum:g} to {self.maximum:g} °C"
@@ -329,9 +396,9 @@ class TemperatureRange(FileModel):
 
 
 class ChamberForm(TemperatureRange, DeviceSection):
-    """The settings of every chamber: the temperatures that may be demanded.
+    """The settings of every chamber: the range of temperatures that may be demanded.
 
-    `certificate` is that of its thermometer.
+    `certificate` is that of the chamber's thermometer.
     """
 
     role: ClassVar[Role] = "chamber"
@@ -341,9 +408,10 @@ class ChamberForm(TemperatureRange, DeviceSection):
 
 
 class ControlledChamberForm(ChamberForm, WiredForm):
-    """A chamber with a controller; at a reading its air is within the `band`, if any, around the set point.
+    """A chamber with a controller.
 
-    A warning is given if its air has not gone a fifth of the way by the time `slow_after`.
+    At a reading, the air must be within `band` (if stated) of the set point. The run warns if the air has covered
+    less than a fifth of a temperature change after the time `slow_after`.
     """
 
     band: (
@@ -355,16 +423,16 @@ class ControlledChamberForm(ChamberForm, WiredForm):
     )
 
     def limits(self) -> tuple[float, float, float | None]:
-        """Return lowest and highest demand and the band (`drivers.chambers.ChamberLimits`), °C."""
+        """Return the lowest and highest demand, °C, and the band, K (`drivers.chambers.ChamberLimits`)."""
         return self.minimum, self.maximum, self.band
 
     def simulation_options(self, truth: ChamberTruth) -> dict[str, Any]:
-        """Return what every simulated chamber is given: what its own controller allows."""
+        """Return the lowest and the highest set point of the simulated controller, °C."""
         return {"lowest_c": self.minimum, "highest_c": self.maximum}
 
 
 class LevelTruth(FileModel):
-    """A simulated level: how far its zero is off along the shaft and across, its noise (1 σ), its scale's error."""
+    """A simulated level: its zero errors along and across the shaft, noise (1 σ) and relative scale error."""
 
     zero_along: AngleRad = 20.0 * ARCSEC
     zero_across: AngleRad = -12.0 * ARCSEC
@@ -373,17 +441,20 @@ class LevelTruth(FileModel):
 
 
 class LevelForm(DeviceSection):
-    """The settings of every level. Its zero need not be known, since it is read in two positions."""
+    """The settings of every level; reading it in two positions cancels its zero error."""
 
     role: ClassVar[Role] = "level"
     certificate: ClassVar[None] = None
-    """None: at a few arcseconds the error of its scale is below its resolution."""
+    """None: at a few arcseconds, the scale error of a level is below its resolution."""
 
     name: str = "level"
 
 
 class ThermometerTruth(FileModel):
-    """A simulated thermometer at the block: what it is off by, its noise (1 σ), how much of the air it feels."""
+    """A simulated thermometer on the block: its error, its noise (1 σ) and its response to the air.
+
+    `air_share` is the fraction of the temperature difference between air and block that it shows.
+    """
 
     error: Annotated[float, reads(DIFFERENCE)] = 0.0
     noise: SizeK = 0.005
@@ -391,10 +462,10 @@ class ThermometerTruth(FileModel):
 
 
 class ThermometerForm(DeviceSection):
-    """The settings of every thermometer at the block; it shows the block's temperature of each reading.
+    """The settings of every thermometer on the block; each reading records the temperature that it shows.
 
-    `gradient` is the largest temperature difference between thermometer and accelerometers, by default ±0.2 K.
-    Without a `certificate` the tolerance of its kind holds.
+    `gradient` is the largest temperature difference between thermometer and accelerometers, by default 0.2 K.
+    Without a `certificate` the tolerance of the sensor type applies.
     """
 
     role: ClassVar[Role] = "thermometer"
@@ -405,23 +476,23 @@ class ThermometerForm(DeviceSection):
 
     @property
     def tolerance_k(self) -> float:
-        """The limit of its error without a certificate, K."""
+        """The limit of the thermometer's error without a certificate, K."""
         raise NotImplementedError
 
 
 SUPPLY_FACTS: Final = ("OUTPUTS", "SWITCHED_TOGETHER")
-"""What the facts of a power supply must say (see those of an E3631A); with a serial port `BAUD_RATES`, too."""
+"""Names that the facts of a power supply define (example: E3631A); with a serial port, also `BAUD_RATES`."""
 
 OF_CURRENT: Final = QuantityKind("a rate of a current", "0.2 percent/K", "1/K")
 
 
 class SupplyTruth(FileModel):
-    """What the simulated unit takes from its supply, and how it is without.
+    """The load that the simulated unit presents to its supply, and its signals without power.
 
-    Each rail takes `current` at 23 degC (where it is left out the middle of its window), more by
-    `current_by_temperature` for each kelvin, and `in_rush` times as much at switching on, dying away with the time
-    constant `in_rush_time`. Below the part `brown_out` of a rail's voltage it works no more; `dead_offset` and
-    `dead_noise` are the standard deviations, over channels and over readings, of what its signals then show.
+    Each rail draws `current` at 23 °C (default: the middle of its stated window), changing by the fraction
+    `current_by_temperature` per kelvin. At switch-on it draws `in_rush` times as much, decaying with the time
+    constant `in_rush_time`. Below the fraction `brown_out` of a rail's voltage the unit stops working. Its signals
+    are then random: `dead_offset` is their standard deviation between channels, `dead_noise` between readings.
     """
 
     current: SizeA | None = None
@@ -436,40 +507,40 @@ class SupplyTruth(FileModel):
 
 
 OF_THE_UNIT: Final = tuple(SupplyTruth.model_fields)
-"""What the simulated world does with the unit behind any supply."""
+"""Keys of the simulation section that describe the unit, and so work with any supply."""
 
 
 class SupplyForm(DeviceSection):
-    """The settings of every power supply: its name alone; voltages and currents are in the unit's section."""
+    """The settings of every power supply; the voltages and currents are in the unit's own section."""
 
     role: ClassVar[Role] = "power_supply"
 
     certificate: ClassVar[None] = None
-    """None: no reading depends on its display."""
+    """None: no reading depends on the display of a supply."""
 
     name: str = "power_supply"
 
     @property
     def limits(self) -> SupplyLimits | None:
-        """Its abilities; None where they are unknown."""
+        """The settings that the outputs support; None if unknown."""
         raise NotImplementedError
 
 
 class WiredSupplyForm(SupplyForm, WiredForm):
-    """A power supply with a wire; `interface` is the one selected at its front panel."""
+    """A power supply with a wire."""
 
     resource: Annotated[str, AfterValidator(any_resource)]
 
     @property
     def limits(self) -> SupplyLimits | None:
-        """Its abilities by the facts of its model."""
+        """The settings that the outputs support, from the facts of the model."""
         return SupplyLimits.of(self.facts, getattr(self, "model", None))
 
     def driver_options(self) -> dict[str, Any]:
-        """Return what it can do."""
+        """Return the limits of the outputs."""
         return {"limits": self.limits}
 
     def simulation_options(self, truth: SupplyTruth) -> dict[str, Any]:
-        """Return the model, where there are several."""
+        """Return the model; empty for a supply of one model."""
         model = getattr(self, "model", None)
         return {} if model is None else {"model": model}

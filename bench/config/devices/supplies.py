@@ -14,13 +14,13 @@ from drivers.facts import keysight_e36300 as keysight
 
 
 class AimTtiPort(PortSection):
-    """The serial port: its RS-232, or the one that its USB is to the computer."""
+    """The supply's RS-232 port, or the serial port as which its USB appears on the computer."""
 
     known: ClassVar = aim.BAUD_RATES
 
 
 class AimTtiSection(WiredSupplyForm):
-    """A PL303QMD-P, CPX200DP or CPX400DP: outputs 1, 2, isolated; a CPX has an over-voltage protection."""
+    """A PL303QMD-P, CPX200DP or CPX400DP with isolated outputs 1 and 2; a CPX has over-voltage protection."""
 
     facts: ClassVar = aim
 
@@ -29,7 +29,7 @@ class AimTtiSection(WiredSupplyForm):
     serial: AimTtiPort = AimTtiPort.of(aim)
 
     def driver_options(self) -> dict[str, Any]:
-        """Return what it can do, and which one it must be."""
+        """Return the limits of the outputs, and the model that must respond."""
         return super().driver_options() | {"model": self.model}
 
 
@@ -45,7 +45,7 @@ _AIM_TTI = Device(
 
 
 class KeysightE36300Section(WiredSupplyForm):
-    """A supply of the series: outputs 1, 2, 3, each with its switch and its over-voltage protection."""
+    """A Keysight E36311A to E36313A: outputs 1, 2, 3, each with a switch and over-voltage protection."""
 
     facts: ClassVar = keysight
 
@@ -53,7 +53,7 @@ class KeysightE36300Section(WiredSupplyForm):
     model: Literal["E36311A", "E36312A", "E36313A"]
 
     def driver_options(self) -> dict[str, Any]:
-        """Return what it can do, and which one it must be."""
+        """Return the limits of the outputs, and the model that must respond."""
         return super().driver_options() | {"model": self.model}
 
 
@@ -69,9 +69,10 @@ _KEYSIGHT_E36300 = Device(
 
 
 class KeysightE3631ASection(WiredSupplyForm):
-    """An E3631A: outputs P6V, P25V, N25V (negative voltages), switched together, without over-voltage protection.
+    """A Keysight E3631A with the outputs P6V, P25V and N25V (negative), which switch together.
 
-    `interface` is how it is set at its front panel; over "rs232" it is told to be remote first.
+    It has no over-voltage protection. `interface` is the one selected at its front panel; over "rs232" the driver
+    first puts the supply into remote mode.
     """
 
     facts: ClassVar = keysight_e3631a
@@ -87,11 +88,11 @@ class KeysightE3631ASection(WiredSupplyForm):
         return serial
 
     def driver_options(self) -> dict[str, Any]:
-        """Return what it can do, and how it is set."""
+        """Return the limits of the outputs, and the selected interface."""
         return super().driver_options() | {"interface": self.interface}
 
     def simulation_options(self, truth: SupplyTruth) -> dict[str, Any]:
-        """Return how it is set."""
+        """Return the selected interface."""
         return {"interface": self.interface}
 
 

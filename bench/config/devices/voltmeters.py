@@ -33,7 +33,7 @@ from drivers.interfaces import Channel
 
 
 class Agilent34401ASection(OneChannelForm, SerialPortForm):
-    """A 34401A."""
+    """An Agilent 34401A."""
 
     facts: ClassVar = agilent
 
@@ -51,7 +51,7 @@ _AGILENT_34401A = Device(
 
 
 class Keysight34461ASection(OneChannelForm):
-    """A 34460A, 34461A, 34465A or 34470A; `interface` "lan" stands for USB, too."""
+    """A Keysight 34460A, 34461A, 34465A or 34470A; `interface` "lan" also covers USB."""
 
     facts: ClassVar = truevolt
 
@@ -70,7 +70,7 @@ _KEYSIGHT_34461A = Device(
 
 
 class Keithley2000Port(PortSection):
-    """How the RS-232 of a Keithley 2000 is set on its front panel; `terminator` is its TX TERM."""
+    """The RS-232 settings at the front panel of a Keithley 2000; `terminator` is its TX TERM."""
 
     baud_rate: int = PortSection.of(keithley).baud_rate
     terminator: Literal["lf", "cr", "crlf", "lfcr"] = "lf"
@@ -82,7 +82,7 @@ class Keithley2000Port(PortSection):
 
 
 class Keithley2000Section(OneChannelForm):
-    """A Keithley 2000, by GPIB or RS-232."""
+    """A Keithley 2000, over GPIB or RS-232."""
 
     facts: ClassVar = keithley
 
@@ -98,16 +98,16 @@ class Keithley2000Section(OneChannelForm):
 
     @property
     def line_end(self) -> str:
-        """What its lines end with."""
+        """The line termination."""
         serial = self.interface == "rs232"
         return keithley.TERMINATORS[self.serial.terminator] if serial else keithley.READ_TERMINATION
 
     def port(self) -> Port:
-        """Return how its wire is set up; on RS-232 lines end as the section says."""
+        """Return the setup of the wire; on RS-232 the section states the line termination."""
         return Port(self.line_end, self.line_end, super().port().serial)
 
     def simulation_options(self, truth: VoltmeterTruth) -> dict[str, Any]:
-        """Return what every simulated voltmeter is given, and how its lines end."""
+        """Return the options of every simulated voltmeter, and the line termination."""
         return {**super().simulation_options(truth), "line_end": self.line_end}
 
 
@@ -128,7 +128,7 @@ def _on_a_card(number: int) -> int:
 
 
 class Keysight34970ASection(SerialPortForm):
-    """A 34970A or 34972A with 34901A cards: which signal is on which channel of the multiplexer."""
+    """A 34970A or 34972A with 34901A cards; `inputs` gives the multiplexer channel of each signal."""
 
     facts: ClassVar = multiplexer
 
@@ -138,12 +138,12 @@ class Keysight34970ASection(SerialPortForm):
 
     @property
     def channels(self) -> tuple[Channel, ...]:
-        """The signals in the order of the scan, which is that of the channel numbers."""
+        """The signals in scan order, which is the order of the channel numbers."""
         return tuple(sorted(self.inputs, key=lambda signal: self.inputs[signal]))
 
     @property
     def inputs_used(self) -> dict[Channel, int]:
-        """The channel of the multiplexer of each signal."""
+        """The multiplexer channel of each signal."""
         return self.inputs
 
     @field_validator("inputs")
@@ -168,7 +168,7 @@ class Keysight34970ASection(SerialPortForm):
         return {"channel_delay_s": self.channel_delay}
 
     def simulation_options(self, truth: VoltmeterTruth) -> dict[str, Any]:
-        """Return what it is given beside: by LAN it is a 34972A, and it holds the cards it takes."""
+        """Return the common options, the model (34972A if by LAN) and the cards by slot number."""
         return super().simulation_options(truth) | {
             "model": multiplexer.MODELS[self.interface == "lan"],
             "cards": {100 * (number // 100): multiplexer.CARD for number in self.inputs.values()},
@@ -181,10 +181,11 @@ _ROOM_C = 23.0
 
 
 class Keysight34970AThermometerSection(ThermometerForm, WiredForm):
-    """A sensor on a channel of a 34901A card, named as 104; a `pt100` with four wires has its sense wires on 114.
+    """A temperature sensor on a channel of a 34901A card, such as 104.
 
-    Where `resource` is that of the voltmeter with the signals, it is one channel more of that meter, which is then
-    set up again after each temperature.
+    A four-wire `pt100` has its sense wires ten channels higher, such as on 114. If `resource` is that of the
+    voltmeter for the signals, the sensor is an extra channel of that meter, which is then configured anew after
+    each temperature.
     """
 
     facts: ClassVar = multiplexer
@@ -209,16 +210,16 @@ class Keysight34970AThermometerSection(ThermometerForm, WiredForm):
 
     @property
     def tolerance_k(self) -> float:
-        """The limits of the meter and of the probe at room temperature together, K."""
+        """The sum of the error limits of meter and probe at room temperature, K."""
         sensor = SENSORS[self.sensor]
         return sensor.meter_c + sensor.probe_c + sensor.probe_slope * _ROOM_C
 
     def driver_options(self) -> dict[str, Any]:
-        """Return its channel, its sensor, how the meter is set."""
+        """Return the channel, the sensor type and the selected interface."""
         return self.model_dump(include={"channel", "sensor", "interface"})
 
     def simulation_options(self, truth: ThermometerTruth) -> dict[str, Any]:
-        """Return its channel and sensor, and what is true of it."""
+        """Return channel, sensor type and interface, the simulated errors, the model and its cards."""
         own = {"error_c": truth.error, "noise_c": truth.noise, "air_share": truth.air_share}
         return {
             **self.model_dump(include={"channel", "sensor", "interface"}),

@@ -1,4 +1,4 @@
-"""A plan against a bench, before anything is touched: what cannot be done, and what it takes to do it."""
+"""Checks of a plan against a bench before anything moves: the problems, and the effort that the plan takes."""
 
 from __future__ import annotations
 
@@ -31,19 +31,19 @@ ROUNDING_RAD: Final = 1e-9
 
 _DAY: Final = 24 * HOUR
 LONGEST_S: Final = 366 * _DAY
-"""A plan that may take longer is none that anybody means."""
+"""A plan that may take longer is rejected as a typing error."""
 
 _BYTES_OF_REPORT: Final = 1_500_000
 _BYTES_OF_STEP: Final = 800
 _BYTES_OF_READING: Final = 800
 _BYTES_OF_SAMPLE: Final = 40
-"""As measured on the folders of dry runs, rounded up: plan and events; the samples of three channels."""
+"""Sizes measured on the folders of dry runs, rounded up: report, steps, readings, samples of three channels."""
 
 
 def check(plan: Plan, bench: BenchFile, *, dry_run: bool = False) -> list[str]:
     """Return every reason why a plan cannot be carried out on a bench, one sentence each.
 
-    In a dry run nobody can answer a prompt without a default, so that such a prompt is a reason too.
+    In a dry run nobody can answer a prompt without a default, so each such prompt is a reason, too.
     """
     return [*_installation_problems(plan, bench), *_reading_problems(plan, bench), *_scan_problems(plan, bench),
             *_turn_problems(plan, bench), *_signal_problems(plan, bench), *_temperature_problems(plan, bench),
@@ -87,7 +87,7 @@ def _reading_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
 
 
 def _level_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
-    """Levelling takes a level, and a head that may stand at 0°."""
+    """Check that a plan with levelling has a level, and a head that may go to 0°."""
     first = next((step for step in plan.steps if isinstance(step, Level)), None)
     if first is None:
         return
@@ -105,7 +105,7 @@ def _level_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
 
 
 def _scan_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
-    """A meter of several channels scans them in its own order, whatever is asked."""
+    """Check the requested scan orders: a multiplexer reads its channels in its own order only."""
     scans = {step.scan: step.key for step in reversed(plan.steps) if isinstance(step, Read) and step.scan}
     for scan, key in reversed(scans.items()):
         order = read_order(in_scan_order(bench.instruments.voltmeters, scan))
@@ -117,7 +117,7 @@ def _scan_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
 
 
 def _turn_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
-    """A motorised head backs off before it arrives from the demanded side: that place must be allowed, too."""
+    """Check the head's limits for each target, and for the place from which a motorised head approaches it."""
     if bench.head_limits_rad is None:
         return
     low_rad, high_rad = bench.head_limits_rad
@@ -137,7 +137,7 @@ def _turn_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
 
 
 def _signal_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
-    """What the voltmeters and the block cannot take; the nominal signals themselves the bench file checks."""
+    """Check references against the voltmeters' range, and accelerations against that of the block."""
     range_v = bench.voltmeter_range_v
     references = {s.reference_v: s.key for s in reversed(plan.steps) if isinstance(s, SelectInput)}
     for reference_v, key in reversed(references.items()):
@@ -183,7 +183,7 @@ def _settling_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
 
 
 def switched_before(plan: Plan, bench: BenchFile) -> str | None:
-    """Return what a run does with the block's supply before the first step; None where it does nothing."""
+    """Return the description of the run's power-on before the first step; None if there is none."""
     supply = bench.unit_under_test.supply
     if supply is None or not plan.begins_on():
         return None
@@ -196,7 +196,7 @@ def switched_before(plan: Plan, bench: BenchFile) -> str | None:
 
 
 def _power_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
-    """A block that is switched has a supply, and no signal is read of one that is off."""
+    """Check that a switched block has a supply, and that no signal is read while the block is off."""
     first = next((step for step in plan.steps if isinstance(step, Power)), None)
     if first is not None and bench.unit_under_test.supply is None:
         yield (
@@ -228,12 +228,12 @@ def prompts_without_default(plan: Plan) -> Iterator[str]:
 
 
 def operator_actions(plan: Plan, bench: BenchFile) -> int:
-    """Return how often the operator has something to do on this bench: what a motor does is none.
+    """Return the number of actions of the operator on this bench; motorised actions do not count.
 
-    A thermometer that a person reads is read at each mounting, too.
+    A thermometer that a person reads is read once more at each mounting.
     """
     chamber = bench.instruments.chamber
-    turned = bench.instruments.head.by_hand
+    turned = bench.instruments.head.turned_by_hand
     heated = chamber is not None and chamber.by_hand
     thermometer = bench.instruments.thermometer
     told = heated if thermometer is None else thermometer.by_hand
@@ -256,7 +256,7 @@ def operator_actions(plan: Plan, bench: BenchFile) -> int:
 
 
 def largest_signal_v(plan: Plan, bench: BenchFile) -> float:
-    """Return the largest signal that nominal scale factors give at the orientations of a plan, V."""
+    """Return the largest signal at the orientations of a plan for nominal scale factors, V."""
     scale_v_g = np.array(bench.unit_under_test.scale_factors.values)
     return max(
         (float(np.max(np.abs(f * scale_v_g))) for f in orientations(plan, bench).values()), default=0.0
@@ -264,7 +264,7 @@ def largest_signal_v(plan: Plan, bench: BenchFile) -> float:
 
 
 def disk_needed_bytes(plan: Plan) -> int:
-    """Return about how much a run of a plan writes: plan and events, every sample, the report."""
+    """Return the approximate disk space of a run: plan and events, all samples, the report."""
     reads = [step for step in plan.steps if isinstance(step, Read)]
     samples = sum(step.samples for step in reads) + sum(
         int(step.timeout_s / step.interval_s) + 1 for step in plan.steps if isinstance(step, Settle)
@@ -281,10 +281,10 @@ def disk_needed_bytes(plan: Plan) -> int:
 
 
 def orientations(plan: Plan, bench: BenchFile) -> dict[float | None, Floats]:
-    """Return the nominal specific forces (n, 3), in g, at which a calibration from this plan has readings.
+    """Return the nominal specific forces, in g, at which a calibration from this plan has readings.
 
-    By the temperature that the chamber was set to, None before it was set. An orientation stands there once;
-    verification points and installations that the bench file does not know are left out.
+    The keys are the chamber temperatures that the plan sets (None before the first), the values are arrays (n, 3).
+    Each orientation occurs once. Verification points and installations missing from the bench file are omitted.
     """
     turns = {label: known.block_from_platform for label, known in bench.installation_models().items()}
     found: dict[float | None, dict[tuple[str, float], Floats]] = {}
@@ -306,6 +306,9 @@ def _is_fitted(step: Read, turns: dict[str, Floats]) -> bool:
 
 
 def undetermined(force: Floats) -> tuple[str, ...]:
-    """Return the coefficients that readings at these specific forces (n, 3) leave open, none for a calibration."""
+    """Return the coefficients that readings at these specific forces (n, 3) do not determine.
+
+    The result is empty if a calibration can determine all of them.
+    """
     hidden = hidden_axes(force)
     return tuple(name for name in COEFFICIENTS if ("0" if name.startswith("U0") else name[-1]) in hidden)

@@ -1,4 +1,4 @@
-"""From the steps of a procedure file to the flat steps of a plan."""
+"""Expansion of the steps of a procedure file to the flat steps of a plan."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ from bench.readings.table import REFERENCE, SHORTED
 from drivers.interfaces import Direction
 
 MOST_STEPS: Final = 200_000
-"""More is a slip in a file, not a procedure."""
+"""The most steps of a plan; more are taken for a mistake in a file."""
 
 _DIRECTIONS: Final[Mapping[str, Direction]] = {"rising": 1, "falling": -1}
 _INPUTS: Final[Mapping[str, str]] = {"short": SHORTED, "reference": REFERENCE}
@@ -49,7 +49,7 @@ _INPUTS: Final[Mapping[str, str]] = {"short": SHORTED, "reference": REFERENCE}
 
 @dataclass(frozen=True)
 class _Context:
-    """Where in the procedure a step stands; what of it is not entered yet has the values given here."""
+    """The position in the procedure at which a step is expanded; fields of verbs not yet entered have defaults."""
 
     document: Document
     reading: ReadingSection
@@ -65,21 +65,21 @@ class _Context:
 
     @property
     def mount(self) -> str:
-        """The mounting as it stands in a key."""
+        """The mounting as part of a step key: "1", or "1s2" for series 2."""
         return self.installation if self.series == 1 else f"{self.installation}s{self.series}"
 
     @property
     def place(self) -> tuple[str, int, int, int]:
-        """Installation, series, pass and point."""
+        """The installation, series, pass and point."""
         return self.installation, self.series, self.pass_number, self.point
 
     @property
     def place_key(self) -> str:
-        """The point as it stands in a key."""
+        """The point as part of a step key: "1.2.5" for installation 1, pass 2, point 5."""
         return f"{self.mount}.{self.pass_number}.{self.point}"
 
     def inside(self, document: Document, file: IncludedFile) -> _Context:
-        """Return the context of the steps of a file: what it leaves open is as in what includes it."""
+        """Return the context for the steps of an included file, which overrides the sections that it states."""
         return replace(
             self,
             document=document,
@@ -88,19 +88,20 @@ class _Context:
         )
 
     def failure(self, *nearer: FailureSection | None) -> OnFailure:
-        """Return what becomes of a step that fails, as the nearest says that says anything."""
+        """Return the handling of a failed step, from the first section that is stated: nearest first."""
         said = next((section for section in (*nearer, self.on_failure) if section is not None), None)
         return OnFailure() if said is None else said.to_plan()
 
 
 class _TooLong(Exception):
-    """The plan has more steps than any procedure."""
+    """The plan exceeds `MOST_STEPS` steps."""
 
 
 class Expansion:
-    """Expands a procedure whose files are valid and whose verbs stand where they may.
+    """The expansion of a procedure whose files are valid and whose verbs are all allowed where they occur.
 
-    `mistakes` holds what only shows now (something measured twice), with the document that it is in.
+    `mistakes` holds the mistakes that only the expansion reveals (such as a point read twice), each with its
+    document.
     """
 
     def __init__(self, documents: Mapping[Path, Document], files: Mapping[Path, IncludedFile]) -> None:
@@ -134,7 +135,7 @@ class Expansion:
         return f"{len(self._steps) + 1:04d}/{kind}" + (f"/{where}" if where else "")
 
     def _once(self, context: _Context, place: Place, text: str) -> None:
-        """Note a mistake of a place once, however often the place is repeated."""
+        """Record a mistake at a place of a file once, even if that place is expanded repeatedly."""
         if (context.document.path, place) not in self._noted:
             self._noted.add((context.document.path, place))
             self.mistakes.append((context.document, context.document.mistake(place, text)))
@@ -171,11 +172,11 @@ class Expansion:
                     self._note_power(body, context)
 
     def _take(self, steps: Iterator[Step]) -> None:
-        for step in steps:  # one by one: a key counts those before it
+        for step in steps:  # one by one: the key of a step contains the number of steps before it
             self._steps.append(step)
 
     def _path_of(self, document: Document, name: str) -> Path:
-        """Return the path by which an included file is known; the system is asked for it once."""
+        """Return the resolved path of an included file, from a cache to save system calls."""
         if (id(document), name) not in self._paths:
             self._paths[id(document), name] = (document.path.parent / name).resolve()
         return self._paths[id(document), name]
@@ -196,7 +197,7 @@ class Expansion:
         self._all(verb.steps, (*place, "steps"), inside)
 
     def _level(self, verb: LevelVerb, place: Place, context: _Context) -> None:
-        """Read the level as the platform stands: what it was levelled for last has it at its end."""
+        """Append a reading of the level, for the mounting for which the platform was last levelled."""
         if self._levelled is None:
             text = (
                 "the platform was not levelled before: give an installation before it 'level: {}', so that this "
@@ -233,7 +234,7 @@ class Expansion:
             self._all_or_reading(verb.steps, place, here)
 
     def _all_or_reading(self, steps: Sequence[StepEntry] | None, place: Place, context: _Context) -> None:
-        """Do the steps; where there are none, settle as the section `reading` says and take one reading."""
+        """Expand the steps; without steps, settle as in the section `reading` and take one reading."""
         if steps is not None:
             self._all(steps, (*place, "steps"), context)
             return
@@ -246,7 +247,7 @@ class Expansion:
 
     def _input(self, verb: InputVerb, place: Place, context: _Context) -> None:
         if self._steps and isinstance(self._steps[-1], SelectInput):
-            self._steps.pop()  # from one input to the next, with nothing between: not by way of the signals
+            self._steps.pop()  # switch directly from one input to the next, not back to the signals in between
         self._steps.append(SelectInput(self._key("input"), verb.source, verb.voltage))
         self._all_or_reading(verb.steps, place, replace(context, input=_INPUTS[verb.source]))
         self._steps.append(SelectInput(self._key("input"), "signal"))
@@ -261,7 +262,7 @@ class Expansion:
                 self._read_point(verb, place, replace(context, point=context.point + index))
 
     def _read_input(self, verb: ReadVerb, context: _Context) -> None:
-        """Read the shorted or the reference input; its points are counted through each pass."""
+        """Append a reading of the shorted or reference input; its points are numbered within each pass."""
         where = (context.input, context.series, context.pass_number)
         self._input_points[where] += 1
         here = replace(context, installation=context.input, point=self._input_points[where])
@@ -293,24 +294,24 @@ class Expansion:
         self._steps.append(Wait(self._key("wait"), duration_s, reason))
 
     def _note_power(self, verb: PowerVerb, context: _Context) -> None:
-        """What is measured once the block is on again, on the same mounting, is a series of its own."""
+        """Note that the block was switched on again: further readings on this mounting start a new series."""
         mounted = (context.installation, context.series)
         if verb.switch != "off" and mounted in self._measured:
             self._since_power[mounted] = None
 
     def _since_switched(self, context: _Context) -> _Context:
-        """Return a context with the series that its mounting has since the block was switched on last."""
+        """Return the context with the series of its mounting since the last time the block was switched on."""
         series = context.series
         while (mounted := (context.installation, series)) in self._since_power:
             following = self._since_power[mounted]
-            if following is None:  # the first step since
+            if following is None:  # the first step since the block was switched on
                 following = self._since_power[mounted] = self._next_series(context.installation)
                 self._mounted.add((context.installation, following))
             series = following
         return context if series == context.series else replace(context, series=series)
 
     def _temperatures(self, verb: TemperaturesVerb, place: Place, context: _Context) -> None:
-        """Do the steps at each temperature; while the block stays mounted, each has a series of its own."""
+        """Expand the steps at each temperature; while the block stays mounted, each is a new series."""
         inside = context
         for at_c in verb.at:
             self._take(heating(verb, at_c, self._key))

@@ -1,4 +1,4 @@
-"""What a procedure file may say: steps with one verb each, and the sections beside them."""
+"""The contents of a procedure file: steps with one verb each, and the sections beside them."""
 
 from __future__ import annotations
 
@@ -48,13 +48,16 @@ from drivers.person import PromptKind
 Positive = Annotated[int, Field(ge=1)]
 
 MOST_SAMPLES: Final = 1_000_000
-"""Of what is waited for to settle."""
+"""The most samples that one settling may take."""
 
 TEMPERATURE_DIFFERENCE: Final = QuantityKind("a difference of temperatures", "0.1 K", "K", only=("K", "mK"))
 
 
 class SettleForm(ActionVerb):
-    """When something has settled: each sample of a `window` within `precision`, one taken each `interval`."""
+    """Criterion of settling: all samples in a `window` lie within `precision`.
+
+    A sample is taken every `interval`; settling fails if the criterion is not met by `timeout`.
+    """
 
     precision: float
     window: DurationS
@@ -76,13 +79,13 @@ class SettleForm(ActionVerb):
         return self
 
     def plan_steps(self, key: Callable[[str], str]) -> Iterator[Step]:
-        """Yield the settling; what settles is said by the kinds of it."""
+        """Yield the settling step; the subclass determines the settling quantity."""
         what: Settled = getattr(self, "what")  # noqa: B009 - both kinds have it
         yield Settle(key("settle"), what, self.precision, self.window, self.timeout, self.interval)
 
 
 class SignalSettle(SettleForm):
-    """Settling of the three signals, V."""
+    """Settling of the three signals; the precision is in V."""
 
     what: Literal["signals"] = "signals"
     precision: VoltageV
@@ -90,7 +93,7 @@ class SignalSettle(SettleForm):
 
 
 class TemperatureSettle(SettleForm):
-    """Settling of the temperature at the block, K."""
+    """Settling of the temperature at the block; the precision is in K."""
 
     what: Literal["temperature"] = "temperature"
     precision: Annotated[float, BeforeValidator(lambda text: parse_quantity(text, TEMPERATURE_DIFFERENCE))]
@@ -114,20 +117,20 @@ def _form_of_settling(written: Any) -> str:
 
 
 class FailureSection(FileModel):
-    """What becomes of a turn or a reading that fails: how often it is repeated, and then?"""
+    """The handling of a failed turn or reading: how often to repeat it, then whether to stop or continue."""
 
     repeat: Annotated[int, Field(ge=0, le=100)] = 1
     then: Literal["stop", "continue"] = "stop"
 
     def to_plan(self) -> OnFailure:
-        """Return it as a plan holds it."""
+        """Return the section in the form used by plans."""
         return OnFailure(self.repeat, self.then)
 
 
 class ReadingSection(FileModel):
-    """How a reading is taken unless a step says otherwise: samples, power-line cycles, settling before it.
+    """The defaults of a reading: samples, power-line cycles, and settling before it.
 
-    `settle` is a plain time to wait, or says when the signals have settled.
+    `settle` is a fixed time to wait, or a criterion for settled signals.
     """
 
     samples: Positive = 10
@@ -140,7 +143,7 @@ class ReadingSection(FileModel):
 
 
 class OperatorTimeSection(FileModel):
-    """Expected times of the operator, for the estimate of a plan's duration alone."""
+    """The operator's expected times; they serve only to estimate the duration of a plan."""
 
     turn: SpanS = 120.0
     mount: SpanS = 1200.0
@@ -148,7 +151,7 @@ class OperatorTimeSection(FileModel):
     input: SpanS = 60.0
 
     def to_plan(self) -> OperatorTime:
-        """Return the times as a plan holds them."""
+        """Return the times in the form used by plans."""
         return OperatorTime(self.turn, self.mount, self.answer, self.input)
 
 
@@ -178,16 +181,16 @@ Angle = Annotated[AngleRad, AfterValidator(_within_a_turn)]
 
 
 class LevelVerb(FileModel):
-    """Read the level on the platform, the head at 0°, in two positions half a turn apart.
+    """Read the level on the platform with the head at 0°, in two positions half a turn apart.
 
-    The head is set to 0° anew for each of `settings`: how exactly it is set is most of what α2 is known to.
+    The head is set to 0° anew `settings` times: its setting error dominates the uncertainty of the zero offset α2.
     """
 
     settings: Annotated[int, Field(ge=1, le=100)] = 1
 
 
 class LevelSection(LevelVerb):
-    """Level the platform before the block is mounted, measure what is left; beyond `within` it is done again."""
+    """Level the platform before the block is mounted, then read the level; repeat if it is off by over `within`."""
 
     within: Annotated[SizeRad, above_zero("expected more than nothing: no platform is exactly level")] = (
         10.0 * ARCSEC
@@ -195,9 +198,9 @@ class LevelSection(LevelVerb):
 
 
 class InstallationVerb(FileModel):
-    """Mount the block; `series` numbers the visits to an installation, by itself where it is left out.
+    """Mount the block in an installation; `series` numbers the visits to it, automatically by default.
 
-    With `level` the platform is levelled before.
+    With `level` the platform is levelled first.
     """
 
     label: str
@@ -216,9 +219,10 @@ class InstallationVerb(FileModel):
 
 
 class RepeatVerb(FileModel):
-    """Passes: so many `times`, or one for each of `directions`, which then hold for the turns inside.
+    """Do the steps in several passes: `times` of them, or one for each of `directions`.
 
-    `scans` says for each pass in which order the channels are read, such as [xyz, zyx].
+    `directions` gives the direction of the turns in each pass; `scans` gives the order in which each pass reads the
+    channels, such as [xyz, zyx].
     """
 
     times: Positive | None = None
@@ -240,12 +244,12 @@ class RepeatVerb(FileModel):
 
     @property
     def passes(self) -> int:
-        """How many passes there are."""
+        """The number of passes."""
         return self.times or len(self.directions or ())
 
 
 class AngleSteps(FileModel):
-    """Equally spaced angles: the first, the step, how many."""
+    """Equally spaced angles: the first angle, the step, and the number of angles."""
 
     start: Angle = Field(alias="from")
     step: AngleRad
@@ -267,10 +271,10 @@ def _form_of_angles(written: Any) -> str:
 
 
 class TurnVerb(FileModel):
-    """Turn through angles; at each the steps are done, or settling and one reading where there are none.
+    """Turn through angles and do the steps at each; by default, settle and take one reading.
 
-    Points are numbered from `first_point` in the order of the list; a falling pass visits the list in
-    reverse, and a point keeps its number.
+    Points are numbered from `first_point` in the order of the list. A falling pass visits the list in reverse; each
+    point keeps its number.
     """
 
     angles: Annotated[
@@ -284,14 +288,14 @@ class TurnVerb(FileModel):
 
     @property
     def angles_rad(self) -> tuple[float, ...]:
-        """The angles in the order of the list, rad."""
+        """The angles in listed order, rad."""
         return self.angles.angles_rad if isinstance(self.angles, AngleSteps) else self.angles
 
 
 class ReadVerb(FileModel):
-    """Take a reading, or so many `times` with a `pause` between them, each a point numbered on from the last.
+    """Take a reading, or several `times`, with a `pause` in between; each is a point with the next number.
 
-    What is left out is as in the section `reading`.
+    The defaults are in the section `reading`.
     """
 
     samples: Positive | None = None
@@ -308,10 +312,10 @@ class ReadVerb(FileModel):
 
 
 class InputVerb(FileModel):
-    """Switch all three inputs to a short or to a reference, do the steps, switch them back to the signals.
+    """Switch all three inputs to a short or a reference, do the steps, switch back to the signals.
 
-    Where there are no steps: settling and one reading. Readings inside are of installation S or R, and their
-    points are numbered by themselves.
+    Without steps, settle and take one reading. These readings have the installation S or R, and their points are
+    numbered separately.
     """
 
     source: Literal["short", "reference"]
@@ -326,7 +330,7 @@ class InputVerb(FileModel):
 
 
 class WaitVerb(ActionVerb):
-    """Let bench time pass."""
+    """Wait for a fixed duration of bench time."""
 
     duration: SpanS = Field(alias="for")
     reason: str = "waiting"
@@ -337,7 +341,7 @@ class WaitVerb(ActionVerb):
 
 
 class PromptVerb(ActionVerb):
-    """Ask the operator; the answer is recorded. Without a default a dry run cannot answer."""
+    """Ask the operator and record the answer; a dry run needs the `default`."""
 
     kind: PromptKind
     text: str
@@ -386,14 +390,14 @@ class TemperatureVerb(ActionVerb):
     soak: SpanS = 0.0
 
     def plan_steps(self, key: Callable[[str], str]) -> Iterator[Step]:
-        """Yield the setting, the settling and the soak."""
+        """Yield setting the chamber, settling, and the soak."""
         yield from heating(self, self.at, key)
 
 
 class TemperaturesVerb(FileModel):
-    """Do the steps at one temperature after the other, each as the verb `temperature` would set it.
+    """Do the steps at each of several temperatures, set as by the verb `temperature`.
 
-    Inside an installation the block stays mounted, and each temperature is a series of its own.
+    Inside an installation the block stays mounted, and each temperature is a separate series.
     """
 
     at: Annotated[tuple[TemperatureC, ...], Field(min_length=1)]
@@ -405,7 +409,7 @@ class TemperaturesVerb(FileModel):
 def heating(
     verb: TemperatureVerb | TemperaturesVerb, at_c: float, key: Callable[[str], str]
 ) -> Iterator[Step]:
-    """Yield the steps by which the chamber, and in it the block, comes to a temperature."""
+    """Yield the steps that bring the chamber, and the block in it, to a temperature."""
     yield SetTemperature(key("temperature"), at_c)
     if verb.settle is not None:
         yield from verb.settle.plan_steps(key)
@@ -414,10 +418,10 @@ def heating(
 
 
 class PowerVerb(ActionVerb):
-    """Switch the block on or off, or off and on again: `power: on`, `power: {switch: cycle, off_for: 10 min}`.
+    """Switch the block on, off, or off and on again: `power: on`, `power: {switch: cycle, off_for: 10 min}`.
 
-    In a cycle it is off for `off_for` at least, and never for less than the bench file says. Once it is on it warms
-    up as the bench file says, or for `warm_up`.
+    In a cycle it stays off for `off_for`, and at least for the minimum in the bench file. Once on, it warms up for
+    `warm_up`, by default as stated in the bench file.
     """
 
     switch: Switching
@@ -443,7 +447,7 @@ class PowerVerb(ActionVerb):
 
 
 class _StepEntry(FileModel):
-    """One step: exactly one of the verbs."""
+    """A step: exactly one of the verbs."""
 
     installation: InstallationVerb | None = None
     repeat: RepeatVerb | None = None
@@ -462,7 +466,7 @@ class _StepEntry(FileModel):
     @model_validator(mode="before")
     @classmethod
     def _bare(cls, written: Any) -> Any:
-        """`- read:` with nothing after it is a reading as the section `reading` says; `- level:` one setting."""
+        """Accept `- read:` and `- level:` with nothing after them; all of their settings are the defaults."""
         bare = [verb for verb in ("read", "level") if isinstance(written, dict) and verb in written]
         return {**written, bare[0]: {}} if bare and written[bare[0]] is None else written
 
@@ -477,7 +481,7 @@ class _StepEntry(FileModel):
 
     @property
     def given(self) -> tuple[str, Any]:
-        """The verb, and what is said of it."""
+        """The verb and its settings."""
         return next(
             (verb, getattr(self, verb)) for verb in self.model_fields_set if getattr(self, verb) is not None
         )
@@ -486,13 +490,13 @@ class _StepEntry(FileModel):
 if TYPE_CHECKING:
     StepEntry = _StepEntry
 else:
-    # kinds of step in modules of their own bring their verbs
+    # each kind of step in a separate module contributes its verb
     _FURTHER = {kind.NAME: (kind.VERB | None, None) for kind in KINDS if kind.VERB is not None}
     StepEntry = create_model("StepEntry", __base__=_StepEntry, __doc__=_StepEntry.__doc__, **_FURTHER)
 
 
 class IncludedFile(FileModel):
-    """A file that others include: whole procedures can be, and then their own `reading` holds inside."""
+    """A file of steps to include, possibly a whole procedure; its own `reading` applies to its steps."""
 
     procedure: str | None = None
     title: str = ""

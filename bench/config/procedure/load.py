@@ -1,4 +1,4 @@
-"""Procedures, `procedures/*.yaml`: read with what they include, checked, expanded to a flat plan."""
+"""Procedures, `procedures/*.yaml`: read with their included files, checked, expanded to a flat plan."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ __all__ = ["Procedure", "check", "load_procedure"]
 _INCLUDE: Final = "include"
 
 MOST_BYTES: Final = 10 * MEGABYTE
-"""Of the file that is asked for, which may have been written by a program; those that it includes have less."""
+"""Largest size of the procedure file, which a program may have written; included files have a lower limit."""
 
 MOST_FILES: Final = 1_000
-"""More included files are a slip."""
+"""The most included files; more are taken for a mistake."""
 
 MOST_DEEP: Final = 100
-"""Files that include each other in a row."""
+"""The greatest depth of files that include each other."""
 
 _TOO_DEEP: Final = "steps and included files stand too deep in each other; put fewer of them into one another"
 
 
 @dataclass(frozen=True)
 class Procedure:
-    """A procedure with the files that it includes; `files` has them in the order of reading, itself first."""
+    """A procedure with its plan; `files` lists its own file, then the included ones in reading order."""
 
     name: str
     title: str
@@ -43,13 +43,13 @@ class Procedure:
     plan: Plan
 
     def expand(self) -> Plan:
-        """Return the flat plan; it was expanded when the procedure was checked."""
+        """Return the flat plan, which was expanded when the procedure was loaded."""
         return self.plan
 
 
 @uncollected()
 def load_procedure(path: Path) -> Procedure:
-    """Read and check a procedure. Raises `FileMistakes` with every mistake in it and in what it includes."""
+    """Read and check a procedure. Raises `FileMistakes` with every mistake in it and its included files."""
     try:
         return _loaded(path)
     except RecursionError:
@@ -76,7 +76,7 @@ def _in_order(mistake: FileMistake) -> tuple[str, int, str, str]:
 
 
 class _Tree:
-    """A procedure file and everything it includes, by resolved path, with the mistakes in all of them."""
+    """A procedure file and all included files, by resolved path, with the mistakes in all of them."""
 
     def __init__(self, path: Path) -> None:
         self.documents: dict[Path, Document] = {}
@@ -93,12 +93,12 @@ class _Tree:
 
     @property
     def sha256(self) -> str:
-        """SHA-256 of the bytes of all files together; of one file alone it is the file's own."""
+        """The SHA-256 of a single file's bytes; for several files, that of their concatenated hex digests."""
         digests = [document.sha256 for document in self.documents.values()]
         return digests[0] if len(digests) == 1 else hashlib.sha256("".join(digests).encode()).hexdigest()
 
     def located(self, document: Document, mistake: FileMistake) -> FileMistake:
-        """Return the mistake with the name of its file, where that is an included one."""
+        """Return the mistake, with the name of its file if that is an included one."""
         return mistake if document is self._root else replace(mistake, file=str(document.path))
 
     def _read(self, document: Document, model: type[IncludedFile], chain: tuple[Path, ...]) -> None:
@@ -116,7 +116,7 @@ class _Tree:
                     self.mistakes.append(self.located(document, at))
 
     def _include(self, document: Document, name: str, chain: tuple[Path, ...]) -> str:
-        """Read an included file, once; return why it cannot be included, empty where it can."""
+        """Read an included file if it is new; return the reason why it cannot be included, or an empty text."""
         path = document.path.parent / name
         key = _resolved(path)
         if key in chain:
@@ -145,7 +145,10 @@ class _Tree:
         return ""
 
     def _unreadable(self, path: Path, mistake: FileMistake) -> str:
-        """Say what is wrong with an included file, and quote nothing of it: it may be none of a procedure's."""
+        """Return why an included file cannot be read; empty if it is not YAML, which is recorded as a mistake.
+
+        The file is not quoted, since it may not be a procedure at all.
+        """
         if not mistake.line:
             return f"{path}: {mistake.text}"
         told = f"this is not YAML in UTF-8; 'bench check {path.name}' says more"
@@ -153,9 +156,10 @@ class _Tree:
         return ""
 
     def _check_scopes(self, document: Document, steps: Any, place: Place, scope: _Scope) -> None:
-        """Check that every verb stands where it may; works on what is written, right or wrong.
+        """Check that every verb is allowed where it occurs; `steps` are as written, valid or not.
 
-        An included file is gone through once for each set of verbs that it stands in: no other tells more.
+        An included file is checked once for each set of enclosing verbs; further checks would repeat the same
+        mistakes.
         """
         for entry, verb, body in _entries(steps, place):
             problem = scope.problem(verb)
@@ -176,7 +180,7 @@ _SUFFIXES: Final = frozenset({".yaml", ".yml"})
 
 
 def _resolved(path: Path) -> Path:
-    """Return a path with its links followed; itself where that cannot be, and reading it will say why."""
+    """Return a path with symbolic links resolved; the path itself if that fails (reading it then reports why)."""
     try:
         return path.resolve()
     except (OSError, RuntimeError, ValueError):
@@ -185,16 +189,16 @@ def _resolved(path: Path) -> Path:
 
 @dataclass(frozen=True)
 class _Scope:
-    """What a step stands in: the verbs around it."""
+    """The verbs that enclose a step."""
 
     within: frozenset[str] = frozenset()
 
     def inside(self, verb: str) -> _Scope:
-        """Return the scope of the steps of a verb."""
+        """Return the scope of the steps inside a verb."""
         return _Scope(self.within | {verb})
 
     def problem(self, verb: str) -> str:
-        """Return why a verb cannot stand here, empty where it can."""
+        """Return the reason why a verb is not allowed in this scope; empty if it is allowed."""
         text = ""
         match verb:
             case _ if "input" in self.within:
@@ -219,21 +223,21 @@ _NOT_IN_AN_INPUT: Final = frozenset(
 
 
 def _a(verb: str) -> str:
-    """Return what a verb stands for, with its article."""
+    """Return the name of a verb's action with its article, such as "an installation"."""
     if verb == "power":
         return "a switching of the block"
     return "a list of temperatures" if verb == "temperatures" else f"a{'n' * (verb[0] in 'ai')} {verb}"
 
 
 def _entries(steps: Any, place: Place) -> Iterator[tuple[Place, str, Any]]:
-    """Yield place, verb and body of each step of a list as written."""
+    """Yield place, verb and body of each step in a list as written."""
     for index, entry in enumerate(steps if isinstance(steps, list) else []):
         for verb, body in entry.items() if isinstance(entry, dict) else ():
             yield (*place, index), verb, body
 
 
 def _walk(steps: Any, place: Place) -> Iterator[tuple[Place, str, Any]]:
-    """Yield place, verb and body of each step, those inside others too."""
+    """Yield place, verb and body of each step in a list as written, nested steps included."""
     for entry, verb, body in _entries(steps, place):
         yield entry, verb, body
         if steps_inside := part(body, "steps"):

@@ -1,4 +1,4 @@
-"""A plan: what a procedure does, as a flat tuple of frozen steps. Nothing in it touches an instrument."""
+"""A plan: the actions of a procedure as a flat tuple of frozen steps. It never touches an instrument."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ __all__ = ["SETTLING", "Ask", "InputSource", "Level", "Mount", "OnFailure", "Ope
 KINDS: Final[tuple[type[Step], ...]] = (
     Mount, Turn, Wait, Settle, Read, SelectInput, Ask, SetTemperature, Level, Power,
 )  # fmt: skip
-"""Every kind of step, in the order of counts: one in a module of its own is added here."""
+"""All kinds of step, in the order of counts; add a kind from a separate module here."""
 
 _STEPS: Final[Mapping[str, Callable[..., Step]]] = {kind.NAME: kind for kind in KINDS}
 _FIELDS: Final = {kind: tuple(f.name for f in fields(kind)) for kind in KINDS}
@@ -48,15 +48,15 @@ _FIELDS: Final = {kind: tuple(f.name for f in fields(kind)) for kind in KINDS}
 _ADDED: Final[Mapping[str, object]] = {
     "on_failure": OnFailure(), "input_s": OperatorTime().input_s, "scan": "",
 }  # fmt: skip
-"""Fields that plans did not have at first, with what their absence means.
+"""Fields that plans of earlier versions lack, with the value that their absence means.
 
-At that value they are not written, so that a plan on record keeps its hash; it can never be another one.
+A field with this value is not written, so that recorded plans keep their hash. The values must never change.
 """
 
 
 @dataclass(frozen=True)
 class Plan:
-    """Steps in order, the name of the procedure they come from and the SHA-256 of its files."""
+    """The steps in order, with the name of their procedure and the SHA-256 of its files."""
 
     name: str
     steps: tuple[Step, ...]
@@ -65,43 +65,43 @@ class Plan:
 
     @cached_property
     def hash(self) -> str:
-        """SHA-256 of the canonical JSON: the same for equal plans, another after any change."""
+        """The SHA-256 of the canonical JSON: equal plans have equal hashes, and any change alters the hash."""
         head = _canonical({**self._head(), "steps": []}).removesuffix("]}")
-        digest = hashlib.sha256(head.encode())  # step by step: a long plan is never one text in memory
+        digest = hashlib.sha256(head.encode())  # step by step: a long plan is never one string in memory
         for index, step in enumerate(self.steps):
             digest.update((("," if index else "") + _canonical(_step_to_json(step))).encode())
         digest.update(b"]}")
         return digest.hexdigest()
 
     def counts(self) -> dict[str, int]:
-        """Return how many steps there are of each kind that occurs."""
+        """Return the number of steps of each kind that occurs, by kind."""
         found = Counter(type(step) for step in self.steps)
         return {kind.NAME: found[kind] for kind in KINDS if found[kind]}
 
     def operator_actions(self) -> int:
-        """Return how often the operator has something to do on a bench without motors."""
+        """Return the number of steps that need the operator on a bench without motors."""
         return sum(step.BY_OPERATOR for step in self.steps)
 
     def begins_on(self) -> bool:
-        """Whether the block is to be on before the first step: unless it is switched before the first reading."""
+        """Whether the block must be on before the first step: true unless a power step precedes any reading."""
         kinds = (type(step) for step in self.steps if isinstance(step, Read | Power))
         return next(kinds, Read) is Read
 
     def step_duration_s(
         self, step: Step, line_hz: float = 50.0, supply: UnitSupplySection | None = None
     ) -> float:
-        """Return the expected time of a step, s; of settling, the shortest that it can take.
+        """Return the expected duration of a step, s; for settling, the shortest possible.
 
-        `supply` is that of the block, which is switched.
+        `supply` is the bench-file section on the block's supply, needed for the times of switching.
         """
         return step.takes_s(Times(self.operator_time, line_hz, supply))
 
     def duration_by_kind_s(
         self, line_hz: float = 50.0, supply: UnitSupplySection | None = None
     ) -> dict[str, float]:
-        """Return the expected time of all steps of each kind that occurs, s, in the order of `counts`.
+        """Return the expected total duration of the steps of each kind that occurs, s, in the order of `counts`.
 
-        Where the block is switched on before the first step, that is of the kind "power", too.
+        If the block is switched on before the first step, the time for that counts under "power".
         """
         total = dict.fromkeys(self.counts(), 0.0)
         for step in self.steps:
@@ -113,9 +113,9 @@ class Plan:
     def duration_by_mount_s(
         self, line_hz: float = 50.0, supply: UnitSupplySection | None = None
     ) -> dict[str, float]:
-        """Return the expected time of each visit to an installation, s, as it is told: "1", "1 (series 2)".
+        """Return the expected duration of each visit to an installation, s, by "1", "1 (series 2)", ….
 
-        What comes before the first mounting stands under the empty text.
+        The time before the first mounting is under the empty string.
         """
         total: dict[str, float] = {}
         if supply is not None and self.begins_on():
@@ -128,11 +128,11 @@ class Plan:
         return total
 
     def expected_duration_s(self, line_hz: float = 50.0, supply: UnitSupplySection | None = None) -> float:
-        """Return the expected time of the whole plan, s."""
+        """Return the expected duration of the whole plan, s."""
         return sum(self.duration_by_kind_s(line_hz, supply).values())
 
     def longest_duration_s(self, line_hz: float = 50.0, supply: UnitSupplySection | None = None) -> float:
-        """Return the time of the whole plan when every settling takes all the time that it may, s."""
+        """Return the duration of the whole plan if all settling and warm-up takes until its timeout, s."""
         settling = [step for step in self.steps if isinstance(step, Settle)]
         longer = sum(step.timeout_s - self.step_duration_s(step, line_hz) for step in settling)
         if supply is not None:
@@ -155,7 +155,7 @@ class Plan:
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Plan:
-        """Return the plan that `to_json` wrote. Raises `ValueError`, `KeyError` or `TypeError` for others."""
+        """Return the plan from its `to_json`. Raises `ValueError`, `KeyError` or `TypeError` for other data."""
         return cls(
             str(data["name"]),
             tuple(_step_from_json(step) for step in data["steps"]),
@@ -165,11 +165,11 @@ class Plan:
 
 
 SWITCHED_ON: Final = Power("start/power", "on")
-"""What a run does before its first step, where the block has a supply and the plan `begins_on`."""
+"""The action of a run before its first step, if the block has a supply and the plan `begins_on`."""
 
 
 def _warms_up(step: Power) -> bool:
-    """Whether a step has the warm-up that the bench file states."""
+    """Whether a step switches the block on with the warm-up stated in the bench file."""
     return step.switch != "off" and step.warm_up_s is None
 
 

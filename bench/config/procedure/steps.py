@@ -1,9 +1,9 @@
-"""The steps of a plan: what each does, frozen, and how it is told. None of them touches an instrument.
+"""The steps of a plan: frozen records of single actions. None of them touches an instrument by itself.
 
-Every step has a `key`, unique in its plan and the same each time the procedure is expanded, such as
-"0012/read/1.2.5": place in the plan (from 1), kind, installation.pass.point (a series other than the
-first follows the installation: "1s2.2.5"). Readings of the shorted and of the reference input are keyed by
-their labels S and R in place of an installation.
+Every step has a `key` that is unique in its plan and the same in each expansion of the procedure, such as
+"0012/read/1.2.5": the number of the step in the plan (from 1), its kind, and installation.pass.point. A series
+beyond the first follows the installation: "1s2.2.5". Readings of the shorted and of the reference input have the
+labels S and R in place of an installation.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ Switching = Literal["on", "off", "cycle"]
 _SAMPLE_OVERHEAD_S: Final = 0.01
 
 SETTLING: Final = "settling"
-"""The reason of a wait between a turn and its reading."""
+"""The reason stated for a wait between a turn and its reading."""
 
 _UNITS: Final[Mapping[Settled, str]] = {"signals": "V", "temperature": "K"}
 _INPUTS: Final = {SHORTED: "the shorted input", REFERENCE: "the reference input"}
@@ -36,7 +36,7 @@ _INPUTS: Final = {SHORTED: "the shorted input", REFERENCE: "the reference input"
 
 @dataclass(frozen=True, slots=True)
 class OnFailure:
-    """What becomes of a step that fails: so many repeats, then the run stops or goes on without its result."""
+    """The handling of a failed step: up to `repeats` repeats; then the run stops, or continues without a result."""
 
     repeats: int = 1
     then: Literal["stop", "continue"] = "stop"
@@ -44,7 +44,7 @@ class OnFailure:
 
 @dataclass(frozen=True, slots=True)
 class OperatorTime:
-    """How long the operator is expected to take: a turn, a mounting, switching the inputs, any other task, s."""
+    """The expected times of the operator for a turn, a mounting, an answer or other task, an input change, s."""
 
     turn_s: float = 120.0
     mount_s: float = 1200.0
@@ -54,7 +54,7 @@ class OperatorTime:
 
 @dataclass(frozen=True)
 class Times:
-    """What the time of a step depends on: the operator, the mains, the supply of the block."""
+    """The quantities that determine the duration of a step: operator times, mains frequency, block supply."""
 
     operator: OperatorTime
     line_hz: float = 50.0
@@ -62,7 +62,7 @@ class Times:
 
 
 class AtBench(Protocol):
-    """The bench on which a step carries itself out; `between_naps` hears wishes meanwhile."""
+    """The bench on which a step is carried out."""
 
     instruments: Any
     person: Person
@@ -70,28 +70,29 @@ class AtBench(Protocol):
 
     @property
     def between_naps(self) -> Callable[[], None]:
-        """What hears wishes, called while a step waits."""
+        """The function that handles requests of the operator; it is called repeatedly during waits."""
         ...
 
     def watch_rails(self, key: str) -> None:
-        """Look at the rails of the block's supply when it is time to."""
+        """Check the rails of the block's supply when the check is due; `key` is the current step."""
         ...
 
 
 class ActionVerb(FileModel):
-    """A verb of a procedure file that holds no steps and stands anywhere outside an input."""
+    """A verb of a procedure file that contains no other steps and is allowed anywhere outside an input."""
 
     def plan_steps(self, key: Callable[[str], str]) -> Iterator[Step]:
-        """Yield the steps that the verb stands for; `key("wait")` gives the next step its key."""
+        """Yield the steps of the verb; `key("wait")` returns the key of the next step, of kind "wait"."""
         raise NotImplementedError
 
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """A step of a plan; a kind of step is a class.
+    """A step of a plan; each kind of step is a subclass.
 
-    `NAME` is the kind in counts and in JSON. A kind in a module of its own has a `VERB`, which procedure files know
-    as `NAME`. It brings an instance of `BRINGS`, a dataclass, whose fields are recorded.
+    `NAME` is the kind in counts and in JSON, `BY_OPERATOR` whether the operator does it on a bench without motors.
+    A kind in a separate module has a `VERB`, which is called `NAME` in procedure files. `BRINGS` is the dataclass
+    of its result, whose fields are recorded.
     """
 
     NAME: ClassVar[str] = ""
@@ -102,24 +103,24 @@ class Step:
     key: str
 
     def describe(self) -> str:
-        """Say in one line what is done."""
+        """Return a one-line description of the action."""
         raise NotImplementedError
 
     def takes_s(self, times: Times) -> float:
-        """Return the expected time, s; of settling, the shortest that it can take."""
+        """Return the expected duration, s; for settling, the shortest possible."""
         raise NotImplementedError
 
     def carry_out(self, at: AtBench) -> Any:
-        """Carry the step out on a bench; return what it brings, None for nothing. Raises `BenchError`.
+        """Carry the step out on a bench; return its result, or None. Raises `BenchError`.
 
-        A kind that needs the state of the bench has a method there: `do_turn` for the kind "turn".
+        The default calls the bench's method for the kind, such as `do_turn` for the kind "turn".
         """
         return getattr(at, f"do_{self.NAME}")(self)
 
 
 @dataclass(frozen=True, slots=True)
 class Mount(Step):
-    """The operator mounts the block in an installation; `series` numbers the visits to it."""
+    """The operator mounts the block in an installation; `series` counts the visits to it."""
 
     NAME: ClassVar[str] = "mount"
     BY_OPERATOR: ClassVar[bool] = True
@@ -128,17 +129,17 @@ class Mount(Step):
     series: int
 
     def describe(self) -> str:
-        """Say in one line what is done."""
+        """Return a one-line description of the action."""
         return f"mount the block in installation {mount_in_words(self.installation, self.series)}"
 
     def takes_s(self, times: Times) -> float:
-        """Return the expected time, s."""
+        """Return the expected duration, s."""
         return times.operator.mount_s
 
 
 @dataclass(frozen=True, slots=True)
 class _AtPoint(Step):
-    """A step at a point: in which installation, on which visit to it, in which pass."""
+    """A step at a numbered point of a pass, on one visit (`series`) to an installation."""
 
     installation: str
     series: int
@@ -146,19 +147,19 @@ class _AtPoint(Step):
     point: int
 
     def place(self) -> str:
-        """Say what is turned or read: "installation 1", "the shorted input", with a further series."""
+        """Return the place in words, such as "installation 1" or "the shorted input (series 2)"."""
         if self.installation in _INPUTS:
             return _INPUTS[self.installation] + ("" if self.series == 1 else f" (series {self.series})")
         return f"installation {mount_in_words(self.installation, self.series)}"
 
     def where(self) -> str:
-        """Say in words at which point of which pass it is."""
+        """Return the place, the pass and the point in words."""
         return f"{self.place()}, pass {self.pass_number}, point {self.point}"
 
 
 @dataclass(frozen=True, slots=True)
 class Turn(_AtPoint):
-    """The head is turned to an angle, arriving with rising (+1) or falling (-1) angle."""
+    """The head turns to an angle and arrives there with rising (+1) or falling (-1) angle."""
 
     NAME: ClassVar[str] = "turn"
     BY_OPERATOR: ClassVar[bool] = True
@@ -168,17 +169,17 @@ class Turn(_AtPoint):
     on_failure: OnFailure = OnFailure()
 
     def describe(self) -> str:
-        """Say in one line what is done."""
+        """Return a one-line description of the action."""
         return f"turn the head to {degrees(self.target_rad)}, {APPROACH[self.direction]}, for {self.where()}"
 
     def takes_s(self, times: Times) -> float:
-        """Return the expected time, s."""
+        """Return the expected duration, s."""
         return times.operator.turn_s
 
 
 @dataclass(frozen=True, slots=True)
 class Wait(Step):
-    """Bench time passes."""
+    """The run waits for a fixed duration of bench time."""
 
     NAME: ClassVar[str] = "wait"
 
@@ -186,20 +187,20 @@ class Wait(Step):
     reason: str
 
     def describe(self) -> str:
-        """Say in one line what is done."""
+        """Return a one-line description of the action."""
         return f"wait {duration(self.duration_s)}: {self.reason}"
 
     def takes_s(self, times: Times) -> float:
-        """Return the expected time, s."""
+        """Return the expected duration, s."""
         return self.duration_s
 
 
 @dataclass(frozen=True, slots=True)
 class Settle(Step):
-    """The bench waits until what it watches has settled; one that has not after `timeout_s` is a failure.
+    """The run waits until the signals or the temperature have settled; it fails after `timeout_s`.
 
-    Settled: every sample of the last `window_s` lies within `precision` (V or K, by `what`) and one sample is
-    older than the window. A sample is taken each `interval_s`.
+    A sample is taken every `interval_s`. They have settled when all samples of the last `window_s` lie within
+    `precision` (V or K, by `what`), and one sample is older than that window.
     """
 
     NAME: ClassVar[str] = "settle"
@@ -211,7 +212,7 @@ class Settle(Step):
     interval_s: float
 
     def describe(self) -> str:
-        """Say in one line what is done."""
+        """Return a one-line description of the action."""
         whose = "signals stay" if self.what == "signals" else "temperature stays"
         return (
             f"wait until the {whose} within {precision_in_words(self)} for {duration(self.window_s)}, "
@@ -219,13 +220,13 @@ class Settle(Step):
         )
 
     def takes_s(self, times: Times) -> float:
-        """Return the shortest time that it can take, s."""
+        """Return the shortest possible duration, s."""
         return min(self.window_s + self.interval_s, self.timeout_s)
 
 
 @dataclass(frozen=True, slots=True)
 class SelectInput(Step):
-    """The operator switches all three inputs of the voltmeters; `reference_v` is given for a reference."""
+    """The operator switches all three voltmeter inputs; a reference input has the voltage `reference_v`."""
 
     NAME: ClassVar[str] = "input"
     BY_OPERATOR: ClassVar[bool] = True
@@ -234,7 +235,7 @@ class SelectInput(Step):
     reference_v: float | None = None
 
     def describe(self) -> str:
-        """Say in one line what is done."""
+        """Return a one-line description of the action."""
         match self.source:
             case "short":
                 return "short the three inputs"
@@ -244,7 +245,7 @@ class SelectInput(Step):
                 return "switch the three inputs back to the signals"
 
     def takes_s(self, times: Times) -> float:
-        """Return the expected time, s."""
+        """Return the expected duration, s."""
         return times.operator.input_s
 
 
@@ -252,8 +253,8 @@ class SelectInput(Step):
 class Read(_AtPoint):
     """The voltmeters take one reading: `samples` samples of `nplc` power-line cycles each.
 
-    A reading of the shorted or reference input (installation S, R) has neither target nor direction. `scan` is
-    the order in which the channels are read, such as "zyx"; empty for that of the bench file.
+    A reading of the shorted or the reference input (installation S or R) has no target and no direction. `scan` is
+    the order in which the channels are read, such as "zyx"; if empty, the order in the bench file.
     """
 
     NAME: ClassVar[str] = "read"
@@ -266,7 +267,7 @@ class Read(_AtPoint):
     scan: str = ""
 
     def describe(self) -> str:
-        """Say in one line what is done."""
+        """Return a one-line description of the action."""
         where = "" if self.target_rad is None else f" at {degrees(self.target_rad)}"
         return (
             f"read {self.where()}{where}: {self.samples} samples of {self.nplc:g} power-line cycles"
@@ -274,13 +275,13 @@ class Read(_AtPoint):
         )
 
     def takes_s(self, times: Times) -> float:
-        """Return the expected time, s. Autozero makes a sample two integrations long."""
+        """Return the expected duration, s; with autozero, a sample takes two integrations."""
         return self.samples * (2.0 * self.nplc / times.line_hz + _SAMPLE_OVERHEAD_S)
 
 
 @dataclass(frozen=True, slots=True)
 class Ask(Step):
-    """The operator answers a question; the fields are those of `drivers.interfaces.Prompt`."""
+    """The operator answers a question; the fields are those of `drivers.person.Prompt`."""
 
     NAME: ClassVar[str] = "ask"
     BY_OPERATOR: ClassVar[bool] = True
@@ -294,18 +295,18 @@ class Ask(Step):
     maximum: float | None = None
 
     def describe(self) -> str:
-        """Say in one line what is done."""
+        """Return a one-line description of the action."""
         default = "" if self.default is None else f" [{self.default}]"
         return f"ask: {self.text}{default}"
 
     def takes_s(self, times: Times) -> float:
-        """Return the expected time, s."""
+        """Return the expected duration, s."""
         return times.operator.answer_s
 
 
 @dataclass(frozen=True, slots=True)
 class SetTemperature(Step):
-    """The chamber is set to a temperature; the soak is a `Wait` of its own."""
+    """The chamber is set to a temperature; the soak is a separate `Wait`."""
 
     NAME: ClassVar[str] = "temperature"
     BY_OPERATOR: ClassVar[bool] = True
@@ -313,19 +314,20 @@ class SetTemperature(Step):
     target_c: float
 
     def describe(self) -> str:
-        """Say in one line what is done."""
+        """Return a one-line description of the action."""
         return f"set the chamber to {self.target_c:g} °C"
 
     def takes_s(self, times: Times) -> float:
-        """Return the expected time, s."""
+        """Return the expected duration, s."""
         return times.operator.answer_s
 
 
 @dataclass(frozen=True, slots=True)
 class Power(Step):
-    """The block is switched on, off, or off and on again (a cycle), as the bench file says of its supply.
+    """The block is switched on, off, or off and on again ("cycle"), by its supply in the bench file.
 
-    In a cycle it is off for `off_s` at least. Once on it warms up for `warm_up_s`, as the bench file says for None.
+    In a cycle it stays off for at least `off_s`. Once on, it warms up for `warm_up_s`; None means as stated in the
+    bench file.
     """
 
     NAME: ClassVar[str] = "power"
@@ -335,7 +337,7 @@ class Power(Step):
     warm_up_s: float | None = None
 
     def describe(self) -> str:
-        """Say in one line what is done."""
+        """Return a one-line description of the action."""
         if self.switch == "off":
             return "switch the block off"
         off = f" off for {duration(self.off_s)} and" if self.off_s else " off and"
@@ -346,16 +348,17 @@ class Power(Step):
         return f"{again}, {warm if self.warm_up_s != 0.0 else 'without warm-up'}"
 
     def takes_s(self, times: Times) -> float:
-        """Return the expected time, s."""
+        """Return the expected duration, s."""
         return power_duration_s(self, times.supply)
 
 
 @dataclass(frozen=True, slots=True)
 class Level(Step):
-    """The level on the platform is read with the head at 0°, in two positions for each of so many `settings` of it.
+    """The level on the platform is read with the head at 0°, in two positions half a turn apart.
 
-    With `within_rad` the platform is levelled first, and again where it is further off: for the mounting that
-    follows. Without it stands as it is found, for the mounting that it was levelled for.
+    The head is set to 0° anew `settings` times. With `within_rad` the platform is levelled for the mounting that
+    follows, and levelled again while it is further off than that. Without `within_rad` the tilt of the platform is
+    only read, at the end of the mounting for which it was levelled.
     """
 
     NAME: ClassVar[str] = "level"
@@ -367,7 +370,7 @@ class Level(Step):
     within_rad: float | None = None
 
     def describe(self) -> str:
-        """Say in one line what is done."""
+        """Return a one-line description of the action."""
         where = f"installation {mount_in_words(self.installation, self.series)}"
         if self.within_rad is None:
             what = f"read the level as the platform stands, levelled for {where}"
@@ -377,7 +380,7 @@ class Level(Step):
         return f"{what} in two positions{times}"
 
     def takes_s(self, times: Times) -> float:
-        """Return the expected time of turns, two readings of two axes and levelling, s."""
+        """Return the expected duration of turns, readings (two positions, two axes) and levelling, s."""
         by_hand = times.operator
         levelled_s = by_hand.mount_s * (self.within_rad is not None)
         return self.settings * (by_hand.turn_s + 4.0 * by_hand.answer_s) + levelled_s
@@ -395,15 +398,15 @@ _Meter = TypeVar("_Meter", bound=_HasChannels)
 
 
 def in_scan_order(meters: Sequence[_Meter], scan: str) -> list[_Meter]:
-    """Return the meters in the order in which they are triggered for a scan such as "zyx"; as listed for none.
+    """Return the meters in the order in which a scan such as "zyx" triggers them; as listed for "".
 
-    A meter of several channels stands where its first one does; among its own it keeps its own order.
+    A meter with several channels is placed by its first channel; it reads its own channels in its own order.
     """
     return sorted(meters, key=lambda meter: scan.find(meter.channels[0])) if scan else list(meters)
 
 
 def read_order(meters: Sequence[_HasChannels]) -> str:
-    """Return the order in which meters read the channels that are triggered one after the other: "xyz"."""
+    """Return the order in which the meters, triggered one after the other, read the channels, such as "xyz"."""
     return "".join(channel for meter in meters for channel in meter.channels)
 
 
@@ -411,12 +414,12 @@ def read_order(meters: Sequence[_HasChannels]) -> str:
 
 
 def mount_in_words(installation: str, series: int) -> str:
-    """Return an installation as it is told: "1", on a later visit "1 (series 2)"."""
+    """Return an installation in words: "1", or "1 (series 2)" on a later visit."""
     return installation if series == 1 else f"{installation} (series {series})"
 
 
 def precision_in_words(step: Settle) -> str:
-    """Return the precision of a settling with its unit: "50 µV", "0.1 K"."""
+    """Return the precision of a settling step with its unit, such as "50 µV" or "0.1 K"."""
     if step.what == "signals" and step.precision < 0.01:
         size, unit = (1e-6, "µV") if step.precision < 1e-3 else (1e-3, "mV")
         return f"{step.precision / size:g} {unit}"
@@ -424,7 +427,7 @@ def precision_in_words(step: Settle) -> str:
 
 
 def scan_in_words(step: Read) -> str:
-    """Return in which order the channels are read, to be told after the rest; empty where nothing is said."""
+    """Return the clause on the scan order, such as ", the channels in the order z, y, x"; empty without one."""
     return f", the channels in the order {', '.join(step.scan)}" if step.scan else ""
 
 
@@ -432,7 +435,7 @@ def scan_in_words(step: Read) -> str:
 
 
 def power_duration_s(step: Power, supply: UnitSupplySection | None) -> float:
-    """Return how long switching takes, s, with the time off and the shortest warm-up, as far as both are stated."""
+    """Return the duration of switching, s: least time off, switching, and shortest warm-up, if stated."""
     least_off_s, switching_s, warm_up_s = (
         (0.0, 0.0, 0.0) if supply is None else (supply.least_off, supply.switching_s, supply.warm_up_s)
     )

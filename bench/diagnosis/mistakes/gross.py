@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -102,6 +102,10 @@ CROSS_AXIS_U: Final = 0.05
 BIAS_U_G: Final = 0.5
 """Prior 1 sigma of the coefficients: parts of the nominal scale factor, and g."""
 
+LEAST_COST: Final = 0.5 * SCALE_U**-2
+"""A channel in another unit costs 0.8 / SCALE_U^2 at least: where all cost less, nothing is looked for."""
+LEFT_OF_UNIT: Final = 0.1
+"""Signals in another unit explain the misfit but for this part: one ten times too large is 99 % of it."""
 LEAST_FALL: Final = 150.0
 """A mistake lowers the cost by as much at least; a wrong sign of a scale factor costs 400."""
 FITS: Final = 4.0
@@ -132,10 +136,12 @@ EQUAL: Final = 12.0
 class SuppositionScores:
     """Cost (-2 ln posterior) and coefficients (H, 4, 3) of each supposition, a column a channel's K_i and U0_i.
 
-    `sheet` is the data sheet's part of the cost: how far the coefficients lie from it, as a chi-square.
+    `misfit` is the cost without the Jacobian of the map from the recorded to the supposed signals. `sheet` is the
+    data sheet's part of the cost: how far the coefficients lie from it, as a chi-square.
     """
 
     cost: Floats
+    misfit: Floats
     sheet: Floats
     coefficients: Floats
 
@@ -175,10 +181,10 @@ class GrossSearch:
         it must be good without any belief in the bench's limits; if those for the likeliest are not, the one
         with the best odds is taken that lowers the cost.
         """
-        supposed = suppositions(table)
+        supposed = suppositions(table, units=self.nominal is not None)
         looks = len(supposed)
-        if float(self.score(table, [nothing(table)]).cost[0]) < LEAST_FALL:
-            return None, looks  # nothing can lower the cost as much
+        if float(self.score(table, [nothing(table)]).cost[0]) < LEAST_COST:
+            return None, looks
         scores = self.score(table, supposed)
         if float(np.max(scores.cost[0] - scores.cost)) < LEAST_FALL:
             return None, looks
@@ -191,9 +197,11 @@ class GrossSearch:
         as_recorded = self._log_evidence(table, table)
 
         def look(h: int) -> float:
-            return self._log_evidence(put_right(table, supposed[h]), table) - as_recorded
+            right = self._log_evidence(put_right(table, supposed[h]), table)
+            return right + supposed[h].log_jacobian - as_recorded
 
-        odds[best] = look(best)
+        for h in {best, *_best_of_each(supposed, scores.cost)} if best else {best}:
+            odds[h] = look(h)
         if two:
             odds[two] = max(look(two), self._log_evidence(with_both, table) - as_recorded)
         if odds.max() - np.log(looks) <= np.log(ODDS):
@@ -230,7 +238,12 @@ class GrossSearch:
         columns = self._columns(table, supposed)
         weight = np.stack([np.ones(len(table)) if s.source is None else s.source >= 0 for s in supposed])
         mean, precision = self._prior(scale)
-        return _fit(columns, signal, weight.astype(np.float64), mean, precision, self.gross_g * scale)
+        scores = _fit(columns, signal, weight.astype(np.float64), mean, precision, self.gross_g * scale)
+        cost = scores.misfit - 2.0 * np.array([s.log_jacobian for s in supposed])
+        # another unit brings the channels to their data sheet and the readings together, or it is none
+        apart = (scores.sheet > LEAST_COST) | (scores.misfit > LEFT_OF_UNIT * scores.misfit[0])
+        other_unit = np.array([s.factor is not None for s in supposed])
+        return replace(scores, cost=np.where(other_unit & apart, np.inf, cost))
 
     def _scale(self, table: OrientedRows) -> Floats:
         """Size of a channel's signals for 1 g, (3,)."""
@@ -290,7 +303,7 @@ class GrossSearch:
             return 0, table, looks
         leaving = any(s.source is not None for s in supposed)
         for h in np.argsort(cost).tolist():
-            if h and cost[h] < RAISED * cost[0]:
+            if h and supposed[h].factor is None and cost[h] < RAISED * cost[0]:
                 corrected = put_right(table, supposed[h])
                 second = [s for s in suppositions(corrected) if leaving or s.source is None]
                 looks += len(second)
@@ -318,15 +331,17 @@ def put_right(table: OrientedRows, supposition: Reinterpretation) -> OrientedRow
     kept = np.ones(len(table), dtype=bool) if supposition.source is None else supposition.source >= 0
     label = table.label if supposition.label is None else supposition.label
     angle = table.angle_rad if supposition.angle_rad is None else supposition.angle_rad
-    return OrientedRows(
-        table.rows[kept],
-        table.mounts,
-        table.mount[kept],
-        table.pass_number[kept],
-        label[kept],
-        angle[kept],
-        supposition.signal(table)[kept],
-    )
+    signal = supposition.signal(table)
+    return replace(table, label=label, angle_rad=angle, signal=signal).select(kept)
+
+
+def _best_of_each(supposed: Sequence[Reinterpretation], cost: Floats) -> Iterator[int]:
+    """Yield the supposition of each name that lowers the cost most, where one does so by `LEAST_FALL`."""
+    for name in dict.fromkeys(one.name for one in supposed[1:]):
+        named = [h for h, one in enumerate(supposed) if one.name == name]
+        best = min(named, key=lambda h: float(cost[h]))
+        if cost[0] - cost[best] >= LEAST_FALL:
+            yield best
 
 
 def _sheet_u() -> Floats:
@@ -336,13 +351,13 @@ def _sheet_u() -> Floats:
 
 def _fits(scores: SuppositionScores, n: int) -> NDArray[np.bool_]:
     """Return whether the `n` readings fit with each supposition, shape (H,)."""
-    return np.asarray((scores.sheet <= LEAST_FALL) & (scores.cost <= LEAST_FALL + FITS * 3 * n))
+    return np.asarray((scores.sheet <= LEAST_FALL) & (scores.misfit <= LEAST_FALL + FITS * 3 * n))
 
 
 def _better(scores: SuppositionScores, best: int, n: int) -> bool:
     """Whether a supposition that does not make the readings fit is the first step of more than two to it."""
     falls = scores.cost[best] <= (1 - LARGE_FALL) * scores.cost[0]
-    against_sheet_alone = scores.cost[best] - scores.sheet[best] <= FITS * 3 * n
+    against_sheet_alone = scores.misfit[best] - scores.sheet[best] <= FITS * 3 * n
     return bool(falls or (against_sheet_alone and scores.sheet[0] - scores.sheet[best] >= LEAST_FALL))
 
 
@@ -366,7 +381,7 @@ def _fit(
         weight[np.arange(len(at)), gain.argmax(axis=1)] = 0.0
         fitted = _weighted_fit(columns[at], signal[at], weight, mean, precision)
         cost[at], sheet[at], coefficients[at], gain = fitted[0] + left_out * LEFT_OUT, *fitted[1:]
-    return SuppositionScores(cost, sheet, coefficients * unit)
+    return SuppositionScores(cost, cost, sheet, coefficients * unit)
 
 
 def _weighted_fit(

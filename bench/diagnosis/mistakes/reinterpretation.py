@@ -13,14 +13,19 @@ from typing import Final
 
 import numpy as np
 
-from bench.base.arrays import Floats, Ints, Labels, Mask
+from bench.base.arrays import CHANNELS, Floats, Ints, Labels, Mask
+from bench.calibration.mistakes import in_another_unit
 from bench.model import Mounting
 from bench.readings.corrected import EXCHANGED, REVERSED, RIGHT, MistakeName, Wiring
-from bench.readings.table import REFERENCE, Readings
+from bench.readings.table import REFERENCE, SHORTED, Readings
 
 SAME_STOP: Final = np.radians(0.5)
 LEAST_ROWS: Final = 4
 """Fewer readings determine no coefficients: no supposition leaves less."""
+TENS: Final = (3, -3, 1, -1, 2, -2, 6, -6)
+"""Powers of ten by which signals in another unit, range or decimal point are too large."""
+ALL_SETS: Final = tuple(chosen for size in (3, 1, 2) for chosen in combinations(range(3), size))
+"""Channels, by number, that may be in another unit together: one voltmeter's, two's, all."""
 
 
 @dataclass(frozen=True)
@@ -34,6 +39,7 @@ class OrientedRows:
     label: Labels
     angle_rad: Floats
     signal: Floats
+    unit: str
 
     @classmethod
     def of(cls, readings: Readings) -> OrientedRows:
@@ -48,10 +54,23 @@ class OrientedRows:
             chosen.installation,
             chosen.angle_rad,
             chosen.signal,
+            readings.unit,
         )
 
     def __len__(self) -> int:
         return len(self.rows)
+
+    def select(self, kept: Mask) -> OrientedRows:
+        """Return the rows where the mask (n,) is true."""
+        return replace(
+            self,
+            rows=self.rows[kept],
+            mount=self.mount[kept],
+            pass_number=self.pass_number[kept],
+            label=self.label[kept],
+            angle_rad=self.angle_rad[kept],
+            signal=self.signal[kept],
+        )
 
     @property
     def labels(self) -> list[str]:
@@ -75,6 +94,8 @@ class Scope:
     def __str__(self) -> str:
         if self.whole:
             return "in the whole run"
+        if not self.mounts:
+            return f"in pass {self.pass_number}"
         where = f"in installation {' and '.join(str(mount) for mount in self.mounts)}"
         return where if self.pass_number is None else f"{where}, pass {self.pass_number}"
 
@@ -85,7 +106,7 @@ class Reinterpretation:
 
     `label` (n,) are the true installations, `angle_rad` (n,) the true angles; `source` (n,) gives for each row
     the index of the row that holds its signals, -1 for none; `turns` are the rotations of the block in each
-    installation.
+    installation; `factor` (3,) brings the signals to the unit of the file.
     """
 
     name: str
@@ -96,11 +117,29 @@ class Reinterpretation:
     angle_rad: Floats | None = None
     source: Ints | None = None
     turns: Mapping[str, Floats] = field(default_factory=dict)
+    factor: Floats | None = None
+
+    @property
+    def log_jacobian(self) -> float:
+        """ln of the factor by which the map to the true signals enlarges a volume of signals."""
+        if self.factor is None:
+            return 0.0
+        return float(np.count_nonzero(self.scope.mask) * np.sum(np.log(self.factor)))
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """The channels that show a wrong signal, sign or size."""
+        if self.factor is None:
+            return self.wiring.channels
+        return tuple(c for c, factor in zip(CHANNELS, self.factor, strict=True) if factor != 1.0)
 
     def signal(self, table: OrientedRows) -> Floats:
         """Return the signals (n, 3) that belong to the rows; where there is none, those recorded."""
         moved = table.signal if self.source is None else table.signal[np.maximum(self.source, 0)]
-        return np.where(self.scope.mask[:, None], moved @ self.wiring.matrix.T, moved)
+        right = moved @ self.wiring.matrix.T
+        return np.where(
+            self.scope.mask[:, None], right if self.factor is None else right * self.factor, moved
+        )
 
     def correct(self, readings: Readings, table: OrientedRows) -> Readings:
         """Return a copy of the whole table (from which `table` was taken) put right.
@@ -123,6 +162,10 @@ class Reinterpretation:
         order = list(self.wiring.order)
         signal[wired] = signal[wired][:, order] * sign
         spread[wired] = spread[wired][:, order]
+        if self.factor is not None:
+            scaled = np.concatenate([wired, self._also_scaled(readings, table)])
+            signal[scaled] *= self.factor
+            spread[scaled] *= self.factor
         if self.angle_rad is not None:
             angle[table.rows] = self.angle_rad
         if self.name == MistakeName.REVERSED_ROTATION:
@@ -140,19 +183,42 @@ class Reinterpretation:
             target_rad=target,
             direction=direction,
             installation=installation.astype(np.str_),
+            resolution_read=readings.resolution_read if self.factor is None else None,
         )
         if self.source is None:
             return corrected
         return corrected.select(~np.isin(np.arange(len(readings)), table.rows[self.source < 0]))
 
+    def _also_scaled(self, readings: Readings, table: OrientedRows) -> Ints:
+        """Return the verification and free rows in the same unit as a part of a run, by the size of their signals.
 
-def suppositions(table: OrientedRows) -> list[Reinterpretation]:
-    """Return every supposition about a table, the plainer ones first; the first supposes nothing."""
+        They are those whose modulus is nearer to the usual one with the factor than without.
+        """
+        if self.factor is None or self.scope.whole:
+            return np.zeros(0, dtype=np.int64)
+        usual = float(np.median(np.linalg.norm(self.signal(table), axis=1)))
+        known = np.isin(readings.installation, [REFERENCE, SHORTED]) | readings.is_oriented
+        sizes = [np.linalg.norm(readings.signal * factor, axis=1) for factor in (np.ones(3), self.factor)]
+        as_read, scaled = (np.abs(np.log(np.maximum(size, 1e-300) / usual)) for size in sizes)
+        clearly = as_read > 0.5 * float(np.max(np.abs(np.log(self.factor))))
+        return np.flatnonzero(~known & (scaled < as_read) & clearly)
+
+
+def suppositions(table: OrientedRows, *, units: bool = False) -> list[Reinterpretation]:
+    """Return every supposition about a table, the plainer ones first; the first supposes nothing.
+
+    With `units` they include signals in another unit, range or decimal point.
+    """
     scopes = _scopes(table)
     found = [nothing(table)]
     for make in (_swapped_channels, _reversed_polarity, _reversed_rotation, _other_label, _shifted):
         found += [supposition for scope in scopes for supposition in make(table, scope)]
-    return found + _swapped_installations(table)
+    found += _swapped_installations(table)
+    if units:
+        passes = np.unique(table.pass_number).tolist() if len(table.mounts) > 1 else []
+        scopes[1:1] = [Scope(table.pass_number == p, (), p) for p in passes if len(passes) > 1]
+        found += [supposition for scope in scopes for supposition in _other_unit(table, scope)]
+    return found
 
 
 def nothing(table: OrientedRows) -> Reinterpretation:
@@ -186,6 +252,16 @@ def _reversed_polarity(_: OrientedRows, scope: Scope) -> Iterator[Reinterpretati
         (channel,) = wiring.channels
         words = f"channel {channel} has the wrong sign {scope}, as with its wires reversed; the copy has it turned"
         yield Reinterpretation(MistakeName.REVERSED_POLARITY, scope, words, wiring)
+
+
+def _other_unit(table: OrientedRows, scope: Scope) -> Iterator[Reinterpretation]:
+    where = "" if scope.whole else str(scope).replace("in ", " of ", 1)
+    for chosen, tens in product(ALL_SETS, TENS):
+        factor = np.ones(3)
+        factor[list(chosen)] = 10.0**-tens
+        said = in_another_unit([CHANNELS[i] for i in chosen], where, table.unit, tens)
+        words = f"{said}; the copy has them in the unit of the file"
+        yield Reinterpretation(MistakeName.WRONG_UNIT, scope, words, factor=factor)
 
 
 def _reversed_rotation(table: OrientedRows, scope: Scope) -> Iterator[Reinterpretation]:

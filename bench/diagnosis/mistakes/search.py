@@ -1,19 +1,20 @@
 """Mistakes of procedure and wiring, looked for before any effect: large, discrete, each with a correction.
 
-First what moves readings by volts (exchanged channels, the wrong installation …), then single readings that
-contradict the repeats of their own point. What is found is put right in a copy and the search goes on there,
-until nothing more is found. The record itself is never changed.
+First what moves readings by volts (exchanged channels, the wrong installation …), then a pass that is off as a
+whole, then single readings that contradict the repeats of their own point. What is found is put right in a copy.
+The search goes on there until nothing more is found. The record itself is never changed.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Final
 
 import numpy as np
 
-from bench.base.arrays import Floats
+from bench.base.arrays import CHANNELS, Floats, Mask
 from bench.calibration.calibrate import usable_rows
 from bench.calibration.design import Problem, make_problem
 from bench.calibration.gls import noise_floor
@@ -29,10 +30,13 @@ from bench.diagnosis.mistakes.describing import (
 from bench.diagnosis.mistakes.gross import GrossMistake, GrossSearch
 from bench.diagnosis.mistakes.reinterpretation import OrientedRows
 from bench.diagnosis.mistakes.single_readings import SingleMistake, find_single
+from bench.diagnosis.mistakes.whole_pass import PassMistake, find_in_pass
 from bench.model import STAND_ANGLES, Block, ForwardModel
 from bench.readings.corrected import MistakeName
 from bench.readings.table import Readings
 
+FALSE_MISTAKE: Final = 1e-4
+"""Level: the probability of calling any single reading of a table wrong where none is."""
 MOST: Final = 5
 """Mistakes of each of the two kinds that are put right one after another."""
 
@@ -50,9 +54,10 @@ class Mistake:
     """A mistake, where it was made, and how the copy has it put right.
 
     `name` is one of swapped_channels, reversed_polarity, reversed_rotation, swapped_installations,
-    shifted_points, wrong_setting, outlier, wrong_unit. No installation named means the whole run; they are written
-    as `str(Mount)`. `words` is a sentence; `p` counts all looks. `cannot_tell_from` are names of what looks
-    exactly alike in these readings ("other_mounting": the block sat on the platform otherwise).
+    shifted_points, wrong_setting, outlier, wrong_unit, another_block, stuck_channel. `installations` are
+    written as `str(Mount)`; none means the whole run. `words` is a sentence; `p` counts all looks.
+    `cannot_tell_from` are names of what looks alike in these readings ("other_mounting": the
+    block sat on the platform otherwise).
     """
 
     name: str
@@ -83,7 +88,7 @@ def find_mistakes(
     model: ForwardModel,
     stand_u: Mapping[str, float],
     nominal_scale_factors: Floats | None,
-    significance: float = 1e-4,
+    significance: float = FALSE_MISTAKE,
 ) -> MistakeSearch:
     """Look for mistakes in a table of readings.
 
@@ -100,7 +105,8 @@ def find_mistakes(
     found: list[Mistake] = []
     copies = [readings]
     looks = 1
-    if (unit := wrong_unit(readings, model, _sheet(readings.unit, nominal))) is not None:
+    unit = wrong_unit(readings, model, sheet_of(readings.unit, ())) if nominal is None else None
+    if unit is not None:  # no data sheet says how large signals are: they are compared with each other
         copies.append(unit.corrected(readings))
         found.append(_unit_mistake(unit, _p_of_unit(stage.gross, unit, *copies)))
     for _ in range(MOST):
@@ -111,6 +117,16 @@ def find_mistakes(
             break
         found.append(_gross_mistake(gross))
         copies.append(gross.supposition.correct(copies[-1], table))
+    for _ in range(MOST):
+        view = stage.view(copies[-1])
+        of_pass, more = find_in_pass(
+            view.problem, view.table.signal, view.floor, partial(stage.fit, view.table)
+        )
+        looks += more
+        if of_pass is None:
+            break
+        found.append(_pass_mistake(view, of_pass))
+        copies.append(_pass_put_right(copies[-1], view, of_pass))
     for _ in range(MOST):
         view = stage.view(copies[-1])
         singles, looks = find_single(view.problem, view.block, view.situation, looks, significance)
@@ -150,6 +166,10 @@ class _Stage:
     stand_u: Mapping[str, float]
     gross: GrossSearch
 
+    def fit(self, table: OrientedRows, rows: Mask) -> Block:
+        """Return the block fitted to some rows (n,) of a table."""
+        return self.gross.first_guess(table.select(rows))[0]
+
     def view(self, readings: Readings) -> _FirstGuess:
         """Look at a table; `sheet` is how far the coefficients lie from the data sheet, as a chi-square."""
         table = OrientedRows.of(readings)
@@ -159,8 +179,42 @@ class _Stage:
         return _FirstGuess(table, problem, block, floor, sheet, readings.unit)
 
 
-def _sheet(unit: str, nominal: Floats | None) -> Sequence[float] | None:
-    return sheet_of(unit, ()) if nominal is None else nominal.tolist()
+def _pass_mistake(view: _FirstGuess, of_pass: PassMistake) -> Mistake:
+    conditions = view.problem.conditions
+    row = int(np.argmax(of_pass.rows))
+    mount, number = str(conditions.mounts[conditions.mount[row]]), int(conditions.pass_number[row])
+    channels: tuple[str, ...] = ()
+    if of_pass.channel is not None:
+        name, channels = MistakeName.STUCK_CHANNEL, (CHANNELS[of_pass.channel],)
+        said = (
+            f"channel {channels[0]} reads the same at all points, as if stuck; the copy leaves the pass out"
+        )
+    elif of_pass.off_rad is None:
+        name, channels = MistakeName.ANOTHER_BLOCK, tuple(CHANNELS)
+        said = "another block was mounted: K and U0 of all channels are others; the copy leaves the pass out"
+    else:
+        name = MistakeName.WRONG_SETTING
+        off = np.degrees(of_pass.off_rad)
+        said = (
+            f"the signals stand as if the head had been {off:+.4g}° from where it says: its zero or its index was "
+            "read wrong; the copy has the angles put right"
+        )
+    words = f"installation {mount}, pass {number}: {said}"
+    if of_pass.ties:
+        words += f" ({', '.join(of_pass.ties)} would look the same)"
+    return Mistake(name, channels, (mount,), number, None, words, of_pass.p, of_pass.ties)
+
+
+def _pass_put_right(readings: Readings, view: _FirstGuess, of_pass: PassMistake) -> Readings:
+    """Return a copy with the angles of a pass put right, or without the pass."""
+    rows = view.table.rows[of_pass.rows]
+    if of_pass.off_rad is None:
+        said = _pass_mistake(view, of_pass).words.split(":")
+        kept = ~np.isin(np.arange(len(readings)), rows)
+        return replace(readings, skipped=(*readings.skipped, ":".join(said[:2]))).select(kept)
+    angle = readings.angle_rad.copy()
+    angle[rows] += of_pass.off_rad
+    return replace(readings, angle_rad=angle)
 
 
 def _p_of_unit(gross: GrossSearch, unit: WrongUnit, recorded: Readings, right: Readings) -> float:
@@ -196,7 +250,7 @@ def _gross_mistake(gross: GrossMistake) -> Mistake:
     alike = f"; these readings cannot tell it from {', '.join(dict.fromkeys(also))}" if also else ""
     return Mistake(
         name=supposition.name,
-        channels=supposition.wiring.channels,
+        channels=supposition.channels,
         installations=tuple(str(mount) for mount in supposition.scope.mounts),
         pass_number=supposition.scope.pass_number,
         point=None,

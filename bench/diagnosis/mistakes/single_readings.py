@@ -339,10 +339,16 @@ def _studentised(precision: Precision, situation: Situation, noise: Noise, row: 
 
 
 def _slips(problem: Problem, block: Block) -> list[tuple[Floats, Floats]]:
-    """Return, for each kind of wrong setting, by how much the head (n,) and the signals (n, 3) are off."""
-    angle = problem.conditions.angle_rad
+    """Return for each kind of wrong setting the error of the head (n,) and of the signals (n, 3).
+
+    The kinds are the slips of the scale, an angle counted backwards, and the stop before or after in the pass.
+    """
+    angle, turn = problem.conditions.angle_rad, turns(problem.conditions)
     offs = [np.full(len(angle), off) for off in SLIPS_RAD]
     offs.append(reflected_rad(angle))
+    same = turn[1:] == turn[:-1]
+    step = np.where(same, np.diff(angle), 0.0)
+    offs += [np.append(0.0, -step), np.append(step, 0.0)]
     here = problem.predict(block, problem.prior_mean)
     slips = []
     for off in offs:

@@ -1,7 +1,8 @@
-"""The catalogue of effects: those of this folder, of installed distributions, and the user's own for a while.
+"""The catalogue of effects: those of this folder, of installed distributions, and temporarily the user's own.
 
-A distribution has the entry-point group `triaxial_bench.effects`; each entry is an `Effect`, a class of one, or a
-module with such classes. The user's own come from a file with formulas, and are known as long as `also` lasts.
+A distribution adds effects by the entry-point group `triaxial_bench.effects`; each entry is an `Effect`, a
+subclass of it, or a module with subclasses. The user's own effects are formulas from a file; they are known within
+the context of `Catalogue.also`.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ __all__ = [
 ]
 
 MODULES: Final = ("block", "stand", "voltmeter")
-"""The modules of this folder that have effects, in the order of the catalogue."""
+"""The modules of this folder that define effects, in the order of the catalogue."""
 
 GROUP: Final = "triaxial_bench.effects"
 
@@ -42,19 +43,19 @@ _OWN: ContextVar[tuple[Effect, ...]] = ContextVar("effects_of_the_user", default
 
 
 def effects_of(module: ModuleType) -> list[Effect]:
-    """Return one of each effect that a module defines, in its order: the classes in it that have a name."""
+    """Return an instance of each effect class with a `name` that a module defines, in order of definition."""
     found = vars(module).values()
     kinds = [kind for kind in found if isinstance(kind, type) and issubclass(kind, Effect)]
     return [kind() for kind in kinds if kind.__module__ == module.__name__ and "name" in vars(kind)]
 
 
 class Catalogue(MutableMapping[str, Effect]):
-    """Effects by name, in order: the bench's own, installed ones, then the user's."""
+    """Effects by name, in order: the bench's own, those of installed distributions, then the user's."""
 
     def __init__(self, shipped: Iterable[Effect]) -> None:
         self._shipped = {effect.name: effect for effect in shipped}
         self.troubles: list[str] = []
-        """A sentence for each installed effect that cannot be had, once they were looked for."""
+        """One sentence for each installed effect that could not be loaded; filled at the first look-up."""
 
     @cached_property
     def _known(self) -> dict[str, Effect]:
@@ -68,14 +69,14 @@ class Catalogue(MutableMapping[str, Effect]):
 
     @property
     def own(self) -> tuple[Effect, ...]:
-        """The user's own that are known now."""
+        """The user's own effects that are known at present."""
         return _OWN.get()
 
     @contextmanager
     def also(self, effects: Iterable[Effect]) -> Iterator[None]:
-        """Know the user's own effects too, while this lasts; the same one twice is one.
+        """Add the user's own effects within this context; an effect given twice counts once.
 
-        Raises `ValueError` where two of a name differ, or a name is taken by an effect of the bench.
+        Raises `ValueError` if two different effects share a name, or a name belongs to an effect of the bench.
         """
         own = {effect.name: effect for effect in self.own}
         for effect in effects:
@@ -114,7 +115,7 @@ class Catalogue(MutableMapping[str, Effect]):
         del self._known[name]
 
     def _installed(self) -> Iterator[tuple[str, Effect]]:
-        """Yield the effects of installed distributions, each with where it comes from."""
+        """Yield the effects of installed distributions, each after a description of its origin."""
         for entry in importlib.metadata.entry_points(group=GROUP):
             dist = entry.dist
             place = (
@@ -132,7 +133,7 @@ class Catalogue(MutableMapping[str, Effect]):
 
 
 def _effects_in(loaded: object) -> list[Effect]:
-    """Return the effects that an entry point names: itself one, the class of one, or a module with them."""
+    """Return the effects of a loaded entry point: an effect, an effect class, or a module with effect classes."""
     if isinstance(loaded, Effect):
         return [loaded]
     if isinstance(loaded, ModuleType):

@@ -1,4 +1,4 @@
-"""What an effect is: one small class that the simulator applies, the fit estimates, the report names."""
+"""The base classes of effects: an effect is simulated, estimated by the fit and named in reports by one class."""
 
 from __future__ import annotations
 
@@ -16,11 +16,12 @@ from bench.model.geometry import Block
 
 
 class Stage(StrEnum):
-    """Where in the chain an effect acts, in the order of the chain.
+    """The stage of the measuring chain at which an effect acts, in the order of the chain.
 
-    The signal that `Effect.addition` sees and adds to: the stand angles of each row in rad (n, 5), columns
-    as `STAND_ANGLES`; the head's angle in rad (n,); the specific force on block axes in g (n, 3), of which
-    an effect at BLOCK_OUTPUT makes volts (n, 3); the voltage at the meter's terminals in V (n, 3).
+    The signal that `Effect.addition` receives, and to which its result is added: at STAND the stand angles in rad
+    (n, 5), columns as `STAND_ANGLES`; at HEAD_ANGLE the head angle in rad (n,); at SPECIFIC_FORCE the force on
+    block axes in g (n, 3); at VOLTMETER_READING the voltage at the meter terminals in V (n, 3). At BLOCK_OUTPUT an
+    effect receives the force in g (n, 3) and returns volts (n, 3).
     """
 
     STAND = "stand"
@@ -31,7 +32,10 @@ class Stage(StrEnum):
 
 
 class Subsystem(StrEnum):
-    """What an effect belongs to. Of two explanations in the same one, the plainer is preferred."""
+    """The part of the bench to which an effect belongs.
+
+    Of two explanations in the same part, the diagnosis prefers the simpler.
+    """
 
     BLOCK = "block"
     STAND = "stand"
@@ -41,11 +45,12 @@ class Subsystem(StrEnum):
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number of an effect: the unit it is written in, its SI size, a plausible 1-sigma size in SI.
+    """One parameter of an effect: its unit in files, that unit in SI, and a plausible size (1 sigma) in SI.
 
-    `per_channel` parameters have a value for each of x, y, z (zero where a channel has none of it). One with
-    a `grid` (SI) is a shape (a time constant, a width, a harmonic): the readings are not linear in it, so a
-    fit holds it fixed and the naming tries the grid. It is `default` where nobody states it; a size is zero.
+    A `per_channel` parameter has a value for each of x, y, z (zero for a channel without the effect). A parameter
+    with a `grid` (SI values) is a shape, such as a time constant, a width or a harmonic. Readings are not linear
+    in a shape: a fit holds it fixed, and the diagnosis tries each grid value. An unstated shape has the value
+    `default`.
     """
 
     name: str
@@ -58,17 +63,17 @@ class Parameter:
 
     @property
     def is_shape(self) -> bool:
-        """Whether it says what form the effect has, not how large it is."""
+        """Whether the parameter determines the form of the effect and not its size."""
         return bool(self.grid)
 
 
 Values = Mapping[str, Floats]
-"""Values of an effect's parameters by name, SI: shape (3,) for a per-channel parameter, () else."""
+"""Values of an effect's parameters by name, SI: shape (3,) for a per-channel parameter, else ()."""
 
 
 @dataclass(frozen=True)
 class Seen:
-    """What an effect sees: the `signal` that its stage receives (see `Stage`), the rows it is of, the block."""
+    """The input of an effect: its stage's `signal` (see `Stage`), the conditions of the rows, and the block."""
 
     signal: Floats
     conditions: Conditions
@@ -81,14 +86,14 @@ class Seen:
 
 
 class Effect(ABC):
-    """An effect of the forward model. Stateless: its parameters' values are passed in.
+    """An effect of the forward model. Stateless: the values of its parameters are passed in.
 
-    `sentence` says what it is, `shown_by` what measurement would show it. A `per_mount` effect may be of
-    one mounting alone; one that `lasts` stays from that mounting on to the end of
-    the run. A `per_pass` effect may be of some passes
-    of a mounting alone; it may go on through remounts where it `outlasts_mount`. `apart` are sets of parameters
-    that it may have without the others, where they are not as their names tell. `needs_history` is true where a
-    reading depends on the rows before it, `needs_path` where it depends on how the head came there.
+    `sentence` describes the effect; `shown_by` names a measurement that would show it. A `per_mount` effect may
+    act in single mountings; if it `lasts`, it acts from that mounting to the end of the run. A `per_pass` effect
+    may act in single passes of a mounting; if it `outlasts_mount`, it may continue through remounts. `apart` lists
+    the sets of parameters that may occur without the others, where the parameter names do not imply them.
+    `needs_history` is true if a reading depends on earlier rows, `needs_path` if it depends on the path of the
+    head to the setting.
     """
 
     name: str
@@ -107,61 +112,61 @@ class Effect(ABC):
 
     @abstractmethod
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return what the effect adds at its stage, in the unit of the stage's output, for what it has seen.
+        """Return the amount that the effect adds at its stage, in the unit of the stage's output.
 
-        `values` holds an array for each parameter: shape (3,) per channel, else shape ().
+        `values` holds an array for each parameter: shape (3,) if per channel, else ().
         """
 
 
 class BlockEffect(Effect):
-    """Of the accelerometers themselves: from the specific force, g, what is added to their signals, V."""
+    """An effect of the accelerometers: from the specific force in g to an addition to their signals in V."""
 
     stage = Stage.BLOCK_OUTPUT
     subsystem = Subsystem.BLOCK
 
 
 class StandEffect(Effect):
-    """Of the stand: what is added to its angles, rad."""
+    """An effect of the stand: an addition to its angles, rad."""
 
     stage = Stage.STAND
     subsystem = Subsystem.STAND
 
 
 class HeadEffect(Effect):
-    """Of the head and its scale: what is added to its angle, rad."""
+    """An effect of the head and its scale: an addition to the head angle, rad."""
 
     stage = Stage.HEAD_ANGLE
     subsystem = Subsystem.STAND
 
 
 class VoltmeterEffect(Effect):
-    """Of the voltmeters: what is added to the voltages at their terminals, V."""
+    """An effect of the voltmeters: an addition to the voltages at their terminals, V."""
 
     stage = Stage.VOLTMETER_READING
     subsystem = Subsystem.VOLTMETER
 
 
 def angle(name: str, plausible_arcsec: float) -> Parameter:
-    """Return a parameter that is an angle, the same for all channels, with its plausible size."""
+    """Return an angle parameter common to all channels, with its plausible size in arcsec."""
     return Parameter(name, "arcsec", ARCSEC, plausible_arcsec * ARCSEC, per_channel=False)
 
 
 def wave(values: Values, phase: Floats, prefix: str = "") -> Floats:
-    """Return c cos(phase) + s sin(phase), c and s the parameters `cosine` and `sine` after a prefix."""
+    """Return c cos(phase) + s sin(phase), where c and s are the values of `<prefix>cosine` and `<prefix>sine`."""
     return values[f"{prefix}cosine"] * np.cos(phase) + values[f"{prefix}sine"] * np.sin(phase)
 
 
 PASS: Final = " pass "
-"""Between a mounting and the number of a pass, in what names one pass of it."""
+"""The text between mounting and pass number in the label of a pass."""
 
 
 def pass_label(mounting: str, number: int) -> str:
-    """Return what names a pass of a mounting: "2 pass 1"."""
+    """Return the label of one pass of a mounting, such as "2 pass 1"."""
     return f"{mounting}{PASS}{number}"
 
 
 def rows_of(installations: Sequence[str], conditions: Conditions) -> Mask:
-    """Return which rows are of these mountings, or passes of one, shape (n,)."""
+    """Return the mask (n,) of the rows in these mountings or passes, labelled as "2" or "2 pass 1"."""
     has = np.array([str(mount) in installations for mount in conditions.mounts], dtype=bool)
     rows: Mask = has[conditions.mount]
     if any(PASS in label for label in installations):
@@ -175,13 +180,13 @@ def rows_of(installations: Sequence[str], conditions: Conditions) -> Mask:
 
 @dataclass(frozen=True)
 class AppliedEffect:
-    """An effect with values, as a bench or a model file states it.
+    """An effect with parameter values, as stated in a bench file or a model file.
 
-    `values` are SI: shape (3,) for a per-channel parameter, () else; a size left out is zero, a shape its
-    default. `u` are their standard uncertainties where they are known. `installations` are the mountings
-    that have the effect, as `str(Mount)`: "2", in series 3 "2/3", or single passes of them: "2 pass 1"
-    (`pass_label`); none named is all of them. `either_of` are the names of which nobody could say which it is,
-    its own among them; empty where its name stands alone.
+    `values` and their standard uncertainties `u`, where known, are in SI: shape (3,) for a per-channel parameter,
+    else (). An omitted size is zero, an omitted shape its default. `installations` are the mountings
+    (`str(Mounting)`: "2", in series 3 "2/3") or passes (`pass_label`: "2 pass 1") in which the effect acts; empty
+    means all. `either_of` lists the names of effects that the readings cannot tell apart, this one included; it is
+    empty if the name is unambiguous.
     """
 
     effect: Effect
@@ -192,7 +197,7 @@ class AppliedEffect:
     either_of: tuple[str, ...] = ()
 
     def complete_values(self) -> dict[str, Floats]:
-        """Return the values of all parameters, zeros and default shapes filled in."""
+        """Return the values of all parameters, with zero sizes and default shapes filled in."""
         return {
             p.name: np.asarray(
                 self.values[p.name]
@@ -204,14 +209,14 @@ class AppliedEffect:
         }
 
     def shapes_text(self) -> str:
-        """Return its shapes as written in files, such as "tau 20 min"; empty for an effect without."""
+        """Return the shape parameters as text, such as "tau 20 min"; empty for an effect without shapes."""
         values = self.complete_values()
         shapes = [p for p in self.effect.parameters if p.is_shape]
         units = {p.name: "" if p.unit == "1" else f" {p.unit}" for p in shapes}
         return ", ".join(f"{p.name} {float(values[p.name]) / p.si_per_unit:g}{units[p.name]}" for p in shapes)
 
     def rows(self, conditions: Conditions) -> Mask:
-        """Return where the effect acts, shape (n,)."""
+        """Return the mask (n,) of the rows in which the effect acts."""
         if not self.installations:
             return np.ones(len(conditions), dtype=bool)
         rows = rows_of(self.installations, conditions)
@@ -224,7 +229,7 @@ class AppliedEffect:
         return rows
 
     def addition(self, seen: Seen) -> Floats:
-        """Return what the effect adds with its values, zero outside its mountings (see `Effect.addition`)."""
+        """Return the addition with these values, zero outside the effect's mountings (see `Effect.addition`)."""
         added = self.effect.addition(self.complete_values(), seen)
         if not self.installations:
             return added
@@ -233,16 +238,17 @@ class AppliedEffect:
 
 
 # --- the open part of a shape -----------------------------------------------------------------------
-# A warm-up found with a time constant of 20 min may have others in part. The readings determine some sums of these
-# parts and leave others open. Each open sum is an effect of one size with standard deviation 1.
+# A warm-up found with a time constant of 20 min may include components with other time constants. The readings
+# determine some linear combinations of these components and leave others open. Each open combination is an effect
+# with one size, of standard deviation 1.
 
 PART: Final = "part"
-"""The one parameter: how much of the sum there is."""
+"""The only parameter of an `InPart` effect: the multiple of its sum."""
 
 
 @dataclass(frozen=True)
 class InPart(Effect):
-    """A sum of effects of one stage with fixed values, `parts`, times its size; `of` is what it belongs to."""
+    """One open part of the shape of effect `of`: a scaled sum of effects with fixed values, `parts`."""
 
     name: str
     of: str
@@ -250,7 +256,7 @@ class InPart(Effect):
     parameters: tuple[Parameter, ...] = (Parameter(PART, "1", 1.0, plausible=1.0, per_channel=False),)
 
     def __post_init__(self) -> None:
-        """Take over what the parts have. Raises `ValueError` for parts that cannot be added to each other."""
+        """Derive the class attributes from the parts. Raises `ValueError` if the parts act at different stages."""
         effects = [applied.effect for applied in self.parts]
         if len({effect.stage for effect in effects}) != 1:
             raise ValueError("the parts of a shape act at one stage of the model")
@@ -267,7 +273,7 @@ class InPart(Effect):
 
     @property
     def title(self) -> str:
-        """What results call its size: "warm_up in other shapes (1)"."""
+        """The label of its size in results: "warm_up in other shapes (1)"."""
         return f"{self.of} in other shapes ({self.name.rpartition('_')[2]})"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
@@ -277,6 +283,6 @@ class InPart(Effect):
 
 
 def in_part(of: str, number: int, parts: tuple[AppliedEffect, ...], value: float, u: float) -> AppliedEffect:
-    """Return one way in which the shape of an effect is open, with its size and the u of that."""
+    """Return one open part of an effect's shape as an applied effect, with its size and standard uncertainty."""
     effect = InPart(f"{of}_shape_{number}", of, parts)
     return AppliedEffect(effect, {PART: np.asarray(value)}, u={PART: np.asarray(u)})

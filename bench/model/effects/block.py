@@ -1,4 +1,7 @@
-"""Effects in the block: nonlinearity, hysteresis, temperature, supply."""
+"""Effects in the block: nonlinearity, hysteresis, temperature, supply.
+
+In the formulas a_i is the specific force in g on the axis of channel i, K_ii its scale factor, and t a time.
+"""
 
 from __future__ import annotations
 
@@ -16,17 +19,17 @@ from bench.model.effects.base import BlockEffect, Parameter, Seen, Values
 
 
 def _size(name: str, unit: str, plausible: float) -> Parameter:
-    """A coefficient of each channel, in ug per some power of g."""
+    """Return a per-channel coefficient; `plausible` is in g per the power of g in `unit`."""
     return Parameter(name, unit, 1e-6, plausible, per_channel=True)
 
 
 def _others(force: Floats) -> tuple[Floats, Floats]:
-    """Return a_j and a_k of each channel, (n, 3) each."""
+    """Return the specific forces a_j and a_k on the two other axes of each channel, shape (n, 3) each."""
     return np.roll(force, -1, axis=1), np.roll(force, -2, axis=1)
 
 
 class QuadraticNonlinearity(BlockEffect):
-    """K2 a_i^2: the output grows with the square of the input along the own axis."""
+    """Quadratic nonlinearity K2 a_i^2."""
 
     name = "quadratic_nonlinearity"
     parameters = (_size("K2", "ug/g^2", 30e-6),)
@@ -39,7 +42,7 @@ class QuadraticNonlinearity(BlockEffect):
 
 
 class CubicNonlinearity(BlockEffect):
-    """K3 a_i^3."""
+    """Cubic nonlinearity K3 a_i^3."""
 
     name = "cubic_nonlinearity"
     parameters = (_size("K3", "ug/g^3", 20e-6),)
@@ -54,7 +57,7 @@ class CubicNonlinearity(BlockEffect):
 
 
 class OddQuadraticNonlinearity(BlockEffect):
-    """Koq a_i |a_i|."""
+    """Odd quadratic nonlinearity Koq a_i |a_i|."""
 
     name = "odd_quadratic_nonlinearity"
     parameters = (_size("Koq", "ug/g^2", 20e-6),)
@@ -67,7 +70,7 @@ class OddQuadraticNonlinearity(BlockEffect):
 
 
 class ScaleAsymmetry(BlockEffect):
-    """Kabs |a_i|: another scale factor for positive than for negative input."""
+    """Asymmetry Kabs |a_i|: the scale factor differs between positive and negative input."""
 
     name = "scale_asymmetry"
     parameters = (_size("Kabs", "ug/g", 30e-6),)
@@ -80,7 +83,7 @@ class ScaleAsymmetry(BlockEffect):
 
 
 class CrossCoupling(BlockEffect):
-    """Kip a_i a_j + Kio a_i a_k + Kpo a_j a_k."""
+    """Products of the forces on two axes: Kip a_i a_j + Kio a_i a_k + Kpo a_j a_k."""
 
     name = "cross_coupling"
     parameters = tuple(_size(name, "ug/g^2", 20e-6) for name in ("Kip", "Kio", "Kpo"))
@@ -97,7 +100,7 @@ class CrossCoupling(BlockEffect):
 
 
 class CrossQuadratic(BlockEffect):
-    """Kpp a_j^2 + Koo a_k^2."""
+    """Squares of the forces across the channel's axis: Kpp a_j^2 + Koo a_k^2."""
 
     name = "cross_quadratic"
     parameters = tuple(_size(name, "ug/g^2", 20e-6) for name in ("Kpp", "Koo"))
@@ -113,16 +116,19 @@ class CrossQuadratic(BlockEffect):
 
 
 # --- hysteresis -------------------------------------------------------------------------------------
-# The way between two settings is the head's shortest turn; where the head arrives from the other side, it
-# turns past the setting first. Angles are those on the scale and installations the nominal ones: errors of
-# the stand within their limits do not make a branch flip.
+# Between two settings the head takes the shortest way; to approach from the other side it overshoots the setting
+# first. Angles are scale readings and installations nominal, so that small errors of the stand do not flip a
+# branch of the loop.
 
 SLOW: Final = 0.05
-"""Change of specific force with angle, g/rad, below which its sign no longer counts."""
+"""Rate of specific force with angle, g/rad, below which the step of the hysteresis is smoothed out."""
 
 
 class Hysteresis(BlockEffect):
-    """A signed step (no width), or a play of the given half width; saturated it is the size with its sign."""
+    """Dependence on the side of approach: a signed step (width 0), or a play operator of half-width `width_g`.
+
+    `size` is the saturated value.
+    """
 
     name = "hysteresis"
     parameters = (
@@ -137,9 +143,9 @@ class Hysteresis(BlockEffect):
     needs_path = True
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return K_ii times size times the state of the channel (-1 to 1) in volts, shape (n, 3).
+        """Return K_ii size_i state_i in volts, shape (n, 3), with the channel's `state` from -1 to 1.
 
-        Raises `ValueError` when the conditions do not say how the block sits (`Conditions.turns`).
+        Raises `ValueError` if `Conditions.turns` is None.
         """
         width_g = float(values["width_g"])
         kept = seen.conditions.memory
@@ -149,7 +155,7 @@ class Hysteresis(BlockEffect):
 
 
 def state(conditions: Conditions, width_g: float) -> Floats:
-    """Return how far each channel is to one side of its loop, -1 to 1, shape (n, 3); +1 after a long rise.
+    """Return the position of each channel within its hysteresis loop, -1 to 1, shape (n, 3); +1 after a long rise.
 
     Rows without an angle or in an unknown installation have 0 and do not count as settings.
     """
@@ -169,7 +175,7 @@ def state(conditions: Conditions, width_g: float) -> Floats:
 
 
 def _play(path: HeadPath, sine: Floats, cosine: Floats, width_g: float) -> Floats:
-    """Return the state of a play operator of half width `width_g` at the end of each path, shape (m, 3)."""
+    """Return the state of a play operator of half-width `width_g` at the end of each path, shape (m, 3)."""
     stops = np.concatenate(
         [_extremes(path.start, path.turn, sine, cosine), _extremes(path.turn, path.end, sine, cosine)]
     )
@@ -187,10 +193,10 @@ def _play(path: HeadPath, sine: Floats, cosine: Floats, width_g: float) -> Float
 
 
 def _extremes(start: Floats, end: Floats, sine: Floats, cosine: Floats) -> Floats:
-    """Return the forces at which a turn changes their sense, and at its end, in g, shape (3, m, 3).
+    """Return the forces at the turning points and the end of each rotation, in g, shape (3, m, 3).
 
-    Between these the force only rises or only falls, and nothing else matters to a play operator. A turn of
-    half a circle and a little has two extremes at most; where it has fewer, the end stands in their place.
+    Between turning points the force is monotonic, so a play operator needs no other points. A rotation of slightly
+    more than half a turn has at most two turning points; missing ones are replaced by the end.
     """
     amplitude, phase = np.hypot(sine, cosine), np.arctan2(sine, cosine)
     sense = np.sign(end - start)[:, None]
@@ -206,10 +212,10 @@ def _extremes(start: Floats, end: Floats, sine: Floats, cosine: Floats) -> Float
 
 
 def lagged(signal: Floats, time_s: Floats, lag_s: float) -> Floats:
-    """Return a sequence (n,) behind a first-order lag, which was in equilibrium at its first value.
+    """Return a signal (n,) after a first-order lag that was in equilibrium at its first value.
 
-    Exact for a signal that runs straight from one time to the next. Where time does not go on, the value
-    stays; where it goes back, another run begins.
+    The solution is exact for a signal linear between the times. It holds its value where time stands still, and
+    restarts from the signal where time goes back (a new run).
     """
     if lag_s <= 0.0 or len(signal) == 0:
         return signal
@@ -228,13 +234,13 @@ def lagged(signal: Floats, time_s: Floats, lag_s: float) -> Floats:
 
 
 def _lag(*minutes: int) -> Parameter:
-    """A lag behind the temperature: none, or about so many minutes."""
+    """Return a lag parameter whose grid is zero and the given minutes."""
     grid = (0.0, *(m * MINUTE for m in minutes))
     return Parameter("lag", "min", MINUTE, plausible=10 * MINUTE, per_channel=False, grid=grid)
 
 
 class ThermalBias(BlockEffect):
-    """b_T T, T the temperature less the reference behind a first-order lag."""
+    """Bias b_T T, where T is the temperature minus the reference after a first-order lag."""
 
     name = "thermal_bias"
     parameters = (Parameter("b_T", "ug/K", 1e-6, plausible=60e-6, per_channel=True), _lag(5, 10, 20, 30))
@@ -249,10 +255,10 @@ class ThermalBias(BlockEffect):
 
 
 class ThermalScale(BlockEffect):
-    """k_T T K_ii a_i, T the temperature less the reference behind a first-order lag."""
+    """Scale-factor change k_T T K_ii a_i, T the temperature minus the reference after a first-order lag."""
 
     name = "thermal_scale"
-    parameters = (Parameter("k_T", "ppm/K", 1e-6, plausible=100e-6, per_channel=True), _lag(5, 10, 20, 30))
+    parameters = (Parameter("k_T", "ppm/K", 1e-6, plausible=100e-6, per_channel=True), _lag(5, 10, 20))
     sentence = "the scale factor of the accelerometer follows the temperature, at once or behind a lag"
     shown_by = "the same settings at two temperatures; a step of temperature shows the lag"
     needs_history = True
@@ -264,14 +270,14 @@ class ThermalScale(BlockEffect):
 
 
 class WarmUp(BlockEffect):
-    """A exp(-t / tau), t since the unit was switched on: since the start of the run where that is not known."""
+    """Decaying bias A exp(-t / tau), t since switch-on of the unit or, if unknown, since the start of the run."""
 
     name = "warm_up"
     parameters = (
         Parameter("A", "ug", 1e-6, plausible=150e-6, per_channel=True),
         Parameter(
             "tau", "min", MINUTE, plausible=20 * MINUTE, per_channel=False,
-            grid=tuple(minutes * MINUTE for minutes in (5, 10, 15, 20, 30, 45, 60, 80)), default=20 * MINUTE,
+            grid=tuple(minutes * MINUTE for minutes in (10, 15, 20, 30, 45, 60)), default=20 * MINUTE,
         ),
     )  # fmt: skip
     sentence = "the bias of the accelerometer settles after it was switched on"
@@ -284,7 +290,7 @@ class WarmUp(BlockEffect):
 
 
 class BiasDrift(BlockEffect):
-    """r t, t since the start of the run."""
+    """Linear drift of the bias, r t, t since the start of the run."""
 
     name = "bias_drift"
     parameters = (Parameter("rate", "ug/h", 1e-6 / HOUR, plausible=30e-6 / HOUR, per_channel=True),)
@@ -297,7 +303,7 @@ class BiasDrift(BlockEffect):
 
 
 class ScaleDrift(BlockEffect):
-    """r t K_ii a_i, t since the start of the run."""
+    """Linear drift of the scale factor, r t K_ii a_i, t since the start of the run."""
 
     name = "scale_drift"
     parameters = (Parameter("rate", "ppm/h", 1e-6 / HOUR, plausible=20e-6 / HOUR, per_channel=True),)
@@ -310,7 +316,7 @@ class ScaleDrift(BlockEffect):
 
 
 class TurnOnShift(BlockEffect):
-    """A step of bias at a remount or a power cycle: from the first row of the mountings named on."""
+    """A step of bias at a remount or a power cycle; it lasts to the end of the run."""
 
     name = "turn_on_shift"
     parameters = (Parameter("step", "ug", 1e-6, plausible=60e-6, per_channel=True),)
@@ -326,7 +332,7 @@ class TurnOnShift(BlockEffect):
 
 
 class ScaleStep(BlockEffect):
-    """A step of the scale factor of a channel, at a remount, after a pass, or in one pass alone."""
+    """A step of a channel's scale factor, at a remount, after a pass, or in a single pass."""
 
     name = "scale_step"
     parameters = (Parameter("step", "ppm", 1e-6, plausible=50e-6, per_channel=True),)
@@ -342,7 +348,7 @@ class ScaleStep(BlockEffect):
 
 
 class ThermalSettling(BlockEffect):
-    """A exp(-t / tau), t since the first reading of each mounting."""
+    """Decaying bias A exp(-t / tau), t since the first reading of each mounting."""
 
     name = "thermal_settling"
     parameters = (
@@ -369,11 +375,11 @@ class ThermalSettling(BlockEffect):
 # --- supply -----------------------------------------------------------------------------------------
 
 MOST_RAILS: Final = 3
-"""Rails of a block, of which one is looked at after the other."""
+"""The largest number of supply rails; the diagnosis tries one after the other."""
 
 
 class SupplySensitivity(BlockEffect):
-    """(b_S + k_S a_i) v, v the voltage of a rail less its nominal one."""
+    """Bias and scale-factor change (b_S + k_S a_i) v, v the voltage of a supply rail minus its nominal voltage."""
 
     name = "supply_sensitivity"
     parameters = (
@@ -388,7 +394,7 @@ class SupplySensitivity(BlockEffect):
     shown_by = "the same settings with the rail a little above and a little below its nominal voltage"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return K_ii (b_S_i + k_S_i a_i) v in volts, shape (n, 3); nothing where no voltage of it is known."""
+        """Return K_ii (b_S_i + k_S_i a_i) v in volts, shape (n, 3); zero if the rail's voltage was not recorded."""
         number = round(float(values["rail"]))
         above_v = seen.conditions.above_nominal_v
         if not 1 <= number <= above_v.shape[1]:

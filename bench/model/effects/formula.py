@@ -1,4 +1,4 @@
-"""Effects that are stated as a formula, in a file: what they add is an expression and not a class of their own."""
+"""Effects stated as a formula in a file: the addition is an expression, not a class of its own."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from bench.model.effects.block import lagged
 from bench.model.geometry import STAND_ANGLES
 
 # --- expressions ------------------------------------------------------------------------------------
-# The text is parsed, never run: numbers, names, + - * / **, comparisons (1 where true, 0 else) and calls of a few
-# functions; whatever else can be written in Python is refused with a sentence.
+# The text is parsed, never executed: numbers, names, + - * / **, comparisons (1 if true, else 0) and calls of a few
+# functions. All other Python syntax is refused with a sentence.
 
 MOST_CHARACTERS: Final = 1000
-"""Longer is no formula that a person reads."""
+"""The longest permitted expression; no formula for human readers is longer."""
 MOST_NESTED: Final = 100
-"""Deeper is none, either; a sum of so many terms is as deep."""
+"""The deepest permitted nesting; a sum of that many terms is as deep."""
 
 FUNCTIONS: Final[Mapping[str, Callable[..., Any]]] = {
     "sin": np.sin, "cos": np.cos, "tan": np.tan, "exp": np.exp, "log": np.log, "sqrt": np.sqrt, "abs": np.abs,
     "sign": np.sign, "tanh": np.tanh, "min": np.minimum, "max": np.maximum,
 }  # fmt: skip
-"""What may be called, with one number; `min` and `max` with two, `lagged` with a course and a lag."""
+"""The functions of one argument, and `min` and `max` with two. `lagged` (a signal and a lag) is separate."""
 
 LAGGED: Final = "lagged"
 OF_TWO: Final = ("min", "max", LAGGED)
@@ -43,30 +43,30 @@ _COMPARISONS: Final[Mapping[type[ast.cmpop], str]] = {
 
 
 class ExpressionError(ValueError):
-    """An expression that cannot be taken; the text says why."""
+    """An invalid expression; the text gives the reason."""
 
 
 Term = TypeVar("Term")
 
 
 class ExpressionReading(Protocol, Generic[Term]):
-    """One way to read an expression: for its values, for its degree in the parameters, for its dimension."""
+    """An interpretation of an expression, for example as its value, its degree or its dimension."""
 
     def number(self, value: float, unit: str) -> Term:
-        """Read a number as written; with a unit in SI, `unit` is then which."""
+        """Interpret a number; `value` is in the SI unit `unit` ("" for a plain number)."""
 
     def name(self, name: str) -> Term:
-        """Read a variable or a parameter."""
+        """Interpret a variable or a parameter."""
 
     def operation(self, symbol: str, left: Term, right: Term) -> Term:
-        """Read one of + - * / ** or a comparison."""
+        """Interpret one of + - * / ** or a comparison."""
 
     def call(self, name: str, arguments: list[Term]) -> Term:
-        """Read the call of a function."""
+        """Interpret a function call."""
 
 
 QUANTITY: Final = re.compile(r"(?<![\w.])((?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?+)[ \t]*([A-Za-zµμ°′″]+)(?!\w)")
-"""A number with its unit, "1.3 V": the tree has the unit as an attribute of the number."""
+"""A number with its unit, "1.3 V"; the parser sees the unit as an attribute of the number, `(1.3).V`."""
 
 UNITS: Final[Mapping[str, tuple[float, str]]] = {
     "V": (1.0, "V"), "mV": (1e-3, "V"), "uV": (1e-6, "V"), "s": (1.0, "s"), "ms": (1e-3, "s"),
@@ -74,16 +74,16 @@ UNITS: Final[Mapping[str, tuple[float, str]]] = {
     "rad": (1.0, ""), "deg": (np.pi / 180, ""), "arcmin": (60 * ARCSEC, ""), "arcsec": (ARCSEC, ""),
     "rev": (2 * np.pi, ""), "g": (1.0, ""), "mg": (1e-3, ""), "ug": (1e-6, ""), "ppm": (1e-6, ""),
 }  # fmt: skip
-"""Units that a number of a formula may have: how many SI units one is, and which; "" for plain numbers."""
+"""The units permitted after a number: the factor to SI, and the SI unit ("" for plain numbers)."""
 
 _PLAIN: Final = str.maketrans({"µ": "u", "μ": "u", "°": "deg", "′": "arcmin", "″": "arcsec"})
 
 
 @lru_cache(maxsize=2048)
 def parse(text: str) -> ast.expr:
-    """Return the tree of an expression; a number with a unit is an attribute of it, `(1.3).V`.
+    """Return the syntax tree of an expression; a number with a unit is an attribute node, `(1.3).V`.
 
-    Raises `ExpressionError` where anything else stands in it.
+    Raises `ExpressionError` for any other Python syntax.
     """
     if len(text) > MOST_CHARACTERS:
         raise ExpressionError(f"the expression has {len(text)} characters; {MOST_CHARACTERS} is the most")
@@ -98,7 +98,7 @@ def parse(text: str) -> ast.expr:
 
 
 def _refuse_others(node: ast.AST, text: str, deeper: int) -> None:
-    """Raise `ExpressionError` for the first thing that is not on the list, or not within so many others."""
+    """Raise `ExpressionError` for the first forbidden node, or for nesting beyond `deeper` levels."""
     if deeper == 0:
         raise ExpressionError(f"the expression is nested more than {MOST_NESTED} deep")
     match node:
@@ -144,13 +144,13 @@ def _refuse_call(name: str, given: int) -> None:
 
 
 def known_functions() -> tuple[str, ...]:
-    """Return the names of all functions."""
+    """Return the names of all permitted functions."""
     return (*FUNCTIONS, LAGGED)
 
 
 @lru_cache(maxsize=2048)
 def names_in(text: str) -> tuple[str, ...]:
-    """Return the names of variables and parameters in order of first appearance in the text."""
+    """Return the names of the variables and parameters of an expression, in order of first appearance."""
     tree = parse(text)
     called = {id(node.func) for node in ast.walk(tree) if isinstance(node, ast.Call)}
     found = [node for node in ast.walk(tree) if isinstance(node, ast.Name) and id(node) not in called]
@@ -160,20 +160,20 @@ def names_in(text: str) -> tuple[str, ...]:
 
 @lru_cache(maxsize=2048)
 def calls_in(text: str) -> frozenset[str]:
-    """Return the names of the functions that are called."""
+    """Return the names of the functions that an expression calls."""
     nodes = ast.walk(parse(text))
     return frozenset(n.func.id for n in nodes if isinstance(n, ast.Call) and isinstance(n.func, ast.Name))
 
 
 @lru_cache(maxsize=2048)
 def lags_in(text: str) -> tuple[ast.expr, ...]:
-    """Return the second arguments of all calls of `lagged`."""
+    """Return the second arguments of all calls of `lagged` in an expression."""
     nodes = (n for n in ast.walk(parse(text)) if isinstance(n, ast.Call))
     return tuple(n.args[1] for n in nodes if isinstance(n.func, ast.Name) and n.func.id == LAGGED)
 
 
 def interpret(text: str, reading: ExpressionReading[Term]) -> Term:
-    """Read an expression in one of the ways; the reading raises `ExpressionError` as it likes."""
+    """Return the result of one interpretation of an expression, which may raise `ExpressionError`."""
     return _read(parse(text), reading)
 
 
@@ -195,7 +195,7 @@ def _read(node: ast.expr, reading: ExpressionReading[Term]) -> Term:
             return reading.operation(_COMPARISONS[type(op)], _read(left, reading), _read(right, reading))
         case ast.Call(func=ast.Name(id=name), args=arguments):
             return reading.call(name, [_read(argument, reading) for argument in arguments])
-    raise ExpressionError(f"'{ast.unparse(node)}' may not stand in a formula")  # `parse` refused it before
+    raise ExpressionError(f"'{ast.unparse(node)}' may not stand in a formula")  # not reached after `parse`
 
 
 def _as_float(value: int | float) -> float:
@@ -206,9 +206,10 @@ def _as_float(value: int | float) -> float:
 
 
 class ValueReading:
-    """The values of an expression: `names` holds those of variables and parameters, `lagged` the function.
+    """The numeric value of an expression.
 
-    What is not finite numpy would warn of: whoever reads an expression so keeps it quiet, once for all operations.
+    `names` maps variables and parameters to values; `lagged` is the lag function. numpy warns of results that are
+    not finite; the caller silences it once for the whole expression.
     """
 
     def __init__(self, names: Mapping[str, Floats], lagged: Callable[[Floats, Floats], Floats]) -> None:
@@ -216,21 +217,21 @@ class ValueReading:
         self._lagged = lagged
 
     def number(self, value: float, unit: str) -> Floats:
-        """Return the number."""
+        """Return the number as an array."""
         return np.asarray(value)
 
     def name(self, name: str) -> Floats:
-        """Return the value of a name. Raises `ExpressionError` where nobody gave one."""
+        """Return the value of a name. Raises `ExpressionError` for a name without a value."""
         if name not in self._names:
             raise ExpressionError(f"'{name}' has no value")
         return self._names[name]
 
     def operation(self, symbol: str, left: Floats, right: Floats) -> Floats:
-        """Return what an operation gives; what is not finite is found out by whoever asked."""
+        """Return the result of an operation, which may be infinite or NaN."""
         return np.asarray(_OPERATIONS[symbol](left, right), dtype=np.float64)
 
     def call(self, name: str, arguments: list[Floats]) -> Floats:
-        """Return what a function gives."""
+        """Return the result of a function call."""
         if name == LAGGED:
             return self._lagged(*arguments)
         return np.asarray(FUNCTIONS[name](*arguments), dtype=np.float64)
@@ -243,7 +244,7 @@ _OPERATIONS: Final[Mapping[str, Callable[[Floats, Floats], Any]]] = {
 
 
 class DegreeReading:
-    """The degree in parameters that are sizes: 0 or 1. An effect has degree 1 in every term."""
+    """The degree of an expression in the size parameters: 0 or 1. An effect must have degree 1 in every term."""
 
     def __init__(self, sizes: frozenset[str]) -> None:
         self._sizes = sizes
@@ -253,11 +254,11 @@ class DegreeReading:
         return 0
 
     def name(self, name: str) -> int:
-        """Return 1 for a size, 0 for all else."""
+        """Return 1 for a size parameter, 0 for any other name."""
         return int(name in self._sizes)
 
     def operation(self, symbol: str, left: int, right: int) -> int:
-        """Return the degree of an operation. Raises `ExpressionError` where it is not linear."""
+        """Return the degree of the result. Raises `ExpressionError` if it is not linear in the sizes."""
         if symbol in {"+", "-"}:
             if left != right:
                 raise ExpressionError(
@@ -277,7 +278,7 @@ class DegreeReading:
         )
 
     def call(self, name: str, arguments: list[int]) -> int:
-        """Return 0. Raises `ExpressionError` where a size stands in a function."""
+        """Return 0. Raises `ExpressionError` if an argument contains a size."""
         if any(arguments):
             raise ExpressionError(f"a size stands in {name}: the effect is not linear in it; {GRID_HINT}")
         return 0
@@ -295,18 +296,18 @@ SUBSYSTEM_OF: Final[Mapping[Stage, Subsystem]] = {
     Stage.BLOCK_OUTPUT: Subsystem.BLOCK,
     Stage.VOLTMETER_READING: Subsystem.VOLTMETER,
 }
-"""What a formula belongs to by its stage, where it does not say."""
+"""The default subsystem of a formula, by its stage."""
 
 OF_THE_HEAD: Final = ("angle", "turned", "wound", "travelled")
-"""Variables that a reading without an angle of the head does not have."""
+"""Variables that have no value for a reading without a head angle."""
 
 
 @dataclass(frozen=True)
 class FormulaEffect(Effect):
-    """An effect whose addition is an expression over what it sees and its parameters, in SI.
+    """An effect whose addition is an expression in the variables of its stage and its parameters, in SI.
 
-    At the stand it is added to the angle `adds_to`. At the block's output it is in g: the scale factor of the
-    channel makes volts of it. Raises `ExpressionError` where the expression cannot be taken.
+    At the stage STAND the value is added to the angle `adds_to`. At BLOCK_OUTPUT it is in g, and the channel's
+    scale factor converts it to volts. Raises `ExpressionError` for an invalid expression.
     """
 
     name: str
@@ -320,10 +321,10 @@ class FormulaEffect(Effect):
     per_mount: bool = False
     lasts: bool = False
     origin: str = field(default="", compare=False, repr=False)
-    """File and line of the expression, where it was read from one: for whoever is to mend it."""
+    """File and line of the expression, for error messages; empty if it was not read from a file."""
 
     def __post_init__(self) -> None:
-        """Prove the expression: every name known, each term of the first degree in the sizes."""
+        """Raise `ExpressionError` unless every name is known and each term has degree 1 in the sizes."""
         names = names_in(self.expression)
         own = {parameter.name for parameter in self.parameters}
         variables = variables_of(self.stage)
@@ -349,7 +350,7 @@ class FormulaEffect(Effect):
 
     @property
     def needs_history(self) -> bool:  # type: ignore[override]
-        """Whether a reading depends on those before it."""
+        """Whether a reading depends on earlier readings."""
         looks_back = {"turned", "wound", "travelled", "visit", "since_mounting"}
         return (
             self.lasts
@@ -358,9 +359,10 @@ class FormulaEffect(Effect):
         )
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return what is added at the stage (see `Effect.addition`); nothing where the angle is not known.
+        """Return the addition at the stage (see `Effect.addition`).
 
-        Raises `ExpressionError` where the formula gives no finite number for a reading.
+        A non-finite result counts as 0 if a variable of that reading is unknown; otherwise it raises
+        `ExpressionError`.
         """
         used = frozenset(names_in(self.expression))
         known = {name: of(seen) for name, of in variables_of(self.stage).items() if name in used}
@@ -378,7 +380,10 @@ class FormulaEffect(Effect):
         return self._placed(self._finite(np.broadcast_to(added, shape), away), seen)
 
     def _finite(self, added: Floats, away: Mask) -> Floats:
-        """Return the numbers, zero in the readings `away`: without an angle of the head, or of no block at all."""
+        """Return the additions, with 0 for non-finite values in the readings `away`, whose variables are unknown.
+
+        Raises `ExpressionError` for a non-finite value in any other reading.
+        """
         bad = ~np.isfinite(added)
         if not bad.any():
             return added
@@ -410,11 +415,11 @@ _WITH_CHANNELS: Final = (Stage.SPECIFIC_FORCE, Stage.BLOCK_OUTPUT, Stage.VOLTMET
 Variable = Callable[[Seen], Floats]
 
 SINCE_POWER_ON: Final = "since_power_on"
-"""The variable that is the time since the start of the run where the readings do not say when power came on."""
+"""The time since power-on; for readings without it, the time since the start of the run."""
 
 
 def variables_of(stage: Stage) -> dict[str, Variable]:
-    """Return what a formula of a stage may depend on: each a function of what it sees, shape (n,) or (n, 3)."""
+    """Return the variables of a formula at a stage: name -> function of `Seen` with shape (n,) or (n, 3)."""
     match stage:
         case Stage.SPECIFIC_FORCE | Stage.BLOCK_OUTPUT:
             return _COMMON | _own_and_each("a") | {"aj": _axis_after(1), "ak": _axis_after(2)}
@@ -425,7 +430,7 @@ def variables_of(stage: Stage) -> dict[str, Variable]:
 
 
 def _own_and_each(letter: str) -> dict[str, Variable]:
-    """Return a signal on a channel's own axis, and on x, y and z."""
+    """Return the variables for a signal on each channel's own axis and on x, y and z: "a" -> a, ax, ay, az."""
     each = {letter + channel: _axis(i) for i, channel in enumerate(CHANNELS)}
     return {letter: lambda seen: seen.signal, **each}
 
@@ -456,7 +461,7 @@ _COMMON: Final[dict[str, Variable]] = {
 
 
 def _lagged(course: Floats, time_s: Floats, lag: Floats) -> Floats:
-    """Return a course behind a first-order lag, column by column."""
+    """Return a signal after a first-order lag (see `lagged`), column by column."""
     whole = np.broadcast_to(course, (len(time_s), *np.shape(course)[1:]))
     if whole.ndim == 1:
         return lagged(whole, time_s, float(lag))
@@ -469,7 +474,7 @@ def _unknown_name(name: str, stage: Stage, variables: Mapping[str, Variable]) ->
 
 
 def _unseen(variables: Iterable[Floats], readings: int) -> Mask:
-    """Return the readings (n,) of which a variable is not known, as `a` of an input that is short."""
+    """Return the mask (n,) of the readings for which a variable is not finite, such as `a` at a shorted input."""
     missing = np.zeros(readings, dtype=bool)
     for values in variables:
         if values.ndim and len(values) == readings:

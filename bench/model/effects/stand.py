@@ -1,4 +1,4 @@
-"""Effects in the stand: its angles, the head, motion of the platform, slips between settings."""
+"""Effects of the stand: its angles, the head, motion of the platform, slips between settings."""
 
 from __future__ import annotations
 
@@ -23,25 +23,25 @@ from bench.model.geometry import STAND_ANGLES
 
 
 def into(column: str, angle_rad: Floats, stand_rad: Floats) -> Floats:
-    """Return an addition (n, 5) to the stand angles that changes one of them."""
+    """Return an array (n, 5) for the stand angles with `angle_rad` in the named column and zeros elsewhere."""
     addition = np.zeros_like(stand_rad)
     addition[:, STAND_ANGLES.index(column)] = angle_rad
     return addition
 
 
 class ConstantAngle(StandEffect):
-    """A stand angle that is larger than what the bench file allows."""
+    """A stand angle beyond the limits in the bench file."""
 
     column: ClassVar[str]
     per_mount = True
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return the angle in its column, rad, shape (n, 5)."""
+        """Return the angle in the column of `column`, rad, shape (n, 5)."""
         return into(self.column, values["angle"], seen.signal)
 
 
 class AxisTilt(ConstantAngle):
-    """alpha1 beyond its limits, of the stand itself."""
+    """The tilt of the head's axis, alpha1, beyond its limits."""
 
     name = "axis_tilt"
     column = "axis_tilt"
@@ -51,7 +51,7 @@ class AxisTilt(ConstantAngle):
 
 
 class ZeroOffset(ConstantAngle):
-    """alpha2 beyond its limits, of the stand itself."""
+    """The zero offset of the head's scale, alpha2, beyond its limits."""
 
     name = "zero_offset"
     column = "zero_offset"
@@ -61,7 +61,7 @@ class ZeroOffset(ConstantAngle):
 
 
 class MountingError(ConstantAngle):
-    """alpha3 beyond its limits: -alpha3 sin(phi) out of the plane of rotation."""
+    """The mounting error alpha3 beyond its limits: -alpha3 sin(phi) out of the plane of rotation."""
 
     name = "mounting_error"
     column = "mounting_error"
@@ -71,7 +71,7 @@ class MountingError(ConstantAngle):
 
 
 class MountingOffset(ConstantAngle):
-    """A turn of the block about the shaft, from one mounting to another."""
+    """A rotation of the block about the shaft that differs between mountings."""
 
     name = "mounting_offset"
     column = "mounting_offset"
@@ -93,11 +93,11 @@ class MountingRoll(ConstantAngle):
 # --- the head ---------------------------------------------------------------------------------------
 
 MARKS_DEG: Final = tuple(range(0, 360, 15))
-"""The marks of the scale that have an error of their own."""
+"""The scale marks, each with an error of its own."""
 
 
 class HeadEccentricity(HeadEffect):
-    """An angle error that goes round once a turn: the circle's centre is not on the shaft's axis."""
+    """An angle error with a period of one turn: the circle's centre is off the shaft's axis."""
 
     name = "head_eccentricity"
     parameters = (angle("cosine", 8), angle("sine", 8))
@@ -110,7 +110,7 @@ class HeadEccentricity(HeadEffect):
 
 
 class HeadEllipticity(HeadEffect):
-    """An angle error that goes round twice a turn."""
+    """An angle error with a period of half a turn."""
 
     name = "head_ellipticity"
     parameters = (angle("cosine", 5), angle("sine", 5))
@@ -123,7 +123,7 @@ class HeadEllipticity(HeadEffect):
 
 
 class HeadGraduation(HeadEffect):
-    """An angle error of its own for each mark of the scale, in a straight line between marks."""
+    """An angle error of each scale mark, linearly interpolated between marks."""
 
     name = "head_graduation"
     parameters = tuple(angle(f"at_{mark:03d}", 4) for mark in MARKS_DEG)
@@ -131,13 +131,13 @@ class HeadGraduation(HeadEffect):
     shown_by = "24 angles in a turn; a polygon and autocollimator"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return the error of the mark in rad, shape (n,)."""
+        """Return the interpolated error at each angle in rad, shape (n,)."""
         errors = [float(values[p.name]) for p in self.parameters]
         return np.interp(seen.conditions.angle_rad, np.radians(MARKS_DEG), errors, period=2 * np.pi)
 
 
 class Backlash(HeadEffect):
-    """The angle differs by b between the two directions of approach; nothing where the direction is not known."""
+    """A difference b between the angles of the two directions of approach; zero where the direction is unknown."""
 
     name = "backlash"
     parameters = (angle("play", 10),)
@@ -145,7 +145,7 @@ class Backlash(HeadEffect):
     shown_by = "both directions of approach"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return d b / 2 in rad, shape (n,)."""
+        """Return d b / 2 in rad, shape (n,), where d is the direction of approach: +1, -1, or 0 if unknown."""
         return seen.conditions.direction * values["play"] / 2
 
 
@@ -153,7 +153,7 @@ class Backlash(HeadEffect):
 
 
 class AxisWobble(StandEffect):
-    """The head's axis tilts as the head goes round: w_c cos(h phi) + w_s sin(h phi), h its harmonic."""
+    """A tilt of the axis that varies with the head angle: w_c cos(h phi) + w_s sin(h phi), with harmonic h."""
 
     name = "axis_wobble"
     parameters = (
@@ -165,13 +165,13 @@ class AxisWobble(StandEffect):
     shown_by = "a remount turned by 90 deg (twice a turn) or 180 deg (once a turn); a mirror on the shaft"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return the tilt in the column of the axis tilt, rad, shape (n, 5)."""
+        """Return the tilt in the axis-tilt column, rad, shape (n, 5)."""
         phase = float(values["harmonic"]) * seen.conditions.angle_rad
         return into("axis_tilt", wave(values, phase), seen.signal)
 
 
 class BracketTilt(ConstantAngle):
-    """A constant tilt out of the plane of rotation, which changes at a remount: alpha1 of that mounting alone."""
+    """A constant tilt out of the plane of rotation that changes at a remount: alpha1 of one mounting."""
 
     name = "bracket_tilt"
     column = "axis_tilt"
@@ -181,7 +181,7 @@ class BracketTilt(ConstantAngle):
 
 
 class FoundationTilt(StandEffect):
-    """The foundation tilts with a period P, c cos(2 pi t / P) + s sin(2 pi t / P), about the shaft and across."""
+    """A periodic tilt of the foundation about the shaft and across it: c cos(2 pi t / P) + s sin(2 pi t / P)."""
 
     name = "foundation_tilt"
     parameters = (
@@ -198,9 +198,9 @@ class FoundationTilt(StandEffect):
     shown_by = "a level on the foundation, read with each setting; the same setting through a day"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return the tilts in the columns of zero offset and axis tilt, rad, shape (n, 5).
+        """Return the tilts in the zero-offset and axis-tilt columns, rad, shape (n, 5).
 
-        t counts since the start of the run.
+        t is the time since the start of the run.
         """
         phase = 2 * np.pi * seen.conditions.elapsed_s / float(values["period"])
         along = into("zero_offset", wave(values, phase), seen.signal)
@@ -213,7 +213,7 @@ MOUNTING_ANGLES: Final = ("mounting_error", "mounting_offset", "mounting_roll")
 
 
 class BlockSlip(StandEffect):
-    """The three mounting angles, other than in the rest of the mounting."""
+    """A change of the three mounting angles in some passes of a mounting."""
 
     name = "block_slip"
     parameters = tuple(angle(column, 60) for column in MOUNTING_ANGLES)
@@ -226,13 +226,13 @@ class BlockSlip(StandEffect):
     per_pass = True
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return the angles in their columns, rad, shape (n, 5)."""
+        """Return the change of each mounting angle in its column, rad, shape (n, 5)."""
         parts = [into(column, values[column], seen.signal) for column in MOUNTING_ANGLES]
         return np.asarray(np.sum(parts, axis=0))
 
 
 class MountingCreep(StandEffect):
-    """The mounting angles creep to their final values: each by exp(-t / tau), t since the first reading in it."""
+    """An exponential approach of the mounting angles to their final values: exp(-t / tau), t since mounting."""
 
     name = "mounting_creep"
     parameters = (
@@ -249,14 +249,14 @@ class MountingCreep(StandEffect):
     needs_history = True
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return what is left of the angles in their columns, rad, shape (n, 5)."""
+        """Return the remaining deviation of each mounting angle in its column, rad, shape (n, 5)."""
         left = np.exp(-seen.conditions.since_mounting_s / float(values["tau"]))
         parts = [into(column, values[column] * left, seen.signal) for column in MOUNTING_ANGLES]
         return np.asarray(np.sum(parts, axis=0))
 
 
 class HeadZeroShift(HeadEffect):
-    """Another zero of the head's scale: the same angle on top of what it shows."""
+    """A shift of the zero of the head's scale: the same angle added to every scale reading."""
 
     name = "head_zero_shift"
     parameters = (angle("angle", 60),)
@@ -269,16 +269,16 @@ class HeadZeroShift(HeadEffect):
     outlasts_mount = True
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return the angle in rad, shape (n,)."""
+        """Return the shift of every scale reading in rad, shape (n,)."""
         return np.broadcast_to(values["angle"], len(seen.conditions))
 
 
 PAIRS: Final = tuple((CHANNELS[i], CHANNELS[j]) for i, j in ((0, 1), (1, 2), (2, 0)))
-"""Pairs of channels, in the order of the parameters of an exchange."""
+"""Pairs of channels, in the order of the parameters of `MetersExchanged`."""
 
 
 class MetersExchanged(VoltmeterEffect):
-    """Two meters at each other's channels: what gain and zero differ by goes to the one and from the other."""
+    """Two meters swapped: their difference in gain and zero adds to one channel and subtracts from the other."""
 
     name = "meters_exchanged"
     parameters = tuple(
@@ -302,7 +302,7 @@ class MetersExchanged(VoltmeterEffect):
     outlasts_mount = True
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return for each pair gain U + zero in V at the first channel, less as much at the other, (n, 3)."""
+        """Return gain U + zero in V at one channel of each pair and its negative at the other, shape (n, 3)."""
         added = np.zeros_like(seen.signal)
         for one, other in PAIRS:
             gain, zero = values[f"{one}{other}_gain"], values[f"{one}{other}_zero"]

@@ -1,4 +1,4 @@
-"""Effects of the voltmeters, of the wiring, and of what the bench believes of local gravity."""
+"""Effects of the voltmeters, of the wiring, and of the bench's stated local gravity."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from bench.base.arrays import HOUR, MINUTE, Floats
 from bench.model.effects.base import Effect, Parameter, Seen, Stage, Subsystem, Values, VoltmeterEffect
 
 NORMAL_V: Final = 2.5
-"""The voltage at which the sizes of the nonlinearity are stated."""
+"""The voltage for which the sizes of the nonlinearity are stated."""
 
 LOW_RANGE_V: Final = 1.2
-"""Below it a 34401A with autorange reads on its 1 V range (120 % of range, User's Guide, chapter 8)."""
+"""Below this voltage a 34401A with autorange uses its 1 V range (120 % of range, User's Guide, chapter 8)."""
 
 
 class VoltmeterNonlinearity(VoltmeterEffect):
-    """q2 (U / 2.5 V)^2 + q3 (U / 2.5 V)^3, the same in all channels."""
+    """Nonlinearity q2 (U / 2.5 V)^2 + q3 (U / 2.5 V)^3, common to all channels."""
 
     name = "voltmeter_nonlinearity"
     parameters = tuple(Parameter(name, "uV", 1e-6, 10e-6, per_channel=False) for name in ("q2", "q3"))
@@ -31,7 +31,7 @@ class VoltmeterNonlinearity(VoltmeterEffect):
 
 
 class VoltmeterDrift(VoltmeterEffect):
-    """A zero that drifts evenly, the same in all channels; t since the start of the run."""
+    """A linear drift of the zero, common to all channels; t since the start of the run."""
 
     name = "voltmeter_drift"
     parameters = (Parameter("rate", "uV/h", 1e-6 / HOUR, plausible=15e-6 / HOUR, per_channel=False),)
@@ -39,19 +39,19 @@ class VoltmeterDrift(VoltmeterEffect):
     shown_by = "a shorted input in each pass"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return r t in volts, shape (n, 3)."""
+        """Return rate t in volts, shape (n, 3)."""
         return np.broadcast_to((values["rate"] * seen.conditions.elapsed_s)[:, None], seen.signal.shape)
 
 
 class VoltmeterWarmUp(VoltmeterEffect):
-    """A exp(-t / tau), the same in all channels; t since the start of the run."""
+    """Decaying zero A exp(-t / tau), common to all channels; t since the start of the run."""
 
     name = "voltmeter_warm_up"
     parameters = (
         Parameter("A", "uV", 1e-6, plausible=100e-6, per_channel=False),
         Parameter(
             "tau", "min", MINUTE, plausible=20 * MINUTE, per_channel=False,
-            grid=tuple(minutes * MINUTE for minutes in (5, 10, 15, 20, 30, 45, 60, 80)), default=20 * MINUTE,
+            grid=tuple(minutes * MINUTE for minutes in (10, 15, 20, 30, 45, 60)), default=20 * MINUTE,
         ),
     )  # fmt: skip
     sentence = (
@@ -66,7 +66,7 @@ class VoltmeterWarmUp(VoltmeterEffect):
 
 
 class RangeOffset(VoltmeterEffect):
-    """Another zero and gain on the range that is used below 1.2 V, with autorange; of the meter of each channel."""
+    """A different zero and gain of each channel's meter on the range that autorange uses below 1.2 V."""
 
     name = "range_offset"
     parameters = (
@@ -77,14 +77,14 @@ class RangeOffset(VoltmeterEffect):
     shown_by = "a fixed range; a reference voltage below 1.2 V, read on both ranges"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return offset + gain U in volts where |U| < 1.2 V, shape (n, 3)."""
+        """Return offset + gain U in volts where |U| < 1.2 V, else zero, shape (n, 3)."""
         return np.where(
             np.abs(seen.signal) < LOW_RANGE_V, values["offset"] + values["gain"] * seen.signal, 0.0
         )
 
 
 class ChannelCrosstalk(VoltmeterEffect):
-    """A part of the channel read before, U_before - U; before the first channel comes the row before."""
+    """A fraction of U_before - U, where U_before is the voltage scanned just before U, also in the row before."""
 
     name = "channel_crosstalk"
     parameters = (Parameter("fraction", "ppm", 1e-6, plausible=25e-6, per_channel=False),)
@@ -93,7 +93,7 @@ class ChannelCrosstalk(VoltmeterEffect):
     needs_history = True
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return fraction (U_before - U) in volts, shape (n, 3); nothing for the very first reading."""
+        """Return fraction (U_before - U) in volts, shape (n, 3); zero for the very first reading."""
         order = seen.conditions.scan_order
         scanned = np.take_along_axis(seen.signal, order, axis=1).ravel()
         step = np.diff(-scanned, prepend=-scanned[:1]).reshape(seen.signal.shape)
@@ -103,7 +103,7 @@ class ChannelCrosstalk(VoltmeterEffect):
 
 
 class VoltmeterGain(VoltmeterEffect):
-    """A common error of gain; the data cannot tell it from the scale factors."""
+    """A common gain error, which the readings cannot distinguish from the scale factors."""
 
     name = "voltmeter_gain"
     parameters = (Parameter("gain", "ppm", 1e-6, plausible=30e-6, per_channel=False),)
@@ -116,7 +116,7 @@ class VoltmeterGain(VoltmeterEffect):
 
 
 class ReferenceStep(VoltmeterEffect):
-    """A step of a factor that all channels share: from a remount or a pass on, or in one pass alone."""
+    """A step of a gain common to all channels: from a remount or pass onwards, or in a single pass."""
 
     name = "reference_step"
     parameters = (Parameter("step", "ppm", 1e-6, plausible=20e-6, per_channel=False),)
@@ -135,7 +135,7 @@ class ReferenceStep(VoltmeterEffect):
 
 
 class VoltmeterOffset(VoltmeterEffect):
-    """A common zero error; the data cannot tell it from the biases."""
+    """A common zero error, which the readings cannot distinguish from the biases."""
 
     name = "voltmeter_offset"
     parameters = (Parameter("offset", "uV", 1e-6, plausible=50e-6, per_channel=False),)
@@ -148,7 +148,7 @@ class VoltmeterOffset(VoltmeterEffect):
 
 
 class ThermalEmf(Effect):
-    """A constant voltage in the leads of each channel, before the meters' inputs: a short does not show it."""
+    """A constant voltage in the leads of each channel; a short at the meter inputs does not show it."""
 
     name = "thermal_emf"
     stage = Stage.BLOCK_OUTPUT
@@ -163,7 +163,7 @@ class ThermalEmf(Effect):
 
 
 class WrongGravity(Effect):
-    """Local gravity is larger than the bench file says; the data cannot tell it from the scale factors."""
+    """Local gravity greater than stated in the bench file; not distinguishable from the scale factors."""
 
     name = "wrong_gravity"
     stage = Stage.SPECIFIC_FORCE

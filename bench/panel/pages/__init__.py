@@ -1,1 +1,1 @@
-"""The pages, and what their forms and scripts ask for."""
+"""The request handlers of the pages, their forms and their scripts."""

@@ -1,4 +1,4 @@
-"""The catalogue, where the panel is given one: a search among units, and a unit's page. Nothing is written."""
+"""The pages on the catalogue, if the panel has one: a search among units, and a unit's page. They only read."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ ON_A_PAGE: Final = 100
 
 
 async def units(request: Request) -> Response:
-    """Show the units of the runs that a question names."""
+    """Show the units whose runs match the search."""
     looking(request)
     asked = request.query_params.get("ask", "")[:LONGEST]
     found = await run_in_threadpool(_units, _where(request), asked)
@@ -34,7 +34,7 @@ async def units(request: Request) -> Response:
 
 
 async def unit(request: Request) -> Response:
-    """Show a unit: its coefficients over time, its runs, when it is due."""
+    """Show a unit: its coefficients over time, its runs, its next due date."""
     looking(request)
     name = request.path_params["unit"][:LONGEST]
     history = await run_in_threadpool(_history, _where(request), name)
@@ -51,7 +51,7 @@ async def unit(request: Request) -> Response:
 
 
 async def figure(request: Request) -> Response:
-    """Send the figure of a unit, as a file that stands alone."""
+    """Send the figure of a unit as a standalone SVG file."""
     looking(request)
     name = request.path_params["unit"][:LONGEST]
     drawn = await run_in_threadpool(_figure, _where(request), name)
@@ -59,7 +59,7 @@ async def figure(request: Request) -> Response:
 
 
 def _where(request: Request) -> str:
-    """Return which catalogue the panel shows. Raises `Refusal` where it has none."""
+    """Return the catalogue that the panel shows. Raises `Refusal` (404) if it has none."""
     where = panel_of(request).settings.catalogue
     if not where:
         raise Refusal(404, "this panel shows no catalogue: it is begun with --catalogue")
@@ -70,7 +70,7 @@ def _units(where: str, asked: str) -> AnswerTable:
     from bench.catalogue.questions import answer
     from bench.catalogue.store import open_catalogue
 
-    # what is typed without a key is looked for among the units
+    # a word without a key is searched for in the names of units
     words = [
         word if "=" in word or "<" in word or ">" in word else f"unit=*{word}*" for word in asked.split()
     ]

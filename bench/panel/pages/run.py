@@ -1,4 +1,4 @@
-"""One run: its page, the data for its script, answers, wishes, control, resuming and giving up."""
+"""One run: its page, the data for its script, answers, wishes (pause, stop, …), control, resuming, giving up."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ from bench.run.person import (
 from bench.run.record import is_being_written
 
 MOST_STREAMS: Final = 30
-"""Largest number of live pages of one person; each page holds a connection."""
+"""Largest number of live pages of one person; each page occupies a connection."""
 
 
 def run_of(request: Request) -> Run:
-    """Return the run that a request names. Raises `Refusal` for a stranger, and where there is none."""
+    """Return the run in a request's address. Raises `Refusal` for a stranger, and if there is no such run."""
     looking(request)
     return panel_of(request).runs.run(request.path_params["name"])
 
@@ -74,7 +74,7 @@ def _outcome(request: Request, run: Run, state: Mapping[str, Any]) -> Outcome:
 
 
 async def state(request: Request) -> Response:
-    """Send the current snapshot of a run, see `bench.panel.run_state`."""
+    """Send the current snapshot of a run, see `bench.panel.run_state.snapshot`."""
     found = run_of(request)
     return JSONResponse(without_infinity(await panel_of(request).followers.state(found.folder)))
 
@@ -95,9 +95,9 @@ async def stream(request: Request) -> Response:
 async def _as_long_as_signed_in(
     request: Request, events: AsyncIterator[bytes], name: str
 ) -> AsyncIterator[bytes]:
-    """Pass on what is sent until the person signs out, or the token is taken back; count the person's streams.
+    """Yield the events until the person signs out or the token is revoked; count the person's streams.
 
-    A run that cannot be read is told as an event: the answer has begun, and cannot be a refusal any more.
+    An unreadable run is reported as an event, as the response has begun and can no longer be a refusal.
     """
     streams = panel_of(request).streams
     streams[name] += 1
@@ -121,9 +121,9 @@ async def check_answer(request: Request) -> Response:
 
 
 def checked(asked: AskedPrompt | None, prompt_id: str, text: str) -> dict[str, str]:
-    """Return the `problem` with an answer, empty where it fits, and how it is `understood`.
+    """Return the `problem` with an answer, empty if it is acceptable, and how it is `understood`.
 
-    Raises `Refusal` where the question does not stand.
+    Raises `Refusal` (409) if the question is no longer open.
     """
     if asked is None or asked.prompt.id != prompt_id:
         raise Refusal(409, "this question does not stand any more")
@@ -140,7 +140,7 @@ Told = TypeVar("Told")
 
 
 async def answer(request: Request) -> Response:
-    """Leave the holder's answer to the question that stands; the program that asked takes the first that fits."""
+    """Store the holder's answer to the open question; the program that asked uses the first acceptable answer."""
     person, sent = await acting(request, Role.OPERATOR)
     run = panel_of(request).runs.run(request.path_params["name"])
     await _doing(require_holder, run.folder, person)
@@ -157,7 +157,7 @@ async def answer(request: Request) -> Response:
 
 
 async def wish(request: Request) -> Response:
-    """Leave a wish for the program that carries out a run: stop is everybody's, all else the holder's."""
+    """Store a wish for the program that carries out a run; all may stop, the rest needs control of the run."""
     person, sent = await acting(request, Role.VIEWER)
     run = panel_of(request).runs.run(request.path_params["name"])
     word, reason = sent.get("wish", "").strip(), " ".join(sent.get("reason", "").split())
@@ -188,7 +188,7 @@ async def control(request: Request) -> Response:
 
 
 async def resume(request: Request) -> Response:
-    """Go on with a run that nobody carries out; whoever does it is, or comes to be, in control of it."""
+    """Resume a run that no program carries out; the person must have control, or gets it if nobody has it."""
     person, _ = await acting(request, Role.OPERATOR)
     run = panel_of(request).runs.run(request.path_params["name"])
     await _doing(_hold, run, person)
@@ -197,7 +197,7 @@ async def resume(request: Request) -> Response:
 
 
 async def give_up(request: Request) -> Response:
-    """End a run permanently that no program carries out."""
+    """Permanently end a run that no program carries out."""
     person, _ = await acting(request, Role.OPERATOR)
     run = panel_of(request).runs.run(request.path_params["name"])
     await _doing(_hold, run, person)
@@ -212,7 +212,7 @@ async def _given_up(request: Request, run: Run, person: Person) -> Response:
 
 
 def _hold(run: Run, person: Person) -> None:
-    """Take control where nobody has it. Raises `Refusal` where another person has."""
+    """Take control of a run if nobody has it. Raises `Refusal` if another person has control."""
     if not read_holding(run.folder).holder:
         change(run.folder, "take", person)
     require_holder(run.folder, person)
@@ -223,7 +223,7 @@ def _who(person: Person) -> WishAuthor:
 
 
 async def _doing(work: Callable[..., Told], *given: object) -> Told:
-    """Run disk work in a thread outside the event loop. Raises `Refusal` if it cannot be written."""
+    """Return the result of disk work, done in a thread outside the event loop. Raises `Refusal` for `OSError`."""
     try:
         return await run_in_threadpool(work, *given)
     except OSError as error:
@@ -231,7 +231,7 @@ async def _doing(work: Callable[..., Told], *given: object) -> Told:
 
 
 def _done(request: Request, run: Run, what: str) -> Response:
-    """Answer a script with a sentence, and a form with the page of the run."""
+    """Return the response to a successful request: a sentence for a script, for a form the page of the run."""
     if wants_json(request):
         return JSONResponse({"done": what})
     from urllib.parse import quote

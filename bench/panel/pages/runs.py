@@ -1,4 +1,4 @@
-"""The runs of the folder as a table, filtered and searched; the charts of its check block."""
+"""The table of the runs in the folder, with filters and search; the control charts of its check block."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ ON_A_PAGE: Final = 50
 FILTERS: Final = ("state", "verdict", "instruments", "unit", "bench", "operator")
 LONGEST_SEARCH: Final = 200
 MOST_OFFERED: Final = 200
-"""Largest number of words offered as choices for a column; longer lists are left to the search."""
+"""Largest number of choices offered for a column; further values can be found by the search."""
 
 
 def runs(request: Request) -> Response:
@@ -53,7 +53,7 @@ def runs(request: Request) -> Response:
 
 
 def _choices(rows: list[RunRow], asked: dict[str, str]) -> dict[str, list[str]]:
-    """Return the words in each column, as choices for the filters."""
+    """Return the distinct values in each column, as choices for the filters."""
     offered = {}
     for column in FILTERS:
         words = {getattr(row, column) for row in rows} | {asked[column]}

@@ -1,4 +1,4 @@
-"""Signing in by a token or a one-time link, and out."""
+"""Signing in by a token or a one-time link, and signing out."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def sign_in(request: Request) -> Response:
 
 
 async def signed_in(request: Request) -> Response:
-    """Sign in a person with a valid token or link."""
+    """Sign in a person with a valid token or link: set the session's cookie and redirect to the next page."""
     sent = await fields(request)
     panel = panel_of(request)
     link, token = sent.get("link", ""), sent.get("token", "")
@@ -72,5 +72,5 @@ def _form(request: Request, after: str, *, link: str = "", wrong: str = "", stat
 
 
 def _here(path: str) -> str:
-    """Return a path if it belongs to this panel; otherwise the path of the runs."""
+    """Return a path if it is on this panel, otherwise "/", so that a link cannot redirect to another site."""
     return quote(path, errors="replace") if _HERE.fullmatch(path) else "/"

@@ -1,4 +1,4 @@
-"""Starting a run: the choice of files, check and dry run, and then the start on the bench."""
+"""Starting a run: the choice of files, the check with a dry run, then the start on the bench."""
 
 from __future__ import annotations
 
@@ -42,11 +42,11 @@ from bench.services.requests.measuring import RunRequest
 from drivers.clock import utc_now
 
 FORM: Final = ("procedure", "bench", "unit", "operator", "name", "dry_run")
-"""The fields of `RunRequest` that the form asks for; label, help and kind come from the request."""
+"""The fields of `RunRequest` in the form; label, help and kind come from the request."""
 IN_THE_PANEL: Final = {"dry_run": ("Practice", "Simulated instruments, and you answer.")}
-"""Label and help of fields that mean more in the panel than at a terminal."""
+"""Label and help of fields with another meaning in the panel than at a terminal."""
 FOLDERS: Final = {"procedures": PROCEDURES, "bench_files": CONFIG}
-"""Fields that are chosen among files, by what completes them: the folder of the files."""
+"""The folder of the files to choose from, for fields with these completions (`Option.completes`)."""
 LONGEST: Final = 100
 MOST_OFFERED: Final = 500
 """Number of procedures whose duration is cached."""
@@ -131,7 +131,7 @@ class FormField:
 
 
 def form_field(name: str) -> FormField:
-    """Return the field of the form that asks for a field of `RunRequest`."""
+    """Return the form field for the field of `RunRequest` with this name."""
     (of,) = (one for one in fields_of(RunRequest) if one.name == name)
     label, words = IN_THE_PANEL.get(name, ("", ""))
     label = label or name.replace("_", " ").capitalize()
@@ -185,7 +185,7 @@ def found(request: Request) -> Response:
 
 
 async def go(request: Request) -> Response:
-    """Start a run whose check found no obstacle; the person who starts it is in control."""
+    """Start a run whose check found no obstacle; the person who starts it gets control."""
     person, _ = await acting(request, Role.OPERATOR)
     panel = panel_of(request)
     wish = panel.wishes.of(request.path_params["wish"])
@@ -240,6 +240,6 @@ def _times(told: TrialResult) -> dict[str, str]:
 
 
 def _just_begun(wish: WishFolder) -> bool:
-    """Whether the wish is so new that its checking process may not have begun yet."""
+    """Return whether the wish is so new that its checking process may not have begun yet."""
     age_s = utc_now().timestamp() - (wish.path / WISH).stat().st_mtime
     return age_s < BEGINS_WITHIN.total_seconds()

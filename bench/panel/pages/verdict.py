@@ -1,4 +1,4 @@
-"""Looking back on a run: the verdict, the report, the diagnosis, and what to measure next."""
+"""The pages after a run: the verdict, the report, the diagnosis, the certificates, the next measurement."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def diagnosis(request: Request) -> Response:
 
 
 def certificate(request: Request) -> Response:
-    """Send a certificate of a run."""
+    """Send a file of a run's certificate (PDF or XML) as a download."""
     run, name = _run(request), request.path_params["file"]
     content = panel_of(request).certificates.file(run, name)
     kind = "application/pdf" if name.endswith(".pdf") else "application/xml"
@@ -81,7 +81,7 @@ def certificate(request: Request) -> Response:
 
 
 def figure(request: Request) -> Response:
-    """Send a figure of the report as a picture."""
+    """Send a figure of the report as an SVG file."""
     return _apart(figure_of(_run(request), request.path_params["figure"]), "image/svg+xml")
 
 

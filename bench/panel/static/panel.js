@@ -330,6 +330,7 @@
       put("approach", prompt.direction > 0 ? "↺ rising, from below" : "↻ falling, from above");
     }
     show("answer", Boolean(prompt));
+    if (!prompt) showLive({});
     $("now").classList.toggle("asking", Boolean(prompt));
     draw(prompt ? prompt.drawing : "");
     if ((prompt || {}).id !== (shownPrompt || {}).id) askedAnew(prompt);
@@ -450,6 +451,37 @@
     }
   };
 
+  /* --- the signals while one adjusts: the last minute, scaled to what they moved ------------------------------------- */
+
+  const TRACE_S = 60, LEAST_SPAN_V = 2e-5;
+  let trace = [];
+  const showLive = (value) => {
+    const there = Boolean(value.time) && value.prompt === (state.prompt || {}).id;
+    show("signals", there);
+    if (!there) { trace = []; return; }
+    const seen = Boolean(value.signals_v);
+    put("not-live", value.why || "");
+    put("to-go", value.to_go || "");
+    show("settled", seen);
+    put("settled", value.settled ? "✓ settled" : "~ moving");
+    $("settled").className = `state ${value.settled ? "passed" : "waiting"}`;
+    for (const row of document.querySelectorAll("[data-signal]")) row.hidden = !seen;
+    if (!seen) return;
+    const at = Date.parse(value.time) / 1000;
+    if (trace.length && trace[0].prompt !== value.prompt) trace = [];
+    trace.push({ at, volts: value.signals_v, prompt: value.prompt });
+    trace = trace.filter((one) => at - one.at <= TRACE_S);
+    for (const row of document.querySelectorAll("[data-signal]")) {
+      const i = "xyz".indexOf(row.dataset.signal), values = trace.map((one) => one.volts[i]);
+      const low = Math.min(...values), high = Math.max(...values), middle = (low + high) / 2, half = Math.max(high - low, LEAST_SPAN_V) / 2;
+      const points = trace.map((one) => `${(300 - (at - one.at) / TRACE_S * 300).toFixed(1)} ${(20 - (one.volts[i] - middle) / half * 17).toFixed(1)}`);
+      row.querySelector("path").setAttribute("d", `M${points.join("L")}`);
+      row.querySelector(".volts").textContent = `${value.signals_v[i] < 0 ? "−" : "+"}${Math.abs(value.signals_v[i]).toFixed(5)} V`;
+      row.querySelector(".span").textContent = `moved ${((high - low) * 1e6).toFixed(0)} µV`;
+    }
+    live.dataset.shown = value.time;
+  };
+
   /* --- the connection ---------------------------------------------------------------------------------------------- */
 
   const tick = () => {
@@ -486,6 +518,7 @@
       BenchPlots.show($("plots"), points, kOfBand);
       put("outside", outsideWords());
     });
+    source.addEventListener("live", (event) => showLive(took(event)));
     source.addEventListener("beat", (event) => { took(event); tick(); });
     source.addEventListener("trouble", (event) => { gone = `✗ ${took(event).words}`; gone = gone || "✗"; source.close(); tick(); });
     source.addEventListener("error", async () => {

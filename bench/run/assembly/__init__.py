@@ -1,1 +1,1 @@
-"""Where instruments are put together: drivers, and the simulated bench behind them."""
+"""Assembly of a bench from its parts: drivers, and simulated instruments for dry runs."""

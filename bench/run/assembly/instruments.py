@@ -1,4 +1,4 @@
-"""The drivers that a bench file names, and the simulated instruments behind them."""
+"""Construction of the drivers named in a bench file, and of their simulated counterparts."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from bench.config.devices.sections import (
     ControlledChamberForm,
     LevelForm,
     MotorisedHeadForm,
+    ReadOutHeadForm,
     ThermometerForm,
     VoltmeterForm,
     WiredSupplyForm,
@@ -26,6 +27,7 @@ from drivers.clock import Clock, Haste
 from drivers.interfaces import BenchError
 from drivers.motion import Travel
 from drivers.person import Person
+from drivers.readout import Approach, ScaleOfEncoder
 from drivers.wire.resources import Holding
 from drivers.wire.visa import MessageSession, SerialSettings, Wire
 from sim.bench import SimulatedMeter
@@ -40,11 +42,11 @@ from sim.world.world import World, WorldSettings
 
 @dataclass(frozen=True)
 class Surroundings:
-    """The parts of a bench that drivers receive beside their own section.
+    """What drivers need besides their own section: person, clock, line frequency and wire.
 
-    `resources` replaces, by name, resources of the bench file. `haste` ends the waiting for instruments that
-    do not answer. `holding` reserves the instruments that are opened. `sessions` collects the sessions that
-    are made, by the names of their instruments.
+    `resources` overrides resources of the bench file, by instrument name. `haste` ends the waiting for
+    instruments that do not respond. `holding` reserves the instruments that are opened. `sessions` collects the
+    message sessions created, by instrument name.
     """
 
     person: Person
@@ -57,7 +59,7 @@ class Surroundings:
     sessions: dict[str, MessageSession] = field(default_factory=dict)
 
     def session(self, name: str, section: WiredForm) -> MessageSession:
-        """Make and return the message session of an instrument; nothing is opened."""
+        """Create and return the message session of an instrument without opening it."""
         port = section.port()
         self.sessions[name] = MessageSession(
             name,
@@ -92,7 +94,7 @@ def instruments_of(bench: BenchFile, given: Surroundings) -> Instruments:
 
 
 def loaded_class(section: InstrumentForm, which: Literal["driver", "simulation"]) -> Any:
-    """Return the class of a section's driver or simulation. Raises `BenchError` where it cannot be loaded."""
+    """Return the class of a section's driver or simulation. Raises `BenchError` if it cannot be loaded."""
     device = devices().get(section.driver)
     if device is None:
         raise BenchError(
@@ -106,7 +108,7 @@ def loaded_class(section: InstrumentForm, which: Literal["driver", "simulation"]
 
 
 def _thermometer(sections: InstrumentsSection, meters: Sequence[Any], given: Surroundings) -> Any:
-    """Return the driver of the thermometer; one at a voltmeter's own input uses that meter's session."""
+    """Return the driver of the thermometer, or None; a sensor at a voltmeter's input shares its session."""
     section = sections.thermometer
     if section is None:
         return None
@@ -131,6 +133,10 @@ def _driver(section: InstrumentForm, given: Surroundings) -> Any:
         return driver(section.name, section.inputs_used, session, given.clock, **options)
     if isinstance(section, MotorisedHeadForm):
         return driver(section.name, session, given.clock, Travel(**section.travel()), **options)
+    if isinstance(section, ReadOutHeadForm):
+        options["scale"] = ScaleOfEncoder(**section.scale())
+        approach = Approach(**section.approach())
+        return driver(section.name, session, given.clock, given.person, approach, **options)
     if isinstance(section, ControlledChamberForm):
         return driver(section.name, session, given.clock, ChamberLimits(*section.limits()), **options)
     if isinstance(section, WiredSupplyForm | LevelForm):
@@ -139,7 +145,7 @@ def _driver(section: InstrumentForm, given: Surroundings) -> Any:
 
 
 def world_of(bench: BenchFile, model: ForwardModel, seed: int, clock: Clock) -> World:
-    """Return the simulated world of a bench file: its stand and block as truth, `model` with its effects."""
+    """Return the simulated world of a bench file: its stand and block are the truth, observed through `model`."""
     truth = bench.simulation
     settings = WorldSettings(
         block=bench.simulated_block(),
@@ -159,7 +165,7 @@ def world_of(bench: BenchFile, model: ForwardModel, seed: int, clock: Clock) -> 
 
 
 def power_of(bench: BenchFile) -> PowerSettings:
-    """Return the settings of the block's simulated supply; they are empty where the bench has no supply."""
+    """Return the settings of the block's simulated supply; empty settings if the bench has no supply."""
     truth, feed = bench.simulation.power_supply, bench.unit_under_test.supply
     if feed is None or bench.instruments.power_supply is None:
         return PowerSettings()
@@ -194,7 +200,7 @@ def _span(one: float, other: float) -> tuple[float, float]:
 
 
 def operator_of(bench: BenchFile) -> OperatorSettings:
-    """Return the settings of the simulated bench's operator."""
+    """Return the settings of the simulated bench's scripted operator."""
     operator = bench.simulation.operator
     return OperatorSettings(
         setting_deviation_rad=operator.setting_deviation,
@@ -206,7 +212,7 @@ def operator_of(bench: BenchFile) -> OperatorSettings:
 
 
 def simulated_instruments(bench: BenchFile, world: World) -> dict[str, Dialect | SimulatedMeter]:
-    """Return the simulations of the instruments with a wire, by name; those worked by hand have none.
+    """Return the simulations of the wired instruments by name; those operated by hand have none.
 
     Raises `BenchError` for a simulation that cannot be loaded.
     """
@@ -227,7 +233,7 @@ def simulated_instruments(bench: BenchFile, world: World) -> dict[str, Dialect |
 
 
 def _probes(bench: BenchFile, world: World) -> dict[int, Probe]:
-    """Return the simulated sensor that is wired to a voltmeter, by its channel; empty where there is none."""
+    """Return the simulated sensor wired to a voltmeter, by channel number; empty if there is none."""
     section = bench.instruments.thermometer
     truth = bench.simulation.thermometer
     if not isinstance(section, Keysight34970AThermometerSection):
@@ -237,7 +243,7 @@ def _probes(bench: BenchFile, world: World) -> dict[int, Probe]:
 
 
 def buses_of(bench: BenchFile) -> dict[str, dict[str, int]]:
-    """Return the instruments behind each GPIB adapter, by the adapter's name, with their addresses."""
+    """Return the GPIB addresses of the instruments behind each adapter: adapter name -> {name: address}."""
     buses: dict[str, dict[str, int]] = {name: {} for name in bench.instruments.adapters.values()}
     for section in bench.instruments.all():
         if isinstance(section, WiredForm) and section.place is not None:
@@ -248,7 +254,7 @@ def buses_of(bench: BenchFile) -> dict[str, dict[str, int]]:
 def on_terminals(bench: BenchFile) -> tuple[str, ...]:
     """Return the names of the instruments whose serial port a pseudo-terminal can replace.
 
-    Such a port has 8 data bits: pyvisa-py cannot set 7 on a pseudo-terminal, which supports neither.
+    Only ports with 8 data bits qualify: pyvisa-py cannot set 7 data bits on a pseudo-terminal.
     """
     return tuple(
         section.name

@@ -1,4 +1,4 @@
-"""The composition root: drivers and simulation put together, with a person at the simulated bench."""
+"""The composition root: real and simulated benches assembled from drivers, simulations and persons."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import json
 import math
 import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -35,7 +35,7 @@ from bench.run.runner import Observer
 from drivers.angles import parse_angle
 from drivers.clock import Clock, Haste, SystemClock
 from drivers.interfaces import BenchError, Voltmeter
-from drivers.person import Answer, Person, Prompt, WatchingPerson
+from drivers.person import Answer, Person, Prompt, PromptKind, WatchingPerson
 from drivers.wire.resources import Holding
 from drivers.wire.visa import MessageSession, Wire
 from sim.bench import SimulatedBench
@@ -61,11 +61,10 @@ _DONE: Final = frozenset(
 
 
 class LivingOperator:
-    """A `drivers.interfaces.WatchingPerson`: `person` answers, and a scripted operator acts in the world.
+    """A `drivers.interfaces.WatchingPerson`: `person` answers while a scripted operator acts in the world.
 
-    The head moves to the angle that the person reads from its scale. The question itself states what a
-    display or the bubble of a level shows. In the world a task takes the scripted operator's time, not the
-    person's.
+    The simulated head moves to the angle that the person reports. Values shown by a display or by a level's
+    bubble are stated in the prompt. In the simulated world, a task takes the scripted operator's time.
     """
 
     def __init__(self, person: WatchingPerson, hands: ScriptedOperator) -> None:
@@ -74,7 +73,7 @@ class LivingOperator:
 
     @property
     def meanwhile(self) -> Callable[[], None] | None:
-        """The function that is called while a question waits."""
+        """The function called repeatedly while a prompt is open."""
         return self._person.meanwhile
 
     @meanwhile.setter
@@ -82,31 +81,35 @@ class LivingOperator:
         self._person.meanwhile = self._hands.meanwhile = look
 
     def ask(self, prompt: Prompt) -> Answer:
-        """Ask the person, and do the task in the world. Raises the errors of the person's `ask`."""
+        """Ask the person, and carry out the task in the world. Raises the errors of the person's `ask`."""
         action = prompt.action
         if action["do"] in _LOOKED_AT:
             seen = self._hands.ask(prompt).text
             return self._person.ask(replace(prompt, text=f"{prompt.text} (Simulated: it shows {seen}.)"))
         answer = self._person.ask(prompt)
         if answer.prompt_id != prompt.id or problem_with_answer(prompt, answer.text):
-            return answer  # it is asked again
+            return answer  # invalid, so the caller asks again
         if action["do"] == "turn":
             typed = answer.text.strip() or prompt.default or ""
-            self._hands.turn_to(prompt.id, parse_angle(typed), action["direction"])
+            if prompt.kind is PromptKind.CONFIRM:  # an encoder reads the head that the hands turn now
+                return self._hands.ask(prompt) if typed.lower() not in NO else answer
+            self._hands.turn_to(prompt.id, parse_angle(typed), action["direction"], action.get("backoff_rad"))
         elif action["do"] in _DONE and answer.text.strip().lower() not in NO:
             self._hands.ask(prompt)
         return answer
 
 
 HELD: Final = "instruments"
-"""Name of the cache folder in which a program reserves the instruments that it has opened."""
+"""Name of the cache folder in which programs reserve the instruments that they have opened."""
 
 
 @dataclass(frozen=True)
 class Assembly:
-    """A bench put together: instruments, the person who answers prompts, the clock, and the run's observers.
+    """An assembled bench: instruments, the person who answers prompts, the clock, and observers of the run.
 
-    `sessions` are those of the instruments with a wire; `simulated` is the simulated bench of a dry run.
+    `sessions` are the sessions of the wired instruments; `simulated` is the simulated bench of a dry run.
+    `aside` surrounds readings that leave no trace in a simulated world.
+    `at_resumed_time` sets the simulated clock to the bench time at which a run is resumed, s.
     """
 
     instruments: Instruments
@@ -116,12 +119,13 @@ class Assembly:
     at_resumed_time: Callable[[float], None] | None = None
     sessions: Mapping[str, MessageSession] = field(default_factory=dict)
     simulated: SimulatedBench | None = None
+    aside: Callable[[], AbstractContextManager[None]] = nullcontext
 
 
 def real_bench(
     bench: BenchFile, person: Person, wire: Wire | None = None, haste: Haste | None = None
 ) -> Assembly:
-    """Return the real bench of a bench file; nothing is opened yet. Opening an instrument reserves it."""
+    """Return the real bench of a bench file without opening anything. Opening an instrument reserves it."""
     clock = SystemClock()
     given = Surroundings(
         person,
@@ -146,12 +150,11 @@ def dry_bench(
     taken: Sequence[Reading] = (),
     living: WatchingPerson | None = None,
 ) -> Iterator[Assembly]:
-    """Yield a simulated bench: the bench file's stand and block as truth, `model` with its effects.
+    """Yield a simulated bench whose truth is the bench file's stand and block, with the effects of `model`.
 
-    `living` is a person who answers in place of the scripted operator. From `plan` the world learns the order
-    in which each step reads the channels. `taken` are the recorded readings of a resumed run, for effects
-    that depend on earlier readings. Raises `BenchError` for a fault in the bench file that its instrument
-    cannot have.
+    `living` is a person who answers instead of the scripted operator. `plan` determines the order in which each
+    step reads the channels. `taken` are the recorded readings of a resumed run, for effects that depend on
+    earlier readings. Raises `BenchError` if the bench file contains a fault that its instrument cannot have.
     """
     clock = VirtualClock()
     world = world_of(bench, model, seed, clock)
@@ -159,7 +162,7 @@ def dry_bench(
     operator = scripted if living is None else LivingOperator(living, scripted)
 
     def key_world(event: Event) -> None:
-        """Give the world the key of the present step, so that its random numbers belong to the step."""
+        """Pass the present step's key to the world, so that its random numbers depend on the step alone."""
         if event.type == EventType.STEP_STARTED:
             attempt = int(event.data["attempt"])
             key = str(event.data["key"])
@@ -167,7 +170,7 @@ def dry_bench(
             world.begin_step(key if attempt == 1 else f"{key}@{attempt}", scan)
 
     def scan_of(index: int, meters: Sequence[Voltmeter]) -> tuple[int, ...]:
-        """Return the channels in the order in which a step reads them."""
+        """Return the channel indices in the order in which the step reads them."""
         step = None if plan is None else plan.steps[index]
         return scan_order(read_order(in_scan_order(meters, step.scan if isinstance(step, Read) else "")))
 
@@ -180,14 +183,21 @@ def dry_bench(
         instruments = instruments_of(bench, given)
         _recall(world, taken)
         yield Assembly(
-            instruments, operator, clock, (key_world,), clock.advance_to, given.sessions, simulated
+            instruments,
+            operator,
+            clock,
+            (key_world,),
+            clock.advance_to,
+            given.sessions,
+            simulated,
+            simulated.aside,
         )
 
 
 def _recall(world: World, taken: Sequence[Reading]) -> None:
-    """Give a world the recorded readings, if an effect in it depends on earlier readings.
+    """Pass the recorded readings to a world, if an effect in it depends on earlier readings.
 
-    Readings in a free position are left out, because their orientation is unknown.
+    Readings in a free position are omitted, because their orientation is unknown.
     """
     for reading in taken if world.settings.model.needs_history else ():
         label, angle_deg = reading.installation, reading.angle_deg
@@ -208,7 +218,7 @@ def _recall(world: World, taken: Sequence[Reading]) -> None:
 
 @dataclass(frozen=True)
 class Serving:
-    """A simulated bench as other programs see it: the addresses of its instruments and of its control."""
+    """A simulated bench as other programs see it: the addresses of its instruments and of its control port."""
 
     instruments: tuple[Mapping[str, str | None], ...]
     control: str
@@ -225,9 +235,9 @@ def served_bench(
     first_port: int = 0,
     with_terminals: bool = True,
 ) -> Iterator[Serving]:
-    """Serve the wired instruments of a bench file, on a clock `speed` times as fast as the real one.
+    """Serve the simulated wired instruments on the network, with a clock `speed` times as fast as real time.
 
-    Raises `BenchError` when a port is in use, or for a fault that its instrument cannot have.
+    Raises `BenchError` if a port is in use, or for a fault that its instrument cannot have.
     """
     simulated = _simulated(
         bench,
@@ -263,11 +273,11 @@ def _simulated(
 
 
 TASK_TIME_S = 30.0
-"""Time in which the scripted person pulls a cable, or sees that the head's way is clear, s."""
+"""Time that the scripted person needs to pull a cable, or to check that the head's path is clear, s."""
 
 
 class ScriptedHand:
-    """A `Person` at a simulated bench: pulls and plugs cables, leaves all else to the scripted operator."""
+    """A `Person` at a simulated bench who handles cables, and leaves other tasks to the scripted operator."""
 
     def __init__(self, operator: Person, simulated: SimulatedBench) -> None:
         self._operator = operator
@@ -275,7 +285,7 @@ class ScriptedHand:
         self._control = BenchControl(simulated)
 
     def ask(self, prompt: Prompt) -> Answer:
-        """Do the task in the prompt and confirm it; other prompts go to the scripted operator."""
+        """Carry out the task in the prompt and confirm it; other prompts go to the scripted operator."""
         action = prompt.action
         if action["do"] == "cable":
             word = "accept" if action["plugged"] else "refuse"
@@ -294,7 +304,7 @@ class ScriptedHand:
 def real_evening(
     file: BenchFile, person: Person, log: Wire | None, haste: Haste | None = None
 ) -> CommissioningSession:
-    """Return a commissioning session on a real bench; nothing is opened yet. `haste` cuts waiting short."""
+    """Return a commissioning session on a real bench, with nothing opened. `haste` cuts waiting times short."""
     watch, heard = WireWatch(log), CommissioningPerson(person)
     assembly = real_bench(file, heard, watch, haste)
     watch.time_s = assembly.clock.now_s
@@ -305,10 +315,10 @@ def real_evening(
 def dry_evening(
     file: BenchFile, model: ForwardModel, seed: int, log: Wire | None, haste: Haste | None = None
 ) -> Iterator[CommissioningSession]:
-    """Yield a commissioning session on the simulated bench of a bench file, with its scripted person.
+    """Yield a commissioning session on the simulated bench of a bench file, with a scripted person.
 
-    Its time is the simulated clock's plus the computer's: a fault that delays an answer takes the computer's
-    time. Raises `BenchError` for a fault that its instrument cannot have.
+    Time is measured as the sum of the simulated and the computer's clock, because a fault that delays a
+    response takes the computer's time. Raises `BenchError` for a fault that its instrument cannot have.
     """
     watch = WireWatch(log)
     with dry_bench(file, model, seed, watch, haste) as assembly:

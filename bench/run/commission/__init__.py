@@ -1,1 +1,1 @@
-"""Commissioning: a first session with the instruments of a bench, in which every function is checked once."""
+"""Commissioning: a first session in which each function of each instrument of a bench is checked once."""

@@ -1,4 +1,4 @@
-"""The course of a commissioning session: the order of the checks, the check of every cable, and the end."""
+"""The course of a commissioning session: the order of the parts, and the check of every cable."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ CABLE: Final = "cable pulled"
 AGAIN: Final = "cable plugged in again"
 
 TRIES: Final = 3
-"""Number of attempts of a driver before it gives up a wire; each costs a timeout and a connection."""
+"""Number of attempts after which a driver gives up a connection; each costs a timeout and a reconnection."""
 PATIENCE_S: Final = 30.0
-"""Time in which a network port or a serial adapter must be available again, s."""
+"""Time within which a replugged network port or serial adapter must respond again, s."""
 PAUSE_S: Final = 2.0
 
 
@@ -36,19 +36,19 @@ class _HasScale(Protocol):
 
 @dataclass(frozen=True)
 class Cable:
-    """A cable to be pulled: `text` names it for a person, `instruments` are all those connected by it."""
+    """A cable to be pulled: `text` describes it to a person, `instruments` are all instruments it connects."""
 
     text: str
     instruments: Sequence[Instrument]
 
 
 def cables(evening: CommissioningSession) -> Iterator[Cable]:
-    """Yield the cable of each instrument with a wire; all instruments behind one GPIB adapter share one."""
+    """Yield the cable of each wired instrument; instruments behind the same GPIB adapter share its cable."""
     by_adapter: dict[str, list[Instrument]] = {}
     for instrument in evening.instruments.all():
         section = evening.section(instrument.name)
         if isinstance(section, ThermometerForm) and evening.file.instruments.meter_of_thermometer is not None:
-            continue  # it hangs on the voltmeter's
+            continue  # connected through the voltmeter's cable
         place = section.place if isinstance(section, WiredForm) else None
         if place is not None:
             by_adapter.setdefault(place.adapter, []).append(instrument)
@@ -60,7 +60,7 @@ def cables(evening: CommissioningSession) -> Iterator[Cable]:
 
 
 def check_cables(evening: CommissioningSession) -> None:
-    """Have each cable pulled and plugged again, then check that its instruments answer as before."""
+    """Ask the person to pull and replug each cable; check that its instruments respond again as before."""
     for cable in cables(evening):
         present = [one for one in cable.instruments if evening.present(one)]
         first = (present or cable.instruments)[0]
@@ -108,7 +108,7 @@ def _looked_at(evening: CommissioningSession, instrument: Instrument) -> Finding
 
 
 def _look(evening: CommissioningSession, instrument: Instrument) -> Callable[[], object]:
-    """Return a request to an instrument that changes nothing on which a run relies."""
+    """Return a function that queries an instrument without changing any setting on which a run relies."""
     if isinstance(instrument, Voltmeter):
         return partial(instrument.configure, quick(evening, instrument))
     if isinstance(instrument, ThermalChamber):
@@ -121,9 +121,9 @@ def _look(evening: CommissioningSession, instrument: Instrument) -> Callable[[],
 
 
 def _loss(evening: CommissioningSession, look: Callable[[], object]) -> tuple[float, str]:
-    """Call an instrument whose cable is out; return the time until its error, s, and the error ("": none).
+    """Query an instrument whose cable is out; return the time until its error, s, and the error, "" if none.
 
-    Any exception is caught, and the session goes on: the cable is still out.
+    Every exception is caught, because the session has to continue until the cable is back in.
     """
     begun_s, told = evening.time_s(), ""
     try:
@@ -138,7 +138,7 @@ def _loss(evening: CommissioningSession, look: Callable[[], object]) -> tuple[fl
 def _back(
     evening: CommissioningSession, looks: Sequence[Callable[[], object]]
 ) -> tuple[float, BenchError | None]:
-    """Ask until all instruments answer; return the time that took, s, and the last error if one does not."""
+    """Query repeatedly until all instruments respond; return the time taken, s, and the last error or None."""
     begun_s = evening.time_s()
     while True:
         try:
@@ -169,7 +169,7 @@ def _identities(evening: CommissioningSession) -> None:
     for instrument in evening.instruments.all():
         evening.carry_out(IDENTITY, instrument, partial(_who, evening, instrument))
     meters.check_settings(evening)
-    if not evening.simulated:  # simulated meters of a make have one serial number
+    if not evening.simulated:  # all simulated meters of a model have the same serial number
         _tell_twins(evening)
 
 
@@ -180,7 +180,7 @@ def _who(evening: CommissioningSession, instrument: Instrument) -> Finding:
 
 
 def _tell_twins(evening: CommissioningSession) -> None:
-    """Report voltmeters that state the same serial number."""
+    """Report instruments of one model that state the same serial number."""
     for words in same_serials(evening.identities):
         remedy = "compare the serial numbers with those on the instruments, and correct the addresses"
         evening.note(Finding(IDENTITY, BENCH, State.OTHER, words, remedy=remedy))
@@ -243,7 +243,7 @@ PARTS: Final = (
 def go_through(evening: CommissioningSession) -> None:
     """Carry out all parts that apply.
 
-    Raises `SessionEnded` where the person ends the session, and `KeyboardInterrupt`.
+    Raises `SessionEnded` if the person ends the session, and `KeyboardInterrupt`.
     """
     parts = [part for part in PARTS if part.applies(evening)]
     for number, part in enumerate(parts, start=1):

@@ -11,7 +11,7 @@ from typing import Final, Protocol, runtime_checkable
 
 from bench.base.arrays import ARCSEC
 from bench.base.text import APPROACH, degrees
-from bench.config.devices.sections import ChamberForm, MotorisedHeadForm, SupplyForm
+from bench.config.devices.sections import ChamberForm, HeadForm, MotorisedHeadForm, SupplyForm
 from bench.run.commission.session import CheckEnded, CommissioningSession, Figure, Finding, State
 from drivers.angles import format_dms
 from drivers.interfaces import (
@@ -35,14 +35,14 @@ STOP: Final = "stop"
 
 BEYOND_K: Final = 1.0
 BEYOND_V: Final = 1.0
-"""Distance of the demands to chamber and supply beyond their limits, K and V."""
+"""Distance of the test demands to chamber and supply beyond their limits, K and V."""
 WAY_IN_BACKOFFS: Final = 2.0
-"""Length of a small move in backoffs: long enough to reach the target from one side without passing it."""
+"""Length of a small move in backoffs: long enough to approach the target from one side without overshoot."""
 STOPPED_AFTER_S: Final = 1.0
-"""Time from the start of the head to its stop, s: at its speed, half of its way."""
+"""Intended time from the start of the motion to the stop, s; the target is twice as far away."""
 TIME_MARGIN: Final = 2.0
 TIME_MARGIN_S: Final = 2.0
-"""Time that a move may take beyond its way at its speed, s: acceleration, braking and polling."""
+"""Margins of a move's duration for acceleration, braking and polling: a factor, and a time in s."""
 MANUAL_WAY_RAD: Final = math.radians(5.0)
 _MOST_LOOKS: Final = 40
 _LOOK_S: Final = 0.25
@@ -50,7 +50,7 @@ _LOOK_S: Final = 0.25
 
 @runtime_checkable
 class Motor(Protocol):
-    """A head with a motor, with the functions that a stop needs (`drivers.motion.Axis`); angles in rad."""
+    """A motorised head with the functions that a stop test needs (`drivers.motion.Axis`); angles in rad."""
 
     name: str
 
@@ -63,7 +63,7 @@ class Motor(Protocol):
         ...
 
     def start(self, target_rad: float) -> None:
-        """Start a motion to an angle."""
+        """Start a motion to an angle, without waiting for its end."""
         ...
 
     def stop(self) -> None:
@@ -76,7 +76,7 @@ class Motor(Protocol):
 
 @dataclass(frozen=True)
 class Beyond:
-    """What lies beyond the limits of an instrument: demands with their words; `within` says what is allowed."""
+    """Demands beyond the limits of an instrument, with phrases; `within` describes the permitted range."""
 
     instrument: Instrument
     within: str
@@ -84,9 +84,9 @@ class Beyond:
 
 
 def check_limits(evening: CommissioningSession) -> None:
-    """Demand what lies beyond the limits of head, chamber and power supply, while no wire is open.
+    """Make demands beyond the limits of head, chamber and power supply; each must be refused.
 
-    So nothing can be sent. Each demand must be refused.
+    The instruments are not connected yet, so a demand that is not refused cannot be sent.
     """
     for beyond in _beyond(evening):
         evening.carry_out(LIMITS, beyond.instrument, partial(_refused, beyond), opened=False)
@@ -100,7 +100,7 @@ def _beyond(evening: CommissioningSession) -> Iterator[Beyond]:
         ways: tuple[tuple[float, Direction], ...] = (
             (form.minimum - form.backoff, -1),
             (form.maximum + form.backoff, 1),
-            (form.minimum, 1),  # its approach would begin outside
+            (form.minimum, 1),  # the approach to the limit would begin outside the limits
             (form.maximum, -1),
         )
         yield Beyond(
@@ -139,9 +139,9 @@ def _refused(beyond: Beyond) -> Finding:
 
 
 def refuse_or_say(name: str, what: str, demand: Callable[[], object]) -> None:
-    """Make a demand that must be refused; no wire is open, so that it has no effect.
+    """Make a demand that must be refused; the instrument is not connected, so it has no effect.
 
-    Raises `CheckEnded` where it is not refused because of the limits.
+    Raises `CheckEnded` if the demand is not refused as beyond the limits.
     """
     try:
         demand()
@@ -159,7 +159,7 @@ def refuse_or_say(name: str, what: str, demand: Callable[[], object]) -> None:
 
 
 def check_moves(evening: CommissioningSession) -> None:
-    """Turn the head a little both ways, and stop it once in motion; the person confirms each move."""
+    """Turn the head a little both ways, and stop it once in motion; the person confirms each move first."""
     head = evening.instruments.head
     form = evening.section(head.name)
     if isinstance(form, MotorisedHeadForm) and isinstance(head, Motor):
@@ -193,7 +193,7 @@ def _with_motor(
 
 
 def _within(form: MotorisedHeadForm, angle_rad: float) -> float:
-    """Return the head's angle, moved to a limit that it exceeds by no more than the tolerance.
+    """Return the head's angle, clipped to the limits if it exceeds them by no more than the tolerance.
 
     Raises `CheckEnded` for a head outside its limits, or without room for a small move.
     """
@@ -221,7 +221,7 @@ def _moved(
     target_rad: float,
     direction: Direction,
 ) -> Finding:
-    """Move the head after the person has confirmed that the way is clear; return the finding."""
+    """Move the head after the person has confirmed that its path is clear; return the finding."""
     first = ""
     if from_rad is not None and getattr(form, "allow_homing", False):
         first = " It may first turn to its reference, beyond any limit: its bench file allows that."
@@ -256,7 +256,7 @@ def _position_rad(head: DividingHead) -> float:
 def _stopped(
     evening: CommissioningSession, motor: Motor, form: MotorisedHeadForm, here_rad: float, side: Direction
 ) -> Finding:
-    """Start the head and stop it half way; return the finding. After an error the head is stopped, too."""
+    """Start the head and stop it half way; return the finding. After an error, try to stop the head again."""
     room_rad = (form.maximum - here_rad) if side > 0 else (here_rad - form.minimum)
     way_rad = min(max(2.0 * STOPPED_AFTER_S * form.speed, form.backoff), room_rad)
     target_rad = here_rad + side * way_rad
@@ -295,7 +295,7 @@ def _stopped(
 
 
 def _at_rest(evening: CommissioningSession, motor: Motor, form: MotorisedHeadForm) -> float:
-    """Return the angle when two successive readings agree. Raises `CheckEnded` for a head still turning."""
+    """Return the angle once two successive readings agree. Raises `CheckEnded` if the head keeps turning."""
     before_rad = motor.position_rad()
     for _ in range(_MOST_LOOKS):
         evening.clock.sleep(_LOOK_S)
@@ -314,7 +314,7 @@ def _at_rest(evening: CommissioningSession, motor: Motor, form: MotorisedHeadFor
 
 
 def _by_hand(evening: CommissioningSession, head: DividingHead) -> None:
-    """Have a person turn the head a little both ways and type the angles on its scale."""
+    """Ask the person to turn the head a little both ways and to type the angles read from its scale."""
     ways: tuple[tuple[float, Direction], ...] = ((2.0 * MANUAL_WAY_RAD, 1), (MANUAL_WAY_RAD, -1))
     for number, (target_rad, direction) in enumerate(ways, start=1):
         evening.carry_out(MOVE, head, partial(_turned, head, target_rad, direction, number))
@@ -365,7 +365,7 @@ BLOCK: Final = "temperature of the block"
 
 
 def check_level(evening: CommissioningSession) -> None:
-    """Read the level in two positions half a turn apart: they give its zero and the platform's tilt."""
+    """Read the level in two positions half a turn apart, which yields its zero and the platform's tilt."""
     level = evening.instruments.level
     if level is not None:
         head = evening.instruments.head
@@ -373,7 +373,8 @@ def check_level(evening: CommissioningSession) -> None:
 
 
 def _reversed(evening: CommissioningSession, level: Level) -> Finding:
-    if not evening.section(evening.instruments.head.name).by_hand:
+    form = evening.section(evening.instruments.head.name)
+    if not (isinstance(form, HeadForm) and form.turned_by_hand):
         evening.confirm("The head will turn to 0°. Is the way clear?", action={"do": "stand_clear"})
     evening.instruments.head.move(0.0, 1, "commission/level")
     first = _read_platform(evening, level, turned=False)
@@ -417,7 +418,7 @@ OUTPUTS: Final = "outputs"
 
 
 def check_outputs(evening: CommissioningSession) -> None:
-    """Read the state of every output."""
+    """Read the state of every output of the power supply."""
     supply = evening.instruments.power_supply
     if supply is not None:
         evening.carry_out(OUTPUTS, supply, partial(_read_outputs, supply))

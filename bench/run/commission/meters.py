@@ -24,14 +24,14 @@ NOISE: Final = "noise, inputs shorted"
 TIMED_SAMPLES: Final = 10
 NOISE_SAMPLES: Final = 30
 SLOW_NPLC: Final = 10.0
-"""Longest integration that is tried; readings of a calibration seldom use more."""
+"""Longest integration time used in the checks, in line periods; calibrations seldom use a longer one."""
 TIME_MARGIN: Final = 1.05
 TIME_MARGIN_S: Final = 0.25
-"""Time that a reading may take beyond its samples, s: commands pass over the wire, too."""
+"""Margins of a reading's duration for commands on the wire: a factor, and a time in s."""
 START_PART: Final = 0.1
-"""Greatest part of a reading by which the meters' starts may differ: they then sample the same signal."""
+"""Greatest difference of the meters' starts, as a part of a reading, at which they sample the same signal."""
 SIGNIFICANCE: Final = 1e-3
-"""Probability, for each channel, that a meter within its limits is reported as outside by chance."""
+"""Probability that a channel within its scatter limit is reported as outside by chance."""
 
 
 @runtime_checkable
@@ -39,13 +39,13 @@ class _Timed(Protocol):
     """A voltmeter whose driver states the duration of a reading."""
 
     def reading_time_s(self, settings: VoltmeterSettings, character_time_s: float = 0.0) -> float:
-        """Return the time from the start until the last character of the readings has come, s."""
+        """Return the time from the start until the last character of the readings has arrived, s."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class TimingSpread:
-    """The spread of the meters' starts within one set, and of the arrivals of their readings, s."""
+    """The spread of the meters' start times in one set of readings, and of the arrival of the readings, s."""
 
     starts_s: float
     ends_s: float
@@ -55,19 +55,23 @@ class TimingSpread:
 
 
 def quick(evening: CommissioningSession, meter: Voltmeter) -> VoltmeterSettings:
-    """Return short settings, for a request to a meter."""
+    """Return settings for a short reading, used to query a meter."""
     return _settings(evening, meter, QUICK_NPLC, evening.file.least_samples)
 
 
 def slow(evening: CommissioningSession, meter: Voltmeter, samples: int) -> VoltmeterSettings:
-    """Return the settings of a careful reading."""
+    """Return settings for a precise reading with `samples` samples."""
     return _settings(evening, meter, SLOW_NPLC, samples)
 
 
 def _settings(
     evening: CommissioningSession, meter: Voltmeter, nplc: float, samples: int
 ) -> VoltmeterSettings:
-    """Return the settings for an integration time that all meters support, or at least this one."""
+    """Return settings with the longest supported integration time up to `nplc` line periods.
+
+    The time is one that all meters support, or else one that this meter supports. The number of samples is
+    clipped to the limits of the bench file.
+    """
     has = evening.file.nplc_supported or _form(evening, meter).kind.limits.nplc
     near = [one for one in has if one <= nplc] or [min(has)]
     few, many = evening.file.least_samples, evening.file.most_samples
@@ -75,7 +79,7 @@ def _settings(
 
 
 def check_settings(evening: CommissioningSession) -> None:
-    """Set every meter up in two ways; each time the driver reads the settings back."""
+    """Set up each meter in two ways; each time, the driver reads the settings back."""
     for meter in evening.instruments.voltmeters:
         evening.carry_out(SETTINGS, meter, partial(_set_twice, evening, meter))
 
@@ -94,7 +98,7 @@ def _set_twice(evening: CommissioningSession, meter: Voltmeter) -> Finding:
 
 
 def check_time(evening: CommissioningSession) -> None:
-    """Take a reading of each meter alone, and compare its duration with the driver's expectation."""
+    """Take a reading with each meter alone, and compare its duration with the driver's expectation."""
     for meter in evening.instruments.voltmeters:
         evening.carry_out(TIME, meter, partial(_timed, evening, meter), by_answers=False)
 
@@ -124,7 +128,7 @@ def _judged_by_time(
     found: Finding,
     took_s: float,
 ) -> Finding:
-    """Return a finding with the duration of its reading; a longer one than expected is `State.SLOWER`."""
+    """Return the finding with the duration of its reading; a longer one than expected is `State.SLOWER`."""
     expected_s = expected_time_s(evening, meter, settings)
     held = "the driver does not say" if expected_s is None else f"the driver expects {expected_s:.3g} s"
     figures = (*found.figures, Figure("reading took", took_s, "s", held))
@@ -141,7 +145,7 @@ def _judged_by_time(
 def expected_time_s(
     evening: CommissioningSession, meter: Voltmeter, settings: VoltmeterSettings
 ) -> float | None:
-    """Return the duration of a reading that the driver expects, s; None where it states none."""
+    """Return the duration of a reading that the driver expects, s; None if the driver does not state one."""
     if not isinstance(meter, _Timed):
         return None
     section = _form(evening, meter)
@@ -150,7 +154,7 @@ def expected_time_s(
 
 
 def _character_s(serial: Mapping[str, object] | None) -> float:
-    """Return the time of a character on a serial line, start bit included, s; 0 on another wire."""
+    """Return the time of one character on a serial line, including start bit, s; 0 without serial settings."""
     if serial is None:
         return 0.0
     bits = 1 + int(str(serial["data_bits"])) + (serial["parity"] != "none") + int(str(serial["stop_bits"]))
@@ -161,7 +165,7 @@ def _character_s(serial: Mapping[str, object] | None) -> float:
 
 
 def check_together(evening: CommissioningSession) -> None:
-    """Start all meters as a run does, and measure the spread of their starts and ends."""
+    """Start all meters as a run does, and measure the spread of their starts and of the readings' arrival."""
     meters = [meter for meter in evening.instruments.voltmeters if evening.present(meter)]
     if not meters:
         return
@@ -216,7 +220,7 @@ def _one_set(evening: CommissioningSession, meters: Sequence[Voltmeter]) -> Timi
 
 
 def check_noise(evening: CommissioningSession) -> None:
-    """Have the inputs shorted; compare mean and scatter of each channel with the data sheet's limits."""
+    """Ask for shorted inputs; compare mean and scatter of each channel with the data sheet's limits."""
     evening.confirm(
         "Take the signals off the voltmeters and short their inputs, HI to LO, with copper and no longer than "
         "needed; wait two minutes. Are all inputs shorted?",
@@ -258,11 +262,11 @@ def _noise(evening: CommissioningSession, meter: Voltmeter) -> Finding:
 def _of_channel(
     channel: Channel, values: Sequence[float], limit_v: float, stated_v: float, sigma_v: float
 ) -> tuple[list[Figure], list[str]]:
-    """Return the mean and the standard deviation of a channel, and the limits that they exceed.
+    """Return mean and standard deviation of a channel as figures, and a phrase for each exceeded limit.
 
-    The mean may differ from zero by the larger of the two limits plus three standard deviations of the mean.
-    The standard deviation `s` of `n` samples is too large where (n - 1) s² / sigma² exceeds the chi-square
-    quantile with n - 1 degrees of freedom for the probability `SIGNIFICANCE`.
+    The mean may differ from zero by the larger of `limit_v` and `stated_v`, plus three standard deviations of
+    the mean. The standard deviation s of n samples is too large if (n - 1) s² / `sigma_v`² exceeds the
+    chi-square quantile with n - 1 degrees of freedom for the probability `SIGNIFICANCE`.
     """
     n = len(values)
     mean_v, s_v = float(np.mean(values)), float(np.std(values, ddof=1)) if n > 1 else 0.0
@@ -282,7 +286,7 @@ def _of_channel(
 
 
 def largest_scatter_v(sigma_v: float, n: int) -> float:
-    """Return the greatest standard deviation that chance allows `n` samples with `sigma_v`, V."""
+    """Return the greatest standard deviation of `n` samples that is consistent with `sigma_v`, V."""
     from scipy.stats import chi2
 
     return sigma_v * math.sqrt(float(chi2.isf(SIGNIFICANCE, n - 1)) / (n - 1)) if n > 1 else sigma_v
@@ -297,7 +301,7 @@ def zero_limit_v(evening: CommissioningSession, meter: Voltmeter) -> float:
 def scatter_limit_v(evening: CommissioningSession, meter: Voltmeter, nplc: float) -> float:
     """Return the permitted standard deviation of a sample of a steady input, V: the maker's resolution.
 
-    If the meter's data state no resolution, return the limit of error at zero.
+    If the meter's data state no resolution for `nplc`, return the limit of error at zero.
     """
     resolution = _form(evening, meter).kind.resolution
     within = [part for least, part in resolution.items() if least <= nplc]

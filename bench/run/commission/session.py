@@ -1,4 +1,4 @@
-"""A commissioning session: bench, person and wires, and the findings of its checks."""
+"""A commissioning session: bench, person, wire log, and the findings of the checks."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from drivers.interfaces import (
     LimitExceeded,
     NoAnswer,
 )
-from drivers.person import Action, Answer, Person, Prompt, PromptKind
+from drivers.person import Action, Answer, Person, Prompt, PromptKind, WatchingPerson
 
 
 class State(StrEnum):
@@ -42,14 +42,14 @@ class State(StrEnum):
 
 
 DONE, NOT_AS_EXPECTED, NOT_DONE = 0, 1, 2
-"""Exit statuses, by the worst finding."""
+"""Exit statuses; the worst finding determines the status of a session."""
 
 _STATUS: Final = {State.SLOWER: NOT_AS_EXPECTED, State.OTHER: NOT_AS_EXPECTED, State.COULD_NOT: NOT_DONE}
 
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """A measured number in `unit`, and in words the value with which it was compared."""
+    """A measured value in `unit`; `expected` describes the value with which it was compared."""
 
     what: str
     value: float
@@ -58,7 +58,7 @@ class Figure:
 
     @property
     def text(self) -> str:
-        """The figure as text for a person."""
+        """The figure as text, such as "loss told after 3.2 s (6 s is the most)"."""
         held = f" ({self.expected})" if self.expected else ""
         return f"{self.what} {self.value:.4g} {self.unit}".rstrip() + held
 
@@ -67,7 +67,7 @@ class Figure:
 class Finding:
     """The result of one check of one instrument.
 
-    `said` is a clause without the instrument's name, `remedy` the action to take.
+    `said` is a clause without the instrument's name; `remedy` tells the person how to correct a deviation.
     """
 
     check: str
@@ -79,16 +79,15 @@ class Finding:
 
     @property
     def sentence(self) -> str:
-        """The finding in one line."""
+        """The finding as one line of text."""
         remedy = f"; {self.remedy}" if self.remedy else ""
         return f"{self.instrument}: {self.check}: {self.said}{remedy}"
 
 
 def status_of(findings: Sequence[Finding], *, whole: bool) -> int:
-    """Return the exit status.
+    """Return the exit status of a session with these findings; `whole` says whether it was completed.
 
-    It is 2 where a check could not be done or the session was not completed, 1 after other deviations, 0
-    otherwise.
+    The status is 2 if the session was incomplete or a check could not be done, 1 after other deviations, else 0.
     """
     if not whole or not findings:
         return NOT_DONE
@@ -101,7 +100,7 @@ Wire = Callable[[str, str, str], None]
 
 @dataclass(frozen=True, slots=True)
 class TimedExchange:
-    """A command and the time until its answer, s."""
+    """A command and its response time, s."""
 
     instrument: str
     command: str
@@ -109,7 +108,7 @@ class TimedExchange:
 
 
 class WireWatch:
-    """A `Wire` that notes exchanges and failures and passes everything on; `time_s` is its clock."""
+    """A `Wire` that records exchanges and failures and forwards all messages to `log`; `time_s` is its clock."""
 
     def __init__(self, log: Wire | None, time_s: Callable[[], float] | None = None) -> None:
         self.time_s = time_s or SystemClock().now_s
@@ -119,7 +118,7 @@ class WireWatch:
         self._failures: list[tuple[str, str]] = []
 
     def __call__(self, instrument: str, direction: str, text: str) -> None:
-        """Note one message and pass it on."""
+        """Record one message and forward it."""
         now_s = self.time_s()
         if direction == ">":
             self._sent[instrument] = (text, now_s)
@@ -133,15 +132,15 @@ class WireWatch:
             self._log(instrument, direction, text)
 
     def mark(self) -> tuple[int, int]:
-        """Return the number of exchanges and of failures so far."""
+        """Return the present numbers of exchanges and failures, as a mark for later queries."""
         return len(self._exchanges), len(self._failures)
 
     def exchanges(self, mark: tuple[int, int], instrument: str) -> list[TimedExchange]:
-        """Return the exchanges of an instrument since a mark."""
+        """Return the exchanges of an instrument since `mark`."""
         return [one for one in self._exchanges[mark[0] :] if one.instrument == instrument]
 
     def failures(self, mark: tuple[int, int], instrument: str) -> list[str]:
-        """Return the failures on an instrument's wire since a mark."""
+        """Return the failures on an instrument's wire since `mark`."""
         return [text for name, text in self._failures[mark[1] :] if name == instrument]
 
 
@@ -149,25 +148,25 @@ WISHES: Final = {
     Wish.SKIP: "leave this out; the reason goes into the page",
     Wish.ABORT: "end here; the bench is left safe and the page written",
 }
-"""Wishes that may be typed at any question, with their effects."""
+"""Wishes accepted at any prompt, with their effects."""
 ONLY_THESE: Final = "Here only :skip REASON and :abort are heard. "
 MOST_LOSSES: Final = 2
-"""Number of checks that may lose an instrument before it is tried no more: each loss costs its timeouts."""
+"""Number of losses after which an instrument is no longer checked, because each loss costs several timeouts."""
 SLOW_PART: Final = 0.5
-"""Greatest part of its timeout that an answer may take; beyond this the reserve is too small."""
+"""Greatest part of the timeout that a response may take; slower responses leave too little reserve."""
 _CHECK_WIRE: Final = "check cable and power; the wire log shows at which command"
 
 
 class Skipped(Exception):
-    """The person leaves a check out; the text is the reason."""
+    """The person skips a check; the text is the reason."""
 
 
 class SessionEnded(Exception):
-    """The person, or the end of the answers, ends the session; the text is the reason."""
+    """The session is ended by the person or by the end of the answers; the text is the reason."""
 
 
 class CheckEnded(Exception):
-    """A check ends here with its finding."""
+    """A check ends early; `finding` is its result."""
 
     def __init__(self, finding: Finding) -> None:
         super().__init__(finding.said)
@@ -180,8 +179,18 @@ class CommissioningPerson:
     def __init__(self, person: Person) -> None:
         self._person = person
 
+    @property
+    def meanwhile(self) -> Callable[[], None] | None:
+        """The function that is called while a question waits, where the person can be watched with."""
+        return self._person.meanwhile if isinstance(self._person, WatchingPerson) else None
+
+    @meanwhile.setter
+    def meanwhile(self, look: Callable[[], None] | None) -> None:
+        if isinstance(self._person, WatchingPerson):
+            self._person.meanwhile = look
+
     def ask(self, prompt: Prompt) -> Answer:
-        """Put the prompt; after any other wish, name those that are heard and put it again."""
+        """Put the prompt; after any other wish, name the accepted wishes and put the prompt again."""
         put = prompt
         while True:
             try:
@@ -198,9 +207,9 @@ class CommissioningPerson:
 class CommissioningSession:
     """A commissioning session on a bench, with its findings.
 
-    `time_s` measures durations: the bench's clock; on a simulated bench plus the computer's time for the
-    wires. `connections` returns the number of the present connection of each wired instrument (None: not
-    connected). `tell` shows a line.
+    `time_s` is the clock for measuring durations: the bench's clock, plus the computer's time on a simulated
+    bench. `connections` maps each wired instrument to a function that returns the number of its present
+    connection, or None if it is not connected. `tell` displays a line.
     """
 
     file: BenchFile
@@ -217,21 +226,21 @@ class CommissioningSession:
     _losses: dict[str, int] = field(default_factory=dict)
     _prompts: int = 0
 
-    # --- what the bench file says -------------------------------------------------------------------
+    # --- settings of the bench file -----------------------------------------------------------------
 
     def section(self, name: str) -> InstrumentForm:
-        """Return the section of an instrument."""
+        """Return the bench file's section on an instrument."""
         return next(section for section in self.file.instruments.all() if section.name == name)
 
     def timeout_s(self, name: str) -> float:
-        """Return the timeout of a reply, s; 0 for an instrument worked by hand."""
+        """Return the timeout of an instrument's reply, s; 0 for an instrument operated by hand."""
         section = self.section(name)
         return section.timeout if isinstance(section, WiredForm) else 0.0
 
     # --- the person ---------------------------------------------------------------------------------
 
     def confirm(self, text: str, *, default: str | None = None, action: Action | None = None) -> None:
-        """Have the person confirm. Raises `Skipped`, `SessionEnded`, `BenchError` after a refusal."""
+        """Ask the person to confirm. Raises `Skipped`, `SessionEnded`, or `BenchError` after a refusal."""
         self._prompts += 1
         prompt = Prompt(
             f"commission/{self._prompts}",
@@ -248,7 +257,7 @@ class CommissioningSession:
     # --- checks -------------------------------------------------------------------------------------
 
     def note(self, finding: Finding) -> None:
-        """Store a finding and show it."""
+        """Store a finding and display it."""
         self.findings.append(finding)
         self.tell(f"{finding.state.value:>9}  {finding.sentence}")
 
@@ -263,11 +272,11 @@ class CommissioningSession:
         by_wire: bool = True,
         opened: bool = True,
     ) -> Finding:
-        """Carry out one check of one instrument; return and store its finding, also after an exception.
+        """Carry out one check of one instrument; store and return its finding, even after an exception.
 
-        `also` are further instruments in the check. `by_answers` judges the time of single answers as well,
-        `by_wire` other faults on the wires. If `opened` is False, the check needs no open instrument. Raises
-        `SessionEnded` and `KeyboardInterrupt` alone.
+        `look` performs the check. `also` are further instruments involved. `by_answers` also judges the response
+        times of single commands, `by_wire` other faults on the wires. With `opened` False, the instruments are
+        not opened first. Raises only `SessionEnded` and `KeyboardInterrupt`.
         """
         name = instrument.name
         if not self.present(instrument):
@@ -284,7 +293,7 @@ class CommissioningSession:
         return found
 
     def present(self, instrument: Instrument) -> bool:
-        """Return whether an instrument is still tried; one lost in too many checks is not."""
+        """Return whether an instrument is still to be checked, having been lost fewer than `MOST_LOSSES` times."""
         return self._losses.get(instrument.name, 0) < MOST_LOSSES
 
     def _found(
@@ -310,12 +319,12 @@ class CommissioningSession:
             return self._of_error(check, name, State.COULD_NOT if not_opened else State.OTHER, error)
         except BenchError as error:
             return self._of_error(check, name, State.COULD_NOT, error)
-        except Exception as error:  # one driver's mistake must not hide what the others show
+        except Exception as error:  # a defect of one driver must not prevent the checks of the others
             cause = f"the driver failed with {type(error).__name__} ({error})"
             return Finding(check, name, State.OTHER, cause, remedy="report it with the wire log")
 
     def _open(self, instrument: Instrument) -> None:
-        """Open an instrument; one that refuses counts as lost, too. Raises `BenchError`."""
+        """Open an instrument; a refusal counts as a loss of the instrument. Raises `BenchError`."""
         try:
             self.identities[instrument.name] = instrument.open()
         except InstrumentLost:
@@ -328,7 +337,7 @@ class CommissioningSession:
         self._losses[name] = self._losses.get(name, 0) + 1
 
     def _of_error(self, check: str, name: str, state: State, error: BenchError) -> Finding:
-        """Return the finding for an error; it belongs to the instrument that raised the error."""
+        """Return the finding for an error, attributed to the instrument named in the error if it exists."""
         known = error.instrument in {one.name for one in self.instruments.all()}
         about = "" if known else f"{error.instrument}: "
         remedy = "; ".join((error.remedy, *getattr(error, "__notes__", ())))
@@ -343,7 +352,7 @@ class CommissioningSession:
     def _with_wire(
         self, found: Finding, name: str, mark: tuple[int, int], before: int | None, by_answers: bool
     ) -> Finding:
-        """Return a finding with faults on a wire: failures that the driver overcame, and late answers."""
+        """Return the finding with faults on a wire added: failures that the driver overcame, slow responses."""
         failures, after = self.watch.failures(mark, name), self._connection(name)
         if failures:
             said = f"{found.said}, but its wire failed on the way ({failures[0]})"

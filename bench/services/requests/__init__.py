@@ -1,1 +1,1 @@
-"""What can be asked for: a request for each command, whose fields are its options and the parameters in Python."""
+"""Requests: one dataclass for each command, whose fields are its options and the parameters of the Python call."""

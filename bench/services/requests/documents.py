@@ -1,4 +1,4 @@
-"""Requests on many runs and what is made of them: catalogue, batches, certificates, the panel."""
+"""Requests for the catalogue, batches, certificates and the panel."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ QueryField = Annotated[
 
 @dataclass(frozen=True)
 class Sync:
-    """Take what is new or changed in run folders into the catalogue."""
+    """The synchronisation of the catalogue with run folders."""
 
     folders: Annotated[
         list[Path], Option("Folders with run folders, at any depth.", metavar="DIR…", argument=True)
@@ -57,7 +57,7 @@ class Sync:
 
 @dataclass(frozen=True)
 class Ask:
-    """Which runs, units, benches, instruments or certificates a question names."""
+    """A question to the catalogue."""
 
     query: QueryField = None
     _: KW_ONLY
@@ -87,7 +87,7 @@ class _Dated:
 
 @dataclass(frozen=True)
 class Unit(_Dated):
-    """One unit: its coefficients over time, its runs, when it is due."""
+    """The history of a unit: its coefficients over time, its runs, its due date."""
 
     name: Annotated[str, Option("Serial number, or type and serial number.", metavar="UNIT", argument=True)]
     _: KW_ONLY
@@ -96,7 +96,7 @@ class Unit(_Dated):
 
 @dataclass(frozen=True)
 class DueUnits(_Dated):
-    """When units are due, by their drift."""
+    """The due dates of units, predicted from their drift."""
 
     query: QueryField = None
     _: KW_ONLY
@@ -108,7 +108,7 @@ class DueUnits(_Dated):
 
 @dataclass(frozen=True, kw_only=True)
 class Batch(OnReadings):
-    """Compute many runs anew, into a folder."""
+    """Many runs to be evaluated anew; the results are written into a folder."""
 
     over: Annotated[
         list[str],
@@ -135,7 +135,7 @@ class Batch(OnReadings):
 
 @dataclass(frozen=True, kw_only=True)
 class BatchCalibrate(Batch):
-    """Coefficients and verdicts of many runs anew."""
+    """Coefficients and verdicts of many runs, computed anew."""
 
     estimator: EstimatorField = "gls"
     nominal_angles: NominalField = False
@@ -149,14 +149,14 @@ class BatchCalibrate(Batch):
 
 @dataclass(frozen=True, kw_only=True)
 class BatchDiagnose(Batch):
-    """Diagnoses of many runs anew."""
+    """Diagnoses of many runs, computed anew."""
 
     strict: Annotated[bool, Option("Other names under the same verdict are not accepted, either.")] = False
 
 
 @dataclass(frozen=True, kw_only=True)
 class BatchReport(Batch):
-    """Pages of many runs, in the folder of the batch."""
+    """Reports of many runs, written into the folder of the batch."""
 
     limit: LimitField = None
     rule: RuleField = None
@@ -179,7 +179,7 @@ ReasonField = Annotated[str, Option("Why; it is written down.", metavar="TEXT")]
 
 @dataclass(frozen=True, kw_only=True)
 class Issuing:
-    """What certificates are issued with."""
+    """The laboratory, order, signatory and key with which certificates are issued."""
 
     laboratory: LaboratoryField = None
     order: Annotated[Path | None, Option("Order file; 'bench init' has one.", metavar="FILE")] = None
@@ -199,7 +199,7 @@ class Issuing:
 
 @dataclass(frozen=True)
 class IssueCertificates(Issuing):
-    """Issue the certificate of a run, once."""
+    """The certificates of runs, each issued once."""
 
     names: Annotated[
         list[str], Option("Runs, by name or path.", metavar="RUN…", argument=True, completes="runs")
@@ -211,7 +211,7 @@ class IssueCertificates(Issuing):
 
 @dataclass(frozen=True)
 class AmendCertificate(Issuing):
-    """Issue a certificate in place of one that holds."""
+    """A certificate that replaces a valid one."""
 
     number: NumberField
     run: RunField
@@ -222,7 +222,7 @@ class AmendCertificate(Issuing):
 
 @dataclass(frozen=True)
 class RevokeCertificate:
-    """Write down that a certificate holds no more."""
+    """The revocation of a certificate."""
 
     number: NumberField
     _: KW_ONLY
@@ -233,7 +233,7 @@ class RevokeCertificate:
 
 @dataclass(frozen=True)
 class CheckRegister:
-    """What was issued."""
+    """A check of the register of issued certificates."""
 
     number: Annotated[str | None, Option("One certificate; all if left out.", argument=True)] = None
     _: KW_ONLY
@@ -249,7 +249,7 @@ class CheckRegister:
 
 @dataclass(frozen=True)
 class VerifyCertificate:
-    """Whether a certificate is intact, who signed it and whether it still holds."""
+    """A check of a certificate: its integrity, its signature and whether it is still valid."""
 
     file: Annotated[
         Path, Option("Certificate, PDF or XML; the other form is found beside it.", argument=True)
@@ -268,7 +268,7 @@ class VerifyCertificate:
 
 @dataclass(frozen=True)
 class ReadCertificate:
-    """Take coefficients with covariance out of a certificate."""
+    """A certificate whose coefficients and covariance are to be read."""
 
     file: Annotated[
         Path,
@@ -291,7 +291,7 @@ class ReadCertificate:
 
 
 class PeopleCommand(StrEnum):
-    """What is asked of the panel beside showing it."""
+    """A command on access to the panel: make, list or revoke tokens, or make a one-time link."""
 
     TOKEN = "token"
     TOKENS = "tokens"
@@ -301,7 +301,7 @@ class PeopleCommand(StrEnum):
 
 @dataclass(frozen=True)
 class ServePanel:
-    """Serve the operator's panel over a folder of runs, or make what people sign in with."""
+    """The operator's panel over a folder of runs, to be served; or a command on access to it."""
 
     what: Annotated[
         PeopleCommand | None,

@@ -25,15 +25,16 @@ from bench.services.requests.shared import (
 
 
 class Calibrated(Protocol):
-    """The result of a calibration, at hand."""
+    """The result of a calibration, in memory."""
 
     @property
     def calibration(self) -> Any:
-        """What was found."""
+        """The estimated calibration."""
 
 
 Given = str | Path | Calibrated | None
-"""Coefficients of another day: a result of `bench calibrate --json` by path, or one at hand."""
+"""Coefficients of an earlier calibration: the path of a result of `bench calibrate --json`, or a result in
+memory."""
 
 SourceField = Annotated[
     Data, Option("Run (name or path) or readings file.", argument=True, completes="sources", typed=str)
@@ -70,14 +71,14 @@ class Calibrate(OnReadings):
 
     @property
     def otherwise(self) -> bool:
-        """Whether anything is asked for that changes what a run's own result is."""
+        """Whether an option differs from the one with which a run's own result is computed."""
         usual = (self.estimator, self.nominal_angles, self.join_free, self.join_verification, self.prior)
         return usual != ("gls", False, True, False, None)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Judging(OnReadings):
-    """What requests for a verdict share: how it is to be found in place of what the bench file says."""
+    """The options of a verdict that replace those of the bench file."""
 
     model: ModelField = None
     limit: LimitField = None
@@ -100,14 +101,14 @@ class Verify(Judging):
 
 @dataclass(frozen=True)
 class Report(Judging):
-    """The page of a calibration."""
+    """The report of a calibration."""
 
     source: SourceField
 
 
 @dataclass(frozen=True)
 class Coefficients(OnReadings):
-    """What a navigation computer takes from calibrations."""
+    """Calibrations to be written in the forms of navigation software."""
 
     sources: Annotated[
         Sequence[str],
@@ -158,7 +159,7 @@ class Compensate(OnReadings):
 
 @dataclass(frozen=True)
 class Tumble(OnReadings):
-    """The terms of IEEE 1293 of each axis."""
+    """The IEEE 1293 model terms of each axis."""
 
     sources: SourcesField
     _: KW_ONLY
@@ -169,7 +170,7 @@ class Tumble(OnReadings):
 
 @dataclass(frozen=True)
 class Confirm(OnReadings):
-    """Whether new readings confirm a model that was found in others."""
+    """A test whether new readings confirm a model that was found in other readings."""
 
     source: Annotated[
         Data,
@@ -190,9 +191,9 @@ class Confirm(OnReadings):
 
 @dataclass(frozen=True)
 class Diagnose(OnReadings):
-    """Where readings and model disagree, and what is missing.
+    """A search for the places where readings and model disagree, and for the missing effect.
 
-    With `write` everything is written that `bench diagnose` writes: beside the source, or into `out`.
+    With `write`, all files of `bench diagnose` are written: beside the source, or into `out`.
     """
 
     source: Annotated[Data | Sequence[Data], _SOURCES]
@@ -221,13 +222,13 @@ class Diagnose(OnReadings):
 
     @property
     def sources(self) -> list[Data]:
-        """The sources, of which there may be one alone."""
+        """The sources as a list, also if there is only one."""
         return list(self.source) if isinstance(self.source, list | tuple) else [self.source]
 
 
 @dataclass(frozen=True)
 class Accept:
-    """A name and a sentence for terms without a name."""
+    """A name and a sentence for unnamed terms of a model file."""
 
     model: Annotated[
         Path,

@@ -1,4 +1,4 @@
-"""Requests that hold many measurements against one another: charts, comparisons, learning, the fleet."""
+"""Requests on many measurements: control charts, comparisons, learning, stability, the fleet."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Chart:
 
 @dataclass(frozen=True)
 class Compare(OnReadings):
-    """What changed between calibrations of one block."""
+    """A comparison of calibrations of one block."""
 
     sources: Annotated[
         Sequence[Data],
@@ -73,7 +73,7 @@ class Compare(OnReadings):
 
 @dataclass(frozen=True)
 class Learn(OnReadings):
-    """What many runs tell of one bench."""
+    """The estimation of a bench's errors from many of its runs."""
 
     sources: Annotated[
         Sequence[Data],
@@ -97,7 +97,7 @@ class Learn(OnReadings):
 
 @dataclass(frozen=True)
 class Stability:
-    """What a record at rest says of noise and drift."""
+    """Noise and drift of a record at rest."""
 
     record: Annotated[
         str,
@@ -122,7 +122,7 @@ class Stability:
 
 @dataclass(frozen=True)
 class OfFleet:
-    """Which calibrations of which catalogue."""
+    """Calibrations selected from a catalogue."""
 
     query: Annotated[
         Sequence[str] | None,
@@ -142,7 +142,7 @@ class OfFleet:
 
 @dataclass(frozen=True)
 class CompareBenches(OfFleet):
-    """Benches against one another on common units."""
+    """A comparison of benches by units that several of them measured."""
 
     reference: Annotated[
         str | None,
@@ -162,7 +162,7 @@ class DriftOfUnit(OfFleet):
 
 @dataclass(frozen=True)
 class Capability(OfFleet):
-    """The laboratory's capability."""
+    """The calibration and measurement capability of the laboratory."""
 
     quantile: Annotated[
         float, Option("Share of everyday calibrations that reach it.", least=0.01, most=0.99)

@@ -1,4 +1,4 @@
-"""Requests that measure: runs, and instruments looked at, commissioned or simulated."""
+"""Requests that measure: runs, dry runs, and the test, commissioning or simulation of instruments."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ PanelField = Annotated[
 
 @dataclass(frozen=True)
 class DryRunRequest:
-    """A procedure on simulated instruments."""
+    """A procedure to be run on simulated instruments."""
 
     procedure: Annotated[
         str | Path,
@@ -60,7 +60,7 @@ class DryRunRequest:
 
 @dataclass(frozen=True, kw_only=True)
 class RunRequest(DryRunRequest):
-    """A procedure on a bench, or dry on simulated instruments."""
+    """A procedure to be run on a bench, or dry on simulated instruments."""
 
     dry_run: Annotated[bool, Option("Simulated instruments, virtual clock.", ("--dry-run",))] = False
     operator: Annotated[str, Option("Who stands at the bench, for the record.")] = ""
@@ -104,7 +104,7 @@ class ResumeRequest:
 
 @dataclass(frozen=True, kw_only=True)
 class InstrumentsRequest:
-    """The instruments of a bench, to be looked at or commissioned."""
+    """The instruments of a bench, to be tested or commissioned."""
 
     bench: BenchNameField = None
     discover: Annotated[

@@ -1,4 +1,4 @@
-"""Requests that look ahead: what a procedure does, what a bench can do, what it must be, where to measure."""
+"""Requests before a measurement: check of a procedure, budget, requirements on the bench, test points."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ UpToField = Annotated[str | None, Option("Largest acceleration, such as 5g (defa
 
 @dataclass(frozen=True)
 class Check:
-    """What a procedure will do on a bench."""
+    """A check of a procedure against a bench."""
 
     procedure: Annotated[
         str, Option("Procedure file, by path or shipped name.", argument=True, completes="procedures")
@@ -47,7 +47,7 @@ class Init:
 
 @dataclass(frozen=True)
 class Budget:
-    """What each error of a bench contributes."""
+    """An uncertainty budget: the contribution of each error of a bench."""
 
     bench: BenchField = None
     procedure: ProcedureField = "calibration"
@@ -74,7 +74,7 @@ class Budget:
 
 @dataclass(frozen=True, kw_only=True)
 class Require:
-    """What the bench must be for an accuracy."""
+    """Requirements on the errors of a bench for a given accuracy."""
 
     accuracy: Annotated[str, Option("What k u must keep to: g (of a coefficient V/g or V).")]
     of: Annotated[
@@ -105,7 +105,7 @@ class Require:
 
 @dataclass(frozen=True, kw_only=True)
 class PlanPoints:
-    """Which test points reach an uncertainty."""
+    """A search for the test points that reach an uncertainty."""
 
     bench: BenchField = None
     u: Annotated[

@@ -1,4 +1,4 @@
-"""Requests on the records of runs: listed, shown, sealed, exported, imported, ended, controlled."""
+"""Requests on the records of runs: to list, show, seal, export, import, abort and control them."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class ListRuns:
 
 @dataclass(frozen=True)
 class ShowRun:
-    """What a run holds; what its record proves, with `verify` or anything to hold against it."""
+    """The content of a run; with `verify`, or a head, key or authority, also the evidence for its record."""
 
     run: RunField
     _: KW_ONLY
@@ -33,7 +33,7 @@ class ShowRun:
 
     @property
     def proved(self) -> bool:
-        """Whether it is asked what the record proves."""
+        """Whether the evidence for the record is asked for."""
         return self.verify or any(given is not None for given in (self.head, self.key, self.authority))
 
 
@@ -83,7 +83,7 @@ class ExportReadings:
 
 @dataclass(frozen=True)
 class ImportReadings:
-    """A readings file that was measured elsewhere, to be made a run."""
+    """A readings file measured elsewhere, to be imported as a run."""
 
     file: Annotated[Path, Option("Readings file.", argument=True)]
     _: KW_ONLY
@@ -94,7 +94,7 @@ class ImportReadings:
 
 @dataclass(frozen=True)
 class AbortRun:
-    """An interrupted run, to be ended for good."""
+    """An interrupted run, to be aborted."""
 
     name: LatestField = None
     _: KW_ONLY
@@ -103,7 +103,7 @@ class AbortRun:
 
 @dataclass(frozen=True)
 class ControlRun:
-    """A wish to the program that carries out a run."""
+    """A command such as pause or skip to the program that carries out a run."""
 
     run: RunField
     wish: Annotated[

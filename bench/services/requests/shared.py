@@ -1,4 +1,4 @@
-"""What requests share: readings with their bench and model, and where things are."""
+"""Option fields that several requests share, and the default folder of runs."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ if TYPE_CHECKING:
     Data: TypeAlias = str | Path | Readings | pd.DataFrame
     """A readings file by path, a run by name or path, or a table in memory."""
     Bench: TypeAlias = str | Path | BenchFile | None
-    """A bench file by path or name, or one at hand; None as the commands take it."""
+    """A bench file by path or name, or a loaded one; None selects the default as the commands do."""
     Effects: TypeAlias = str | Path | Sequence[str | Path] | None
-    """Files with effects of the user's own, as formulas."""
+    """Files with formulas of the user's own effects."""
 else:
-    # names on the command line; by them `bench.services.arguments` knows what an argument must be
+    # placeholders that avoid slow imports; `bench.services.arguments` maps them to kinds of arguments
 
     class Data:
         """Readings, by name or in memory."""
@@ -99,13 +99,13 @@ UntilField = Annotated[
 
 
 def runs_folder(runs: str | Path | None) -> Path:
-    """Return the folder in which runs live: the one given, that of BENCH_RUNS, or `runs` here."""
+    """Return the folder of runs: the one given, else that of BENCH_RUNS, else `runs` in the working directory."""
     return Path(runs or os.environ.get("BENCH_RUNS") or "runs")
 
 
 @dataclass(frozen=True, kw_only=True)
 class OnReadings:
-    """What requests on readings share: the bench that measured them, and where runs live."""
+    """The options of every request on readings: bench file, local gravity (m/s²), bad rows, folder of runs."""
 
     bench: BenchField = None
     g: GravityField = None

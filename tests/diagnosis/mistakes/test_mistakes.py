@@ -365,3 +365,25 @@ def test_words_name_place_and_correction():
     good = run(64)
     (outlier,) = find(with_outlier(good, 31, 1, 2e-3)).mistakes
     assert outlier.words.startswith("installation 2, pass 1, point 5: channel y by +0.00")
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_a_head_that_was_not_turned_and_points_exchanged_are_wrong_settings(late):
+    """The signals are those of the stop before; where points are exchanged those of the stop after, too."""
+    for seed in range(4):
+        row = int(np.random.default_rng([51, seed]).choice([r for r in range(54) if r % 9]))
+        angle = design()[3]
+        step = float(angle[row - 1] - angle[row])
+        good = run([52, seed], off=(row, step))
+        rows = [row]
+        if late:
+            rows, order = [row - 1, row], np.arange(len(good))
+            order[[row - 1, row]] = row, row - 1
+            straight = run([52, seed])
+            good = replace(straight, signal=straight.signal[order])
+        found = find(good)
+        assert {m.name for m in found.mistakes} == {"wrong_setting"}, seed
+        places = {(m.pass_number, m.point) for m in found.mistakes}
+        assert places == {(good.pass_number[r], good.point[r]) for r in rows}
+        if not late:
+            assert found.corrected.angle_rad[row] == pytest.approx(angle[row - 1], abs=1e-12)

@@ -1,0 +1,231 @@
+"""The signals as they move while a person adjusts: read lightly, shown, and never recorded."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, Protocol
+
+import numpy as np
+
+from bench.base.arrays import ARCSEC, CHANNELS
+from bench.config.procedure.plan import Plan, Read
+from bench.readings.reading import Reading
+from bench.run.early_warning import EarlyWarning
+from bench.run.events import Event, EventType
+from bench.run.expectation import ExpectedSignals
+from drivers.clock import Clock, SystemClock, utc_now
+from drivers.interfaces import BadReading, BenchError, Voltmeter
+from drivers.person import Prompt
+
+LIVE: Final = "live.json"
+"""The file in the run's folder with the latest value; each look replaces it, and it is no part of the record."""
+
+LOOK_S: Final = 0.25
+"""Interval between two looks, s of real time."""
+
+SETTLED_S: Final = 3.0
+SETTLED_G: Final = 3e-5
+"""Signals that move less within `SETTLED_S` have settled, g: a tenth of the paper's verification limit."""
+
+TELLING_ARCSEC: Final = 60.0
+"""The deviation is shown where its U (k = 2) is below this, a usual graduation of a manual head."""
+
+LINEAR_ARCSEC: Final = 3600.0
+"""The deviation is a linear estimate; up to this its error by curvature is below 1 %."""
+
+SHOWN_V: Final = 5
+"""Decimals of a signal in the terminal: 10 µV, about an arcsecond."""
+
+
+class LightlyRead(Protocol):
+    """A bench whose signals can be read between two readings."""
+
+    def glance(self) -> tuple[float, ...]:
+        """Return the present signals x, y, z, V. Raises `BenchError`."""
+
+    def end_of_glances(self) -> None:
+        """Restore the meters' settings to those before the first glance."""
+
+    @property
+    def voltmeters(self) -> Sequence[Voltmeter]:
+        """The meters that are read."""
+
+
+@dataclass(frozen=True)
+class LiveValue:
+    """One look: the signals, V, or `why` there are none; `off_arcsec` is the deviation from the commanded angle.
+
+    `off_arcsec` is None where no angle is commanded or the deviation is not known well enough; `expanded_arcsec` is
+    its U (k = 2).
+    """
+
+    prompt: str
+    time: str
+    signals_v: tuple[float, ...] | None = None
+    off_arcsec: float | None = None
+    expanded_arcsec: float | None = None
+    settled: bool = False
+    why: str = ""
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the value as written for the panel."""
+        return {
+            "prompt": self.prompt,
+            "time": self.time,
+            "signals_v": None if self.signals_v is None else list(self.signals_v),
+            "settled": self.settled,
+            "why": self.why,
+            "to_go": self.to_go,
+        }
+
+    @property
+    def to_go(self) -> str:
+        """The way to the commanded angle in words; empty where it is not known."""
+        if self.off_arcsec is None or self.expanded_arcsec is None:
+            return ""
+        if abs(self.off_arcsec) <= self.expanded_arcsec:
+            return f"there, within {self.expanded_arcsec:.0f}″"
+        beyond = "too far" if self.off_arcsec > 0 else "to go"
+        if abs(self.off_arcsec) > LINEAR_ARCSEC:
+            return f"more than {LINEAR_ARCSEC / 3600.0:.0f}° {beyond}"
+        return f"{_angle(abs(self.off_arcsec))} {beyond} (± {self.expanded_arcsec:.0f}″)"
+
+    def in_a_line(self) -> str:
+        """Return the value as one line for the terminal."""
+        if self.signals_v is None:
+            return f"live: {self.why}"
+        signals = "  ".join(f"{c} {v:+.{SHOWN_V}f}" for c, v in zip(CHANNELS, self.signals_v, strict=True))
+        told = [f"live: {signals} V", self.to_go, "settled" if self.settled else "moving"]
+        return "; ".join(filter(None, told))
+
+
+def _angle(arcsec: float) -> str:
+    if arcsec < 120.0:
+        return f"{arcsec:.0f}″"
+    return f"{arcsec / 60.0:.1f}′" if arcsec < 7200.0 else f"{arcsec / 3600.0:.1f}°"
+
+
+class LiveSignals:
+    """Reads the meters lightly while a question waits, writes `LIVE`, and calls `show` with a line.
+
+    It observes the run's events to know which reading comes next. `scale_v_g` is the least scale factor of the
+    block, V/g. After an error of an instrument it stays silent until the next question.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        plan: Plan,
+        watcher: EarlyWarning,
+        scale_v_g: float,
+        show: Callable[[str], None] = lambda line: None,
+        clock: Clock | None = None,
+    ) -> None:
+        self._file, self._plan, self._watcher, self._show = folder / LIVE, plan, watcher, show
+        self._settled_v = SETTLED_G * scale_v_g
+        self._clock = clock or SystemClock()
+        self._bench: LightlyRead | None = None
+        self._step = 0
+        self._prompt: Prompt | None = None
+        self._expected: ExpectedSignals | None = None
+        self._silent = ""
+        self._looked_s = -math.inf
+        self._recent: deque[tuple[float, tuple[float, ...]]] = deque()
+
+    def attach(self, bench: LightlyRead) -> None:
+        """Read this bench from now on."""
+        self._bench = bench
+
+    def observe(self, event: Event) -> None:
+        """Note which step of the plan is carried out."""
+        if event.type == EventType.STEP_STARTED:
+            self._step = event.step
+
+    def begin(self, prompt: Prompt) -> None:
+        """Start to look while this question waits."""
+        self._prompt, self._recent = prompt, deque()
+        self._expected = self._expectation(prompt.action)
+        self._silent = self._why_not()
+
+    def look(self) -> None:
+        """Read the signals if a look is due; no error of an instrument reaches the caller."""
+        now_s = self._clock.now_s()
+        if self._bench is None or self._prompt is None or now_s - self._looked_s < LOOK_S:
+            return
+        self._looked_s = now_s
+        if self._silent:
+            self._tell(LiveValue(self._prompt.id, utc_now().isoformat(), why=self._silent))
+            self._prompt = None
+            return
+        try:
+            signals = self._bench.glance()
+        except BadReading:
+            self._tell(LiveValue(self._prompt.id, utc_now().isoformat(), why="no valid signal (overload?)"))
+            return
+        except BenchError as error:
+            self._silent = f"{error.instrument} cannot be read now; the next reading tries again"
+            return
+        self._tell(self._value(self._prompt.id, now_s, signals))
+
+    def end(self) -> None:
+        """Stop looking; restore the meters' settings, so that the next reading finds what it expects."""
+        self._prompt = None
+        if self._bench is not None:
+            with suppress(BenchError):  # the next reading sets up the meters, and reports the error
+                self._bench.end_of_glances()
+        with suppress(OSError):
+            self._file.unlink(missing_ok=True)
+
+    def _why_not(self) -> str:
+        """Return why the meters of the bench are not read lightly; empty where they are."""
+        meters = [] if self._bench is None else self._bench.voltmeters
+        return next((f"{m.name}: {why}" for m in meters if (why := getattr(m, "not_live", ""))), "")
+
+    def _value(self, prompt: str, now_s: float, signals: tuple[float, ...]) -> LiveValue:
+        self._recent.append((now_s, signals))
+        while len(self._recent) > 1 and now_s - self._recent[1][0] >= SETTLED_S:  # the oldest spans the time
+            self._recent.popleft()
+        off = expanded = None
+        if self._expected is not None:
+            off_rad, u_rad = self._expected.deviation_rad(np.asarray(signals))
+            if 2.0 * u_rad / ARCSEC <= TELLING_ARCSEC:
+                off, expanded = off_rad / ARCSEC, 2.0 * u_rad / ARCSEC
+        return LiveValue(prompt, utc_now().isoformat(), signals, off, expanded, self._has_settled())
+
+    def _has_settled(self) -> bool:
+        values = np.array([signals for _, signals in self._recent])
+        long_enough = self._recent[-1][0] - self._recent[0][0] >= SETTLED_S
+        return long_enough and bool(np.all(np.ptp(values, axis=0) <= self._settled_v))
+
+    def _expectation(self, action: Mapping[str, Any]) -> ExpectedSignals | None:
+        """Return the signals expected at the angle that the question commands; None for another question."""
+        if action["do"] != "turn":
+            return None
+        step = next((step for step in self._plan.steps[self._step :] if isinstance(step, Read)), None)
+        if step is None or step.target_rad is None:
+            return None
+        return self._watcher.expect(
+            Reading(
+                installation=step.installation,
+                series=step.series,
+                pass_number=step.pass_number,
+                point=step.point,
+                angle_deg=math.degrees(action["target_rad"]),
+                direction=action["direction"],
+                mean=(0.0, 0.0, 0.0),
+            )
+        )
+
+    def _tell(self, value: LiveValue) -> None:
+        self._show(value.in_a_line())
+        beside = self._file.with_suffix(".tmp")
+        with suppress(OSError):  # what is only shown must not stop a run
+            beside.write_text(json.dumps(value.to_json()), encoding="utf-8")
+            os.replace(beside, self._file)  # noqa: PTH105 - atomic, and without the flush of a record

@@ -1,0 +1,93 @@
+"""How long and how plain the pages of the documentation are: a report, no gate.
+
+For each page of docs/ and the README: words (as `wc -w` counts them), sentences, their mean length, the share of
+them over 25 words, pictures, and the phrases of docs/banned-phrases.txt found. Sentences are those of paragraphs
+and lists: code blocks, tables, headings, comments and front matter have none. Code in a line counts as one word.
+
+    python -m benchmarks.prose            # all pages
+    python -m benchmarks.prose --pages docs/panel.md README.md
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from benchmarks.campaign import ROOT, arguments
+
+BANNED: Final = ROOT / "docs" / "banned-phrases.txt"
+LONG: Final = 25
+"""A sentence with more words than this is a long one."""
+
+_LEFT_OUT: Final = re.compile(
+    r"\A---\n.*?\n---\n|^(?P<fence>`{3,}|:{3,}).*?^(?P=fence)$|<!--.*?-->|^\|[^\n]*$|^#+ [^\n]*$|^\(\S+\)=$"
+    r"|(?<=\n\n)(?: {4}\S[^\n]*\n)+",
+    re.M | re.S,
+)
+_PICTURE: Final = re.compile(
+    r"!\[[^\]]*\]\([^)]*\)|^```\{(?:figure|image)\}.*$|^```\{include\} reference/_panel\.md$", re.M
+)
+_ITEM: Final = re.compile(r"^\s*(?:[-*+]|\d+\.|:|>)\s+", re.M)
+_END: Final = re.compile(r"(?<!\b[A-Z])(?<!e\.g)(?<!i\.e)[.!?][\"'”’)*_]*\s+(?=[\"'“‘(*_]*[^\sa-z])")
+
+
+@dataclass(frozen=True)
+class Prose:
+    """What is counted of a page."""
+
+    name: str
+    words: int
+    lengths: tuple[int, ...]
+    pictures: int
+    banned: tuple[str, ...]
+
+    @property
+    def mean(self) -> float:
+        """The mean length of a sentence in words."""
+        return sum(self.lengths) / max(len(self.lengths), 1)
+
+    @property
+    def long_share(self) -> float:
+        """The share of sentences over 25 words."""
+        return sum(length > LONG for length in self.lengths) / max(len(self.lengths), 1)
+
+
+def sentences(text: str) -> list[str]:
+    """Return the sentences of a page, each item of a list at least one."""
+    text = _ITEM.sub("\n\n", _PICTURE.sub("", _LEFT_OUT.sub("\n\n", text)))
+    text = re.sub(r"``.*?``|`[^`]*`", "Code", text)
+    text = re.sub(r"\[([^\]]*)\](?:\([^)]*\)|\[[^\]]*\])", r"\1", text)
+    found = (one.strip() for part in re.split(r"\n\s*\n", text) for one in _END.split(part))
+    return [one for one in found if re.search(r"\w", one) and one not in {"Code", "Code Code"}]
+
+
+def prose_of(name: str, text: str, phrases: Iterable[str]) -> Prose:
+    """Count a page."""
+    plain = " ".join(re.sub(r"```.*?```|`[^`]*`", "", text, flags=re.S).lower().split())
+    banned = tuple(p for p in phrases for _ in re.findall(rf"(?<!\w){re.escape(p)}(?!\w)", plain))
+    lengths = tuple(len(re.findall(r"\S*\w\S*", one)) for one in sentences(text))
+    return Prose(name, len(text.split()), lengths, len(_PICTURE.findall(text)), banned)
+
+
+def main() -> None:
+    given = arguments(__doc__, pages=([""], "only these pages")).pages
+    paths = [Path(one) for one in given if one] or [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+    phrases = BANNED.read_text(encoding="utf-8").split("\n")
+    pages = [prose_of(p.name, p.read_text(encoding="utf-8"), [one for one in phrases if one]) for p in paths]
+    all_lengths = tuple(length for page in pages for length in page.lengths)
+    banned = tuple(one for page in pages for one in page.banned)
+    totals = Prose("all", sum(p.words for p in pages), all_lengths, sum(p.pictures for p in pages), banned)
+    print(f"{'page':<30}{'words':>7}{'sentences':>11}{'mean':>7}{f'over {LONG}':>9}{'pictures':>10}  banned")
+    for page in [*pages, totals]:
+        found = len(page.banned) if page is totals else ", ".join(dict.fromkeys(page.banned))
+        print(
+            f"{page.name:<30}{page.words:>7}{len(page.lengths):>11}{page.mean:>7.1f}{page.long_share:>9.1%}"
+            f"{page.pictures:>10}  {found}".rstrip()
+        )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,69 @@
+"""What is true of a Heidenhain ND 281B or ND 287 display unit at its RS-232-C port (X31).
+
+Sources: ND 281B User's Manual, pages 47 (data format, control characters), 61 and 62 (commands); ND 287 User's
+Manual, pages 102 (control characters) and 108 (commands); ND 287 Operating Instructions 07/2016, page 6 (status
+display). The codes of the commands and the status bar of the ND 287 are those of public programs, one for the
+ND 287 and one for the ND 760 and ND 780, which agree; the manuals describe the commands in the same order.
+
+Not confirmed by a source:
+- the baud rate as delivered, and the list of rates (38400 is in the manual of the ND 221B);
+- the length of the indicators of an ND 287 and which of them is REF (so none of them may blink);
+- whether REF of an ND 281B that waits for its reference mark is dark, blinks or glows (so it must glow, and the
+  display must show a number: the question after switching on is shown, and so sent, in place of one);
+- the texts of errors of signal and count, which are shown, and so sent, in place of the value;
+- the sign of a positive value, + or a blank;
+- a command by which an ND 281B tells degrees from millimetres (only inches show).
+STX (Ctrl B) calls the measured value as well, in a form that depends on unit, sorting and series: what the display
+shows is asked instead.
+"""
+
+from typing import Final
+
+MAKER: Final = "HEIDENHAIN"
+MODELS: Final = ("ND-281B", "ND-287")
+
+# --- messages ---------------------------------------------------------------------------------------
+
+STX: Final = "\x02"
+"""It begins each output."""
+NAK: Final = "\x15"
+"""The answer to a command that it does not know."""
+READ_TERMINATION: Final = "\r\n"
+WRITE_TERMINATION: Final = "\r"
+SERIAL: Final = {
+    "baud_rate": 9600, "data_bits": 7, "parity": "even", "stop_bits": 2, "flow": "xon_xoff", "device_clear": b"",
+}  # fmt: skip
+"""It sends XOFF once 100 characters wait in its buffer. The baud rate is not confirmed by a source."""
+BAUD_RATES: Final = (110, 150, 300, 600, 1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200)
+
+ASK_DEVICE: Final = "\x1bA0000"
+ASK_DISPLAY: Final = "\x1bA0100"
+ASK_SOFTWARE: Final = "\x1bA0400"
+ASK_STATUS_BAR: Final = "\x1bA0800"
+"""ND 287 only: eight digits."""
+ASK_INDICATORS: Final = "\x1bA0900"
+
+DEVICE_LINES: Final = 3
+"""Name, software number, and date (ND 281B) or version (ND 287), a line each."""
+
+# --- what is shown ----------------------------------------------------------------------------------
+
+SHORTEST_VALUE: Final = 10
+LONGEST_VALUE: Final = 13
+"""Characters of a value with its sign and points."""
+DARK: Final = "0"
+GLOWS: Final = "1"
+BLINKS: Final = "2"
+"""States of an indicator."""
+INDICATORS_281B: Final = 14
+REF_281B: Final = 0
+INCH_281B: Final = 6
+"""Places of indicators."""
+MODE: Final = 0
+SCALING: Final = 2
+UNIT: Final = 5
+"""Places in the status bar of an ND 287."""
+ACTUAL_VALUE: Final = "0"
+UNSCALED: Final = "0"
+DEGREES: Final = "2"
+"""Decimal degrees; 3 is degrees, minutes and seconds."""

@@ -1,0 +1,82 @@
+"""A counter that answers a request with one line of text, beside a head that a person turns."""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import TYPE_CHECKING, Final
+
+from drivers.facts import encoder_line as facts
+from drivers.interfaces import BadReading, Identity, InstrumentRefused
+from drivers.readout import Approach, ReadOutHead, ScaleOfEncoder
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from drivers.clock import Clock
+    from drivers.person import Person
+    from drivers.wire.visa import MessageSession
+
+_NUMBER: Final = re.compile(r"[+-]? *\d+(?:\.\d*)?|[+-]? *\.\d+")
+
+
+class EncoderLine(ReadOutHead):
+    """A `DividingHead` whose encoder a counter of the given `model` shows.
+
+    `request` asks for a line. `pattern` is the form of the whole line, with the number in its group `angle`;
+    `per_turn` of its units are a turn. `errors` are lines in place of an angle, each with what it means.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        session: MessageSession,
+        clock: Clock,
+        person: Person,
+        approach: Approach,
+        *,
+        model: str,
+        request: str,
+        pattern: str,
+        per_turn: float,
+        errors: Mapping[str, str],
+        scale: ScaleOfEncoder,
+    ) -> None:
+        super().__init__(
+            name,
+            session,
+            clock,
+            person,
+            approach,
+            scale=scale,
+            identity=Identity(model, facts.MODEL),
+            tells_reference=False,
+        )
+        self._request = request
+        self._pattern = re.compile(pattern)
+        self._errors = errors
+        self._rad = math.tau / per_turn
+
+    def _prove(self) -> None:
+        """Take a reading: that it has the stated form is all that the counter says of itself."""
+        self._shown_rad()
+
+    def _shown_rad(self) -> float:
+        """Return what the counter shows, rad. Raises `InstrumentRefused` for an error that the bench file names."""
+        known = "|".join([f"(?:{self._pattern.pattern})", *map(re.escape, self._errors)])
+        said = self._session.ask(self._request, known, "a line of the form in the bench file")
+        if (meaning := self._errors.get(said)) is not None:
+            raise InstrumentRefused(
+                self.name,
+                f"its counter says {said!r} in place of an angle: {meaning}",
+                "mend that, cross the encoder's reference mark again, then take this point again",
+            )
+        match = self._pattern.fullmatch(said)
+        number = match[facts.ANGLE] if match else ""
+        if _NUMBER.fullmatch(number) is None:
+            raise BadReading(
+                self.name,
+                f"the angle in {said!r} is {number!r}, which is no number",
+                "correct the pattern in the bench file",
+            )
+        return float(number.replace(" ", "")) * self._rad

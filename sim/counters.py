@@ -1,0 +1,194 @@
+"""Simulated counters of an encoder on the head of the world: Heidenhain ND 281B and ND 287, MUX-10, a line of text.
+
+Sources: see their facts. The encoder has no error of its own and no noise: its values are those of the scale.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import TYPE_CHECKING, Final
+
+from drivers.facts import encoder_line, mitutoyo_mux10
+from drivers.facts import heidenhain_nd28x as nd
+from sim.wires.session import LineEnds, PlainDialect
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from sim.world.world import World
+
+
+class Counter(PlainDialect):
+    """A counter that shows `zero_deg` where the scale is at 0°; `falling` values fall where the angle rises.
+
+    `referenced` False is a counter that was just switched on: its values count from where the head stood.
+    """
+
+    def __init__(
+        self, world: World, *, zero_deg: float = 0.0, falling: bool = False, referenced: bool = True
+    ) -> None:
+        self._world = world
+        self._zero_deg = zero_deg
+        self._sign = -1.0 if falling else 1.0
+        self._lost_deg = 0.0
+        self.referenced = True
+        self.failed = False
+        if not referenced:
+            self.power_cycle()
+
+    @property
+    def shown_deg(self) -> float:
+        """What the counter shows, degrees."""
+        return self._zero_deg + self._sign * math.degrees(self._world.scale_angle_rad) - self._lost_deg
+
+    def power_cycle(self) -> None:
+        """Switch off and on: it counts from zero, where the head stands now."""
+        self._lost_deg += self.shown_deg
+        self.referenced = self.failed = False
+
+    def cross_reference(self) -> None:
+        """Let the head cross the reference mark: the values are angles again."""
+        self._lost_deg, self.referenced, self.failed = 0.0, True, False
+
+    def lose_counts(self, lost_deg: float) -> None:
+        """Lose counts without a notice, degrees."""
+        self._lost_deg += lost_deg
+
+    def fail(self) -> None:
+        """Let the signal of the encoder fail: the counter says so in place of a value."""
+        self.failed = True
+
+
+class HeidenhainNd28x(Counter):
+    """A display unit of the given `model`, set to decimal degrees with four decimals."""
+
+    line_ends = LineEnds((nd.WRITE_TERMINATION.encode(),), reply=b"\r\n", clears=False)
+
+    def __init__(
+        self,
+        world: World,
+        *,
+        model: str = "ND-281B",
+        zero_deg: float = 0.0,
+        falling: bool = False,
+        referenced: bool = True,
+    ) -> None:
+        super().__init__(world, zero_deg=zero_deg, falling=falling, referenced=referenced)
+        self.model = model
+        self.status_bar = "00010211"
+        self.inch = nd.DARK
+
+    def handle(self, message: bytes, interrupted: Callable[[], bool]) -> bytes | None:
+        """Answer one command with STX and what is asked for; a command that it does not know with NAK."""
+        outputs = {
+            nd.ASK_DEVICE: self._device,
+            nd.ASK_DISPLAY: self._display,
+            nd.ASK_SOFTWARE: self._software,
+            nd.ASK_INDICATORS: self._indicators,
+        }
+        if self.model == "ND-287":
+            outputs[nd.ASK_STATUS_BAR] = self.status_bar
+        said = outputs.get(message.decode("latin-1"))
+        return nd.NAK.encode() if said is None else f"{nd.STX}{said}".encode("ascii")
+
+    @property
+    def _software(self) -> str:
+        return "646118-01 " if self.model == "ND-287" else "349797-04 "
+
+    @property
+    def _device(self) -> str:
+        version = "V1-01" if self.model == "ND-287" else "2001-05-04"
+        return "\r\n".join(f"{part:<10}" for part in (self.model, self._software, version))
+
+    @property
+    def _display(self) -> str:
+        return "SIGNAL ERR. " if self.failed else f"{self.shown_deg:+011.4f}"
+
+    @property
+    def _indicators(self) -> str:
+        if self.model == "ND-287":
+            return f"0000000{nd.GLOWS if self.referenced else nd.BLINKS}0"
+        ref = nd.GLOWS if self.referenced else nd.BLINKS
+        return f"{ref}10000{self.inch}0000000"
+
+
+class MitutoyoMux10(Counter):
+    """A counter in the MUX-10 form, with the encoder on `channel`."""
+
+    model = mitutoyo_mux10.MODEL
+    line_ends = LineEnds((b"\r",), reply=b"\r")
+
+    def __init__(
+        self,
+        world: World,
+        *,
+        channel: int = 1,
+        zero_deg: float = 0.0,
+        falling: bool = False,
+        referenced: bool = True,
+    ) -> None:
+        super().__init__(world, zero_deg=zero_deg, falling=falling, referenced=referenced)
+        self._channel = str(channel)
+
+    def handle(self, message: bytes, interrupted: Callable[[], bool]) -> bytes | None:
+        """Answer the number of the channel with a reading; nothing is said to anything else."""
+        if message.strip() != self._channel.encode():
+            return None
+        return b"911" if self.failed else f"0{self._channel}A{self.shown_deg:+09.4f}".encode("ascii")
+
+
+_NUMBER: Final = re.compile(r"([+-]?)( *)(\d+)(?:\.(\d+))?")
+
+
+class EncoderLine(Counter):
+    """A counter that answers `request` with a line like `example`, in which `pattern` finds the number.
+
+    `per_turn` of its units are a turn. Messages end in `ends[0]`, replies in `ends[1]`. A signal that fails is told
+    by the first of the `errors`, else by "?".
+    """
+
+    model = encoder_line.MODEL
+
+    def __init__(
+        self,
+        world: World,
+        *,
+        request: str,
+        pattern: str,
+        example: str,
+        per_turn: float,
+        ends: tuple[str, str],
+        errors: tuple[str, ...] = (),
+        zero_deg: float = 0.0,
+        falling: bool = False,
+        referenced: bool = True,
+    ) -> None:
+        super().__init__(world, zero_deg=zero_deg, falling=falling, referenced=referenced)
+        self.line_ends = LineEnds((ends[0].encode(),), reply=ends[1].encode())
+        self._request = request.encode("ascii")
+        self._per_deg = per_turn / 360.0
+        self._error = next(iter(errors), "?").encode("ascii")
+        match = re.fullmatch(pattern, example)
+        first, last = match.span(encoder_line.ANGLE) if match else (0, len(example))
+        self._around = example[:first], example[last:]
+        self._example = example[first:last]
+
+    def handle(self, message: bytes, interrupted: Callable[[], bool]) -> bytes | None:
+        """Answer the request with a line; nothing is said to anything else."""
+        if message.removesuffix(b"\r") != self._request:
+            return None
+        if self.failed:
+            return self._error
+        begin, end = self._around
+        return f"{begin}{self._number()}{end}".encode("ascii", "replace")
+
+    def _number(self) -> str:
+        """Return the number in the form of that in the example: sign, width and decimals."""
+        match = _NUMBER.fullmatch(self._example)
+        decimals = len(match[4] or "") if match else 4
+        whole = len(match[3]) if match else 1
+        shown = f"{abs(self.shown_deg * self._per_deg):.{decimals}f}"
+        wide = shown.zfill(whole + (decimals + 1 if decimals else 0))
+        plus = match[1] if match else ""
+        return f"{'-' if self.shown_deg < 0.0 else '+' if plus else ''}{wide}"

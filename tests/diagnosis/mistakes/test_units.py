@@ -1,0 +1,60 @@
+"""Signals in another unit, range or decimal point, in all of a run or a part of it; the data sheet is known."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.support.mistaken_runs import EFFECTS, NOISE_V, find, outlier_v, place, run, with_outlier
+from tests.support.paper_bench import K
+
+UNEQUAL = 5.0
+"""Standard deviations of the mean square residual beyond which a copy is not put right."""
+
+
+def scaled(readings, rows, channels, factor):
+    signal = readings.signal.copy()
+    signal[np.ix_(np.flatnonzero(rows), channels)] *= factor
+    return replace(readings, signal=signal)
+
+
+@pytest.mark.parametrize("factor", [1e3, 1e-3, 10.0, 0.1, 100.0])
+@pytest.mark.parametrize("scope", ["run", "installation", "pass"])
+def test_a_channel_in_another_unit_is_named_with_its_rows_and_put_right(factor, scope):
+    """The odds are e^(6.9 per reading) and more: of 15 kinds none may be missed."""
+    for seed in range(2):
+        rng = np.random.default_rng([91, seed])
+        good = run([92, seed])
+        rows, installations, number = place(rng, good, scope)
+        channel = int(rng.integers(3))
+        found = find(scaled(good, rows, [channel], factor))
+        (mistake,) = found.mistakes
+        assert (mistake.name, mistake.channels) == ("wrong_unit", ("xyz"[channel],)), seed
+        assert (mistake.installations, mistake.pass_number) == (installations, number), seed
+        assert ("mV" in mistake.words) == (factor == 1e3)
+        assert ("decimal point" in mistake.words) == (factor not in {1e3, 1e-3})
+        assert mistake.p < 1e-6
+        # 162 standardised residuals, 12 coefficients fitted: 0.96, and 5 standard deviations of 0.055
+        assert mistake.evidence.after < 0.96 + UNEQUAL * 0.055
+        np.testing.assert_allclose(found.corrected.signal, good.signal, rtol=1e-12)
+
+
+def test_one_reading_with_another_decimal_point_is_an_outlier():
+    good = run(93)
+    bad = scaled(good, np.arange(len(good)) == 30, [2], 10.0)
+    assert [mistake.name for mistake in find(bad).mistakes] == ["outlier"]
+
+
+def test_a_wrong_unit_is_found_beside_another_mistake_of_the_same_run():
+    good = run(94)
+    mixed = scaled(good, (good.installation == "2") & (good.pass_number == 3), [1], 1e3)
+    mixed = with_outlier(mixed, 4, 0, outlier_v(mixed, 4, 0, 300, NOISE_V))
+    assert [mistake.name for mistake in find(mixed).mistakes] == ["wrong_unit", "outlier"]
+
+
+@pytest.mark.parametrize("effect", EFFECTS)
+def test_a_perfect_block_with_an_effect_is_in_its_unit(effect):
+    """Without biases and cross-axis terms a channel that hardly moves fits any factor: no odds may come of that."""
+    good = run(95, **EFFECTS[effect])
+    force = (good.signal - good.signal.mean(axis=0)) @ np.linalg.inv(K).T
+    assert find(replace(good, signal=force * np.diag(K))).mistakes == ()
