@@ -39,10 +39,10 @@ class TurnHead(TypedDict):
     direction: Direction
     tolerance_rad: NotRequired[float]
     read_by: NotRequired[Literal["encoder"]]
-    """An encoder reads the angle: the head is to come to it from `backoff_rad` away."""
+    """An encoder reads the angle, which the head must approach from at least `backoff_rad` away."""
     backoff_rad: NotRequired[float]
     hands_free: NotRequired[bool]
-    """The encoder answers in the person's place, once the head stands at the target."""
+    """The encoder answers in the person's place when the head is at rest at the target."""
 
 
 class SetChamber(TypedDict):
@@ -193,9 +193,10 @@ class WatchingPerson(Protocol):
 
 
 class AnsweredByInstrument(Exception):
-    """A question needs no person any more: `meanwhile` raises it, and `ask` passes it on.
+    """Raised by `meanwhile` when an instrument answers in the person's place; `ask` passes it on.
 
-    `by` is who answers ("encoder"), `text` the answer. A `problem` is a sentence why it is none yet.
+    `by` names the instrument ("encoder"), `text` is the answer. A `problem` says in a sentence why the answer does
+    not count: then the question is asked again.
     """
 
     def __init__(self, by: str, text: str, problem: str = "") -> None:
@@ -207,16 +208,16 @@ class AnsweredByInstrument(Exception):
 
 @runtime_checkable
 class _LooksAsTold(Protocol):
-    """A `WatchingPerson` that calls `meanwhile` every `slice_s`, s."""
+    """A `WatchingPerson` whose interval between calls of `meanwhile` can be set, s."""
 
     slice_s: float
 
 
 @contextmanager
 def watching(person: Person, look: Callable[[], None], every_s: float, clock: Clock) -> Iterator[None]:
-    """Have `look` called while a question to `person` waits, beside what is watched then already.
+    """Call `look` while questions to `person` are open, in addition to the person's present `meanwhile`.
 
-    It is called every `every_s`, s, where the person can be told so, and never where nothing can be watched.
+    The interval is `every_s`, s, if the person lets it be set. Only a `WatchingPerson` calls `look`.
     """
     if not isinstance(person, WatchingPerson):
         yield

@@ -1,4 +1,4 @@
-"""Heads that a person turns and an encoder reads: the approach is watched, the angle is read and never typed."""
+"""The base of heads that a person turns and an encoder reads: it watches the approach and reads the angle."""
 
 from __future__ import annotations
 
@@ -36,24 +36,24 @@ if TYPE_CHECKING:
 LOOK_S: Final = 0.2
 """Time between two looks at the encoder while a person turns the head, s."""
 PATIENCE_S: Final = 10.0
-"""So long beyond its settling time may a head move after the person has confirmed, s."""
+"""The longest wait for rest after the person has confirmed, beyond the settling time, s."""
 MOST_ATTEMPTS: Final = 20
-"""So often is a person asked to come to one angle."""
+"""The most prompts for one angle."""
 UNWATCHED: Final = "Here the head is seen at your answers alone: answer where you have backed off, too."
-"""What is told where the head cannot be watched while a question waits."""
+"""The hint for a person whose open prompts allow no watching."""
 ENCODER: Final = "encoder"
-"""Who answers in the person's place, for the record."""
+"""The name of the encoder as author of an answer in the record."""
 
 _NO: Final = frozenset({"n", "no"})
 
 
 @dataclass(frozen=True, slots=True)
 class Approach:
-    """How a head must come to an angle, and when it stands there.
+    """The rules by which a head arrives at an angle.
 
-    It comes from at least `backoff_rad` away. It stands within `tolerance_rad` of the target when its angle changes
-    by no more than `rest_rad`, peak to peak, for `settle_s`. No hand turns it faster than `speed_rad_s`. With
-    `hands_free` nobody confirms; with `typed` a person types the angle on the scale as well.
+    The head approaches from at least `backoff_rad` away. It has arrived within `tolerance_rad` of the target when
+    its angle changed by no more than `rest_rad`, peak to peak, for `settle_s`. A change faster than `speed_rad_s`
+    is an error of the encoder. With `hands_free` nobody confirms; with `typed` a person also types the angle.
     """
 
     tolerance_rad: float
@@ -67,30 +67,30 @@ class Approach:
 
 @dataclass(frozen=True, slots=True)
 class ScaleOfEncoder:
-    """The relation of encoder and head: `zero_rad` is what the encoder shows where the scale of the head shows 0°.
+    """The relation between encoder and head: the encoder shows `zero_rad` at 0° of the head's scale.
 
-    The values of a `falling` encoder fall where the angle of the head rises.
+    The values of a `falling` encoder fall while the angle of the head rises.
     """
 
     zero_rad: float = 0.0
     falling: bool = False
 
     def angle_rad(self, shown_rad: float) -> float:
-        """Return the angle of the head where the encoder shows `shown_rad`."""
+        """Return the angle of the head for a value of the encoder."""
         return (self.zero_rad - shown_rad) if self.falling else (shown_rad - self.zero_rad)
 
 
 class Track:
-    """The angles that an encoder has shown on the way to a target.
+    """The recent angles of an encoder on the way to a target.
 
-    Offsets from the target count along the way: they are negative before it, positive beyond it, rad.
+    Offsets from the target count in the direction of approach: negative before it, positive beyond it, rad.
     """
 
     def __init__(self, approach: Approach, target_rad: float, direction: Direction) -> None:
         self.told = False
-        """Whether the person was told that the head came from the wrong side."""
+        """Whether the person knows that the head came from the wrong side."""
         self.looks = 0
-        """How many angles were taken in."""
+        """The number of angles taken."""
         self._approach = approach
         self._target_rad = target_rad
         self._direction = direction
@@ -98,7 +98,7 @@ class Track:
         self._backed_off = False
 
     def take(self, time_s: float, angle_rad: float) -> float | None:
-        """Take in an angle at a time; return how far it jumped where no hand turns so fast, rad, else None."""
+        """Add an angle at a time; return the size of a jump faster than any hand, rad, or None."""
         offset_rad = self._direction * wrapped_rad(angle_rad - self._target_rad)
         approach = self._approach
         if self._seen:
@@ -124,19 +124,19 @@ class Track:
 
     @property
     def moved_rad(self) -> float:
-        """How much the angle changed within the settling time, peak to peak, rad."""
+        """The peak-to-peak change of the angle within the settling time, rad."""
         offsets = [offset_rad for _, offset_rad in self._seen]
         return max(offsets) - min(offsets)
 
     @property
     def rests(self) -> bool:
-        """Whether the head was at rest for the whole settling time."""
+        """Whether the head has been at rest for the settling time."""
         watched_s = self._seen[-1][0] - self._seen[0][0]
         return watched_s >= self._approach.settle_s and self.moved_rad <= self._approach.rest_rad
 
     @property
     def problem(self) -> str:
-        """A sentence why the head does not stand at the target, come to as demanded; empty where it does."""
+        """The reason, in a sentence, why the head has not arrived as demanded; empty if it has."""
         if not self.rests:
             within = f"{self._approach.settle_s:g} s"
             return f"The head still moves, by {format_dms(self.moved_rad, 1)} within {within}: clamp it."
@@ -166,10 +166,10 @@ class Track:
 
 
 class ReadOutHead(ABC):
-    """The base of the `DividingHead`s with an encoder whose counter a make reads.
+    """The base of each `DividingHead` that a person turns and a counter reads.
 
-    A make says how its counter is proved and what it shows. `tells_reference` says whether the counter tells that
-    its reference mark was crossed; where it does not, a person is asked once for each connection.
+    A subclass proves its counter and reads its value. `tells_reference` says whether the counter reports its
+    reference mark. If not, the person is asked about the mark once for each connection.
     """
 
     def __init__(
@@ -195,7 +195,7 @@ class ReadOutHead(ABC):
         self._trusted = False
 
     def open(self) -> Identity:
-        """Connect and prove the counter.
+        """Connect, prove the counter and return its identity.
 
         Raises `InstrumentLost`, `BadReading`, `InstrumentRefused`.
         """
@@ -203,32 +203,34 @@ class ReadOutHead(ABC):
         return self._identity
 
     def close(self) -> None:
-        """Let the wire go: a counter is left as it is. Never raises, may be called twice."""
+        """Close the connection; the counter needs nothing to be safe. Never raises, may be called twice."""
         self._session.close()
 
     def position_rad(self) -> float:
-        """Return the angle of the head that the encoder shows, rad.
+        """Return the angle of the head by its encoder, rad.
 
-        Raises `InstrumentRefused` where the counter shows no angle, `InstrumentLost`, `BadReading`.
+        Raises `InstrumentRefused` if the counter shows no angle, `InstrumentLost`, `BadReading`.
         """
         return self._scale.angle_rad(self._shown_rad())
 
     def move(self, target_rad: float, direction: Direction, key: str) -> HeadPosition:
-        """Ask the person to turn to `target_rad` from the stated side; return the angle that the encoder shows.
+        """Ask the person to turn to `target_rad` from the stated side; return the angle by the encoder.
 
-        Raises `InstrumentRefused` for a counter without reference or with an error, `BadReading` for an angle that
-        jumped, `InstrumentLost`, `LimitExceeded` after the last attempt, `NoAnswer` when there is nobody to ask.
+        Raises `InstrumentRefused` if the counter has an error or no reference, `BadReading` if the angle jumped,
+        `InstrumentLost`, `LimitExceeded` after the last attempt, `NoAnswer` if there is nobody to ask.
         """
         if not math.isfinite(target_rad):
             raise LimitExceeded(self.name, f"{target_rad} rad is no angle", "correct the procedure's angle")
-        self._have_reference(key)
-        track = Track(self._approach, target_rad, direction)
-        self._look(track)  # a counter that shows no angle is told before anybody turns
+        track = self._begun(target_rad, direction, key)
         trouble = ""
         for attempt in range(1, MOST_ATTEMPTS + 1):
+            if (
+                not self._trusted
+            ):  # the connection was made anew on the way, perhaps to a counter that was off
+                track = self._begun(target_rad, direction, key)
             prompt = self._prompt(target_rad, direction, f"{key}#{attempt}", trouble)
             trouble = self._asked(prompt, track)
-            if not trouble:
+            if not trouble and self._trusted:
                 return HeadPosition(track.angle_rad, direction)
         raise LimitExceeded(
             self.name,
@@ -236,7 +238,7 @@ class ReadOutHead(ABC):
             "check the clamp, the encoder's coupling and the procedure's angle, then take this point again",
         )
 
-    # --- what a make says ---------------------------------------------------------------------------
+    # --- what a subclass provides -------------------------------------------------------------------
 
     @abstractmethod
     def _prove(self) -> None:
@@ -244,7 +246,7 @@ class ReadOutHead(ABC):
 
     @abstractmethod
     def _shown_rad(self) -> float:
-        """Return what the encoder shows, rad. Raises `InstrumentRefused` for what is no angle."""
+        """Return the value of the encoder, rad. Raises `InstrumentRefused` if the counter shows no angle."""
 
     # --- the encoder --------------------------------------------------------------------------------
 
@@ -252,8 +254,15 @@ class ReadOutHead(ABC):
         self._trusted = self._tells_reference
         self._prove()
 
+    def _begun(self, target_rad: float, direction: Direction, key: str) -> Track:
+        """Return a new track with the present angle: a counter in error is reported before anybody turns."""
+        self._have_reference(key)
+        track = Track(self._approach, target_rad, direction)
+        self._look(track)
+        return track
+
     def _look(self, track: Track) -> None:
-        """Take in what the encoder shows. Raises `BadReading` where it jumped, which no later look mends."""
+        """Add the present angle to the track. Raises `BadReading` if it jumped."""
         angle_rad = self.position_rad()
         jump_rad = track.take(self._clock.now_s(), angle_rad)
         if jump_rad is not None:
@@ -266,7 +275,7 @@ class ReadOutHead(ABC):
             )
 
     def _have_reference(self, key: str) -> None:
-        """Ask, where the counter does not tell, whether its reference mark was crossed."""
+        """Ask the person whether the reference mark was crossed, if the counter does not report it."""
         self._session.ensure_proved()
         if self._trusted:
             return
@@ -294,7 +303,7 @@ class ReadOutHead(ABC):
     # --- the person ---------------------------------------------------------------------------------
 
     def _asked(self, prompt: Prompt, track: Track) -> str:
-        """Have the head turned; return a sentence on what is wrong with where it stands, empty for nothing."""
+        """Put the prompt and wait for the head; return the reason why it has not arrived, or an empty text."""
         looks_before = track.looks
         try:
             with watching(self._person, partial(self._watch, track), LOOK_S, self._clock):
@@ -311,7 +320,7 @@ class ReadOutHead(ABC):
         return problem if watched or not problem else f"{problem} {UNWATCHED}"
 
     def _watch(self, track: Track) -> None:
-        """Look at the encoder while the person turns. Raises `AnsweredByInstrument` where nobody confirms."""
+        """Look at the encoder while the person turns. Raises `AnsweredByInstrument` when hands-free and at rest."""
         self._look(track)
         if not self._approach.hands_free or not track.rests or not track.arrived:
             return
@@ -322,7 +331,7 @@ class ReadOutHead(ABC):
         raise AnsweredByInstrument(ENCODER, format_dms(track.angle_rad, 1), problem)
 
     def _come_to_rest(self, track: Track) -> str:
-        """Look at the encoder until the head is at rest; return what is wrong then, empty for nothing."""
+        """Wait until the head is at rest; return the reason why it has not arrived, or an empty text."""
         end_s = self._clock.now_s() + self._approach.settle_s + PATIENCE_S
         self._look(track)
         while not track.rests and self._clock.now_s() < end_s:
@@ -331,7 +340,7 @@ class ReadOutHead(ABC):
         return track.problem
 
     def _misread(self, typed: str, track: Track) -> str:
-        """Compare a typed angle with the encoder's; return a sentence where they differ, empty where not."""
+        """Compare a typed angle with the encoder's; return a sentence if they differ, or an empty text."""
         try:
             typed_rad = parse_angle(typed)
         except ValueError as trouble:

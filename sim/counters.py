@@ -1,6 +1,6 @@
 """Simulated counters of an encoder on the head of the world: Heidenhain ND 281B and ND 287, MUX-10, a line of text.
 
-Sources: see their facts. The encoder has no error of its own and no noise: its values are those of the scale.
+Sources: see their facts. The encoder has neither errors nor noise: its values are those of the head's scale.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 
 
 class Counter(PlainDialect):
-    """A counter that shows `zero_deg` where the scale is at 0°; `falling` values fall where the angle rises.
+    """A counter that shows `zero_deg` at 0° of the scale; `falling` values fall while the angle rises.
 
-    `referenced` False is a counter that was just switched on: its values count from where the head stood.
+    Without `referenced` it was just switched on, and counts from the present angle of the head.
     """
 
     def __init__(
@@ -39,24 +39,24 @@ class Counter(PlainDialect):
 
     @property
     def shown_deg(self) -> float:
-        """What the counter shows, degrees."""
+        """The value of the counter, degrees."""
         return self._zero_deg + self._sign * math.degrees(self._world.scale_angle_rad) - self._lost_deg
 
     def power_cycle(self) -> None:
-        """Switch off and on: it counts from zero, where the head stands now."""
+        """Switch off and on: the present angle of the head becomes zero."""
         self._lost_deg += self.shown_deg
         self.referenced = self.failed = False
 
     def cross_reference(self) -> None:
-        """Let the head cross the reference mark: the values are angles again."""
+        """Cross the reference mark: the values are angles again."""
         self._lost_deg, self.referenced, self.failed = 0.0, True, False
 
     def lose_counts(self, lost_deg: float) -> None:
-        """Lose counts without a notice, degrees."""
+        """Lose counts without any message, degrees."""
         self._lost_deg += lost_deg
 
     def fail(self) -> None:
-        """Let the signal of the encoder fail: the counter says so in place of a value."""
+        """Fail the encoder's signal: the counter answers with a message in place of a value."""
         self.failed = True
 
 
@@ -80,7 +80,7 @@ class HeidenhainNd28x(Counter):
         self.inch = nd.DARK
 
     def handle(self, message: bytes, interrupted: Callable[[], bool]) -> bytes | None:
-        """Answer one command with STX and what is asked for; a command that it does not know with NAK."""
+        """Return STX and the output of a command, or NAK for an unknown command."""
         outputs = {
             nd.ASK_DEVICE: self._device,
             nd.ASK_DISPLAY: self._display,
@@ -132,7 +132,7 @@ class MitutoyoMux10(Counter):
         self._channel = str(channel)
 
     def handle(self, message: bytes, interrupted: Callable[[], bool]) -> bytes | None:
-        """Answer the number of the channel with a reading; nothing is said to anything else."""
+        """Return a reading for the number of the channel, and None for anything else."""
         if message.strip() != self._channel.encode():
             return None
         return b"911" if self.failed else f"0{self._channel}A{self.shown_deg:+09.4f}".encode("ascii")
@@ -144,8 +144,8 @@ _NUMBER: Final = re.compile(r"([+-]?)( *)(\d+)(?:\.(\d+))?")
 class EncoderLine(Counter):
     """A counter that answers `request` with a line like `example`, in which `pattern` finds the number.
 
-    `per_turn` of its units are a turn. Messages end in `ends[0]`, replies in `ends[1]`. A signal that fails is told
-    by the first of the `errors`, else by "?".
+    `per_turn` units make a turn. Messages end in `ends[0]`, replies in `ends[1]`. With a failed signal it answers
+    with the first of the `errors`, or with "?" if there is none.
     """
 
     model = encoder_line.MODEL
@@ -175,7 +175,7 @@ class EncoderLine(Counter):
         self._example = example[first:last]
 
     def handle(self, message: bytes, interrupted: Callable[[], bool]) -> bytes | None:
-        """Answer the request with a line; nothing is said to anything else."""
+        """Return a line for the request, and None for anything else."""
         if message.removesuffix(b"\r") != self._request:
             return None
         if self.failed:
@@ -184,7 +184,7 @@ class EncoderLine(Counter):
         return f"{begin}{self._number()}{end}".encode("ascii", "replace")
 
     def _number(self) -> str:
-        """Return the number in the form of that in the example: sign, width and decimals."""
+        """Return the number with sign, width and decimals as in the example."""
         match = _NUMBER.fullmatch(self._example)
         decimals = len(match[4] or "") if match else 4
         whole = len(match[3]) if match else 1

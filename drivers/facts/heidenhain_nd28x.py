@@ -13,8 +13,8 @@ Not confirmed by a source:
 - the texts of errors of signal and count, which are shown, and so sent, in place of the value;
 - the sign of a positive value, + or a blank;
 - a command by which an ND 281B tells degrees from millimetres (only inches show).
-STX (Ctrl B) calls the measured value as well, in a form that depends on unit, sorting and series: what the display
-shows is asked instead.
+STX (Ctrl B) calls the measured value in a form that depends on unit, sorting and series. ENQ (Ctrl E) calls an
+error message in a form that is not confirmed. The driver uses neither; it asks what the display shows.
 """
 
 from typing import Final

@@ -21,10 +21,10 @@ _NUMBER: Final = re.compile(r"[+-]? *\d+(?:\.\d*)?|[+-]? *\.\d+")
 
 
 class EncoderLine(ReadOutHead):
-    """A `DividingHead` whose encoder a counter of the given `model` shows.
+    """A `DividingHead` with an encoder on a counter that its bench file describes; `model` names it in the record.
 
-    `request` asks for a line. `pattern` is the form of the whole line, with the number in its group `angle`;
-    `per_turn` of its units are a turn. `errors` are lines in place of an angle, each with what it means.
+    The counter answers `request` with one line, which must match `pattern`. The group `angle` of the pattern is the
+    number; `per_turn` units make a turn. `errors` maps lines in place of an angle to their meanings.
     """
 
     def __init__(
@@ -58,11 +58,14 @@ class EncoderLine(ReadOutHead):
         self._rad = math.tau / per_turn
 
     def _prove(self) -> None:
-        """Take a reading: that it has the stated form is all that the counter says of itself."""
+        """Take a reading: its form is the only identity of such a counter."""
         self._shown_rad()
 
     def _shown_rad(self) -> float:
-        """Return what the counter shows, rad. Raises `InstrumentRefused` for an error that the bench file names."""
+        """Return the value of the counter, rad.
+
+        Raises `InstrumentRefused` for an error of the bench file, `BadReading` for any other reply.
+        """
         known = "|".join([f"(?:{self._pattern.pattern})", *map(re.escape, self._errors)])
         said = self._session.ask(self._request, known, "a line of the form in the bench file")
         if (meaning := self._errors.get(said)) is not None:

@@ -24,7 +24,7 @@ _VALUE: Final = re.compile(r"([+ -]) *(\d+\.\d+) *")
 
 
 class HeidenhainNd28x(ReadOutHead):
-    """A `DividingHead` whose encoder a display unit of the stated `model` shows in decimal degrees."""
+    """A `DividingHead` with an encoder on a display unit, `model` ND-281B or ND-287, in decimal degrees."""
 
     def __init__(
         self,
@@ -50,7 +50,7 @@ class HeidenhainNd28x(ReadOutHead):
         self._model = model
 
     def _prove(self) -> None:
-        """Ask for software, model and version; of an ND 287 for its unit, too."""
+        """Ask for software, model and version, and an ND 287 for its unit."""
         self._session.ask(facts.ASK_SOFTWARE, _SOFTWARE, "a software number such as 349797-04")
         said = self._session.ask(
             facts.ASK_DEVICE,
@@ -81,9 +81,9 @@ class HeidenhainNd28x(ReadOutHead):
                 raise InstrumentRefused(self.name, what, "set it by its keys, then start again")
 
     def _shown_rad(self) -> float:
-        """Return the angle on the display, once its reference mark was crossed.
+        """Return the value on the display, rad.
 
-        Raises `InstrumentRefused` for a message or a form that is no angle in degrees.
+        Raises `InstrumentRefused` for a relative value, a message or any other text in place of degrees.
         """
         self._refuse_without_reference()
         shown = self._session.ask(facts.ASK_DISPLAY, _SHOWN, "what is displayed, such as +00045.0028")[1:]
@@ -98,7 +98,7 @@ class HeidenhainNd28x(ReadOutHead):
         return math.radians(float(f"{match[1].strip()}{match[2]}"))
 
     def _refuse_without_reference(self) -> None:
-        """Raise `InstrumentRefused` where the indicators say that the value is relative."""
+        """Raise `InstrumentRefused` if the indicators show a relative value or inches."""
         of_281b = self._model == "ND-281B"
         length = str(facts.INDICATORS_281B) if of_281b else "1,24"
         said = self._session.ask(

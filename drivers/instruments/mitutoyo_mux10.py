@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 class MitutoyoMux10(ReadOutHead):
-    """A `DividingHead` whose encoder is on a channel of a counter, which shows degrees."""
+    """A `DividingHead` with an encoder on a channel of a counter that shows degrees."""
 
     def __init__(
         self,
@@ -42,11 +42,11 @@ class MitutoyoMux10(ReadOutHead):
         self._channel = channel
 
     def _prove(self) -> None:
-        """Take a reading: that it has the form is all that the counter says of itself."""
+        """Take a reading: its form is the only identity of such a counter."""
         self._shown_rad()
 
     def _shown_rad(self) -> float:
-        """Return what the channel shows, rad; a reply of any other form is a `BadReading`."""
+        """Return the value of the channel, rad. Raises `BadReading` for any other reply."""
         begin = f"0{self._channel}A"
         form = rf"{begin}(?=.{{{facts.VALUE_CHARACTERS + 1}}}\Z)[+-]\d+\.\d+"
         said = self._session.ask(str(self._channel), form, f"a reading such as {facts.EXAMPLE}")

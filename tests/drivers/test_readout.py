@@ -209,6 +209,23 @@ def test_a_counter_that_does_not_tell_is_asked_about_once_for_a_connection():
     assert person.prompts[3].id == "2/turn/reference#1"
 
 
+def test_a_connection_made_anew_on_the_way_makes_an_angle_of_none():
+    reference = ([0.0], "yes")
+    ways = [reference, ([*COMING, *RESTING, *RESTING], ""), reference, ([*COMING, *RESTING, *RESTING], "")]
+    head, person = turned(FREE, *ways, tells_reference=False)
+    looked, shown = [], head._shown_rad
+
+    def lost_once():
+        looked.append(1)
+        if len(looked) == 10:
+            head._proved()
+        return shown()
+
+    head._shown_rad = lost_once
+    assert head.move(45 * DEG, 1, "1/turn").angle_rad == pytest.approx(45.001 * DEG)
+    assert [prompt.id.partition("#")[0] for prompt in person.prompts] == ["1/turn/reference", "1/turn"] * 2
+
+
 def test_where_nobody_confirms_the_reference_mark_nothing_is_read():
     head, person = turned(FREE, *[([0.0], "no")] * 5, tells_reference=False)
     with pytest.raises(InstrumentRefused, match="nobody confirmed that its reference mark was crossed"):

@@ -19,6 +19,7 @@ from bench.config.procedure.plan import Turn
 from bench.config.shipped import find_bench, find_procedure
 from bench.panel.run_state import prompt_of
 from bench.run.assembly.served import LivingOperator
+from bench.run.commission.session import CommissioningPerson
 from bench.run.events import Event, EventType
 from bench.run.folder import Run
 from bench.run.listening import Asker
@@ -132,6 +133,46 @@ def test_nobody_to_watch_with_is_asked_all_the_same(clock):
         assert Plain().ask(TURN) == "asked"
 
 
+class Turning:
+    """A hand that turns a simulated head leg by leg, `legs` of which are begun at each event of a type."""
+
+    def __init__(self, stand, legs):
+        self.world, self.legs, self.begun = stand.world, legs, []
+        self.sleep, stand.world.clock.sleep = stand.world.clock.sleep, self.later
+
+    def later(self, duration_s):
+        self.sleep(duration_s)
+        if self.begun and self.world.head_rate_rad_s == 0.0:
+            self.world.move_head(math.radians(self.begun.pop(0)), math.radians(10.0))
+
+    def __call__(self, event):
+        self.begun += self.legs.get(event.type, [])
+
+
+@pytest.mark.parametrize("name", ["heidenhain-nd28x", "encoder-line"])
+def test_a_hand_and_an_encoder_alone_carry_out_a_turn_and_the_record_says_so(tmp_path, record, name):
+    legs = {EventType.ASKED: [47.0, 45.001], EventType.ANSWER_REFUSED: [43.5, 44.999]}
+    with standing(devices().get(name), tmp_path, hands_free="yes") as stand:
+        hand = Turning(stand, legs)
+
+        def tell(kind, data):
+            record.tell(kind, data)
+            if data.get("action", {}).get("do") == "turn" or kind == EventType.ANSWER_REFUSED:
+                hand(record.events[-1])
+
+        stand.driver._person = Asker(tmp_path, record, tell, clock=stand.world.clock)
+        stand.driver.open()
+        stand.driver._trusted = True  # of the line a person was asked
+        position = stand.driver.move(math.radians(45.0), 1, "1/turn")
+    assert math.degrees(position.angle_rad) == pytest.approx(44.999, abs=1e-4)
+    assert [event.type for event in record.events] == [
+        EventType.ASKED, EventType.ANSWER_REFUSED, EventType.ANSWERED,
+    ]  # fmt: skip
+    assert "did not come from below" in record.events[1].data["why"]
+    assert record.events[2].data["answer"] == "44°59′56.4″"
+    assert {event.data["by"] for event in record.events[1:]} == {"encoder"}
+
+
 @pytest.mark.slow
 def test_a_whole_dry_run_takes_no_key_for_a_reading(bench, monkeypatch):
     ask, turned, keys = ScriptedOperator.ask, [], []
@@ -203,3 +244,16 @@ def test_an_evening_with_an_encoder_finds_that_all_works(bench):
     )
     assert (status, err) == (0, ""), out
     assert "was turned to" in out
+
+
+def test_an_evening_watches_with_the_person_where_that_is_possible():
+    class Nobody:
+        def ask(self, prompt):
+            raise AssertionError(prompt)
+
+    looks = []
+    watched, alone = CommissioningPerson(ScriptedOperator(None)), CommissioningPerson(Nobody())
+    for person in (watched, alone):
+        person.meanwhile = looks.append
+    assert watched.meanwhile is not None
+    assert alone.meanwhile is None

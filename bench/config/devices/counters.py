@@ -39,7 +39,7 @@ class NdPort(PortSection):
 class HeidenhainNd28xSection(ReadOutHeadForm):
     """A Heidenhain display unit, ND 281B or ND 287, that shows decimal degrees.
 
-    Its port is set to 7 data bits, even parity and two stop bits.
+    Its port has 7 data bits, even parity and two stop bits.
     """
 
     facts: ClassVar = nd
@@ -50,16 +50,16 @@ class HeidenhainNd28xSection(ReadOutHeadForm):
     serial: NdPort = NdPort.of(nd)
 
     def driver_options(self) -> dict[str, Any]:
-        """Return which model it must be."""
+        """Return the model."""
         return {"model": self.model}
 
     def simulation_options(self, truth: HeadTruth) -> dict[str, Any]:
-        """Return which model it is."""
+        """Return the model and what every simulated counter is given."""
         return super().simulation_options(truth) | {"model": self.model}
 
 
 class MitutoyoMux10Section(ReadOutHeadForm):
-    """A counter that shows degrees, and sends its readings in the form of a Mitutoyo MUX-10."""
+    """A counter that shows degrees and sends its readings in the form of a Mitutoyo MUX-10."""
 
     facts: ClassVar = mitutoyo_mux10
 
@@ -92,9 +92,9 @@ Printable = Annotated[str, AfterValidator(_plain)]
 class EncoderLineSection(ReadOutHeadForm):
     """A counter that answers `request` with one line of text.
 
-    `pattern` (a regular expression) is the form of the whole line. Its group `angle`, as in `(?P<angle>...)`, is
-    the number. `example` is a line as the counter sends it. The number counts in the `unit`; where that is counts,
-    `counts_per_turn` are a turn. `errors` are lines that come in place of an angle, each with its meaning.
+    The whole line must match `pattern`, a regular expression; its group `angle`, as in `(?P<angle>...)`, is the
+    number in the `unit`. `counts_per_turn` is stated for the unit counts. `example` is a line as the counter sends
+    it. `errors` are lines in place of an angle, each with its meaning. `model` names the counter in the record.
     """
 
     facts: ClassVar = encoder_line
@@ -137,7 +137,7 @@ class EncoderLineSection(ReadOutHeadForm):
 
     @property
     def per_turn(self) -> float:
-        """How many of its units are a turn."""
+        """The number of units in a turn."""
         return self.counts_per_turn or encoder_line.PER_TURN[self.unit]
 
     def port(self) -> Port:
@@ -147,12 +147,12 @@ class EncoderLineSection(ReadOutHeadForm):
         return Port(ends[self.reply_end], ends[self.request_end], serial)
 
     def driver_options(self) -> dict[str, Any]:
-        """Return what is asked, and how the reply is read."""
+        """Return the request and the form of the reply."""
         own = self.model_dump(include={"model", "request", "pattern", "errors"})
         return own | {"per_turn": self.per_turn}
 
     def simulation_options(self, truth: HeadTruth) -> dict[str, Any]:
-        """Return what is asked, and what the reply looks like."""
+        """Return the request, the form of the reply and an example of it."""
         ends = encoder_line.ENDS
         return {
             **super().simulation_options(truth),

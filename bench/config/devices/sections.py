@@ -225,7 +225,7 @@ SpeedRadS = Annotated[float, not_negative(SPEED)]
 
 
 class HeadTruth(FileModel):
-    """A simulated motorised head: whether it is homed at switch-on, and has an encoder that detects stalling."""
+    """A simulated head: whether it is homed (an encoder: referenced) at switch-on, and detects stalling."""
 
     homed: bool = True
     encoder: bool = True
@@ -297,10 +297,10 @@ class MotorisedHeadForm(HeadForm, WiredForm):
 class ReadOutHeadForm(HeadForm, WiredForm):
     """A head that a person turns, with an encoder that the program reads.
 
-    The person comes to an angle from at least `backoff` away. The head stands there within `tolerance`, when its
-    angle changed by no more than `rest` for the time `settle`. A change faster than `speed` is an error of the
-    encoder. With `hands_free`, the angle is read then without a key. With `typed`, the person types the angle on
-    the scale as well. The encoder shows `zero` at 0° of the scale; `falling` values fall where the angle rises.
+    The head approaches an angle from at least `backoff` away. It has arrived within `tolerance` when its angle
+    changed by no more than `rest` for the time `settle`. A change faster than `speed` is an error of the encoder.
+    With `hands_free` the encoder is read without a key. With `typed` the person also types the angle on the scale.
+    The encoder shows `zero` at 0° of the scale; `falling` values fall while the angle rises.
     """
 
     tolerance: Annotated[SizeRad, above_zero(_NO_HEAD)]
@@ -329,7 +329,7 @@ class ReadOutHeadForm(HeadForm, WiredForm):
         return True
 
     def approach(self) -> dict[str, Any]:
-        """Return how the head must come to an angle, for its driver (`drivers.readout.Approach`)."""
+        """Return the rules of arrival for the driver (`drivers.readout.Approach`)."""
         return {
             "tolerance_rad": self.tolerance,
             "backoff_rad": self.backoff,
@@ -341,7 +341,7 @@ class ReadOutHeadForm(HeadForm, WiredForm):
         }
 
     def scale(self) -> dict[str, Any]:
-        """Return the relation of encoder and head, for its driver (`drivers.readout.ScaleOfEncoder`)."""
+        """Return the relation between encoder and head for the driver (`drivers.readout.ScaleOfEncoder`)."""
         return {"zero_rad": self.zero, "falling": self.falling}
 
     def simulation_options(self, truth: HeadTruth) -> dict[str, Any]:
