@@ -356,10 +356,11 @@ def _mount_sets(linear: LinearSystem, effect: Effect) -> Iterator[tuple[tuple[st
     if not effect.per_mount:
         yield ((),)
         return
-    labels = [str(m) for m in linear.moved.mounts if m.installation != VERIFICATION]
     if effect.lasts:
-        yield from (((label,),) for label in labels[1:])
+        later = linear.conditions.mounts[1:]
+        yield from (((str(mount),),) for mount in later if mount.installation not in UNORIENTED)
         return
+    labels = [str(m) for m in linear.moved.mounts if m.installation != VERIFICATION]
     yield from (((label,),) for label in labels)
     if len(labels) > 1:
         yield (tuple(labels),)

@@ -10,14 +10,14 @@ from typing import Final
 import numpy as np
 from scipy import special
 
-from bench.base.arrays import Floats, Mask
+from bench.base.arrays import Floats, Ints, Mask
 from bench.base.computing import tracked
 from bench.diagnosis.candidates import Candidates, replace_columns
 from bench.diagnosis.evidence import Data, Threshold, Whitened
 from bench.diagnosis.linear import MODULUS, LinearSystem, Rows
-from bench.diagnosis.naming import Naming, name
-from bench.diagnosis.noise_grid import RATIOS, coupled, make_noise_grid
-from bench.diagnosis.posterior import NoiseSize, posterior, predicted_error, whiten_rows
+from bench.diagnosis.naming import ALIAS, Naming, name
+from bench.diagnosis.noise_grid import RATIOS, coupled, make_noise_grid, make_whitener
+from bench.diagnosis.posterior import NoiseSize, posterior, predicted_error
 
 FLOOR: Final = 1.0
 """Expected reduced chi-square of held-out readings when nothing is missing."""
@@ -198,7 +198,7 @@ DETERMINED: Final = 1e-6
 """Smallest singular value over the largest of the coefficients' columns, scaled, from which they are determined."""
 
 REPEATED: Final = 0.5
-"""What was found repeats in every pass where each pass, held out, leaves this part of its square."""
+"""The readings beside a part that is held out show a find where they keep this part of its square."""
 IN_FOLDS: Final = 0.05
 """Probability of a false alarm in the search of a fold, which has fewer readings than all."""
 
@@ -253,17 +253,16 @@ def measure_gap(
     """Hold readings out in turn; search the others, fit and predict. `whitened` are all readings.
 
     A search of the others finds no more effects than that of all readings did. Held out are the rows of `parts`
-    with their labels, by default passes and verification points; every third setting where one of them has most of
-    the finds.
+    with their labels, by default passes and verification points; every third setting where the rest of one of them
+    does not tell the finds (`_tell`).
     """
     hold = partial(
         _fold, linear, whitened, noise, threshold.at(IN_FOLDS), setting_rad, search, len(naming.found)
     )
-    effects = whitened.candidates.columns[:, list(naming.columns)]
     if not parts:
         parts = list(folds_of(linear))
         every = all(determined(linear, ~held) for _, held in parts)
-        if not every or not _repeats(linear, effects, noise, parts):
+        if not every or not _tell(linear, whitened.candidates, naming, noise, parts):
             thirds = list(thirds_of(linear))
             parts = thirds if all(determined(linear, ~held) for _, held in thirds) else parts
     able = [(label, held) for label, held in parts if determined(linear, ~held)]
@@ -273,22 +272,54 @@ def measure_gap(
     return Gap(folds, noise, linear.readings.unit, noise.freedom, families, undetermined)
 
 
-def _repeats(
-    linear: LinearSystem, effects: Floats, noise: NoiseSize, parts: Sequence[tuple[str, Mask]]
+def _tell(
+    linear: LinearSystem,
+    candidates: Candidates,
+    naming: Naming,
+    noise: NoiseSize,
+    parts: Sequence[tuple[str, Mask]],
 ) -> bool:
-    """Return whether each part, held out, leaves enough of the signature of the effects' columns (N, m)."""
-    if not effects.shape[1]:
-        return True
-    found = (effects @ posterior(linear, effects, noise).amplitudes)[:, None]
+    """Return whether the readings beside each part, held out, show every find and tell its form.
 
-    def seen(rows: Mask) -> float:
-        nothing = posterior(replace(linear, response=found[:, 0]), effects[:, :0], noise, rows)
-        design = np.concatenate([linear.fixed, linear.random], axis=1)[rows]
-        left = found[rows] - design @ nothing.mean[:, None]
-        return float(np.sum(whiten_rows(linear, noise, left, rows) ** 2))
+    They show a find where they keep `REPEATED` of the square of its signature. They do not tell its form where
+    another form of its family leaves at most `ALIAS` of the signature in them, and more than `LEAST_FALL` in all
+    readings: which form predicts the part would be left to chance.
+    """
+    amplitudes = posterior(linear, candidates.columns[:, list(naming.columns)], noise).amplitudes
+    every = np.ones(len(linear), dtype=bool)
+    for found, mine in naming.parts():
+        variants = [candidates.variants[i] for i in candidates.of_family(found.variant.family)]
+        used = sorted({column for one in variants for column in one.columns})
+        forms = [np.searchsorted(used, one.columns) for one in variants]
+        signature = candidates.columns[:, list(found.variant.columns)] @ amplitudes[mine]
+        columns = np.column_stack([signature, candidates.columns[:, used]])
+        whole, left = _left_by_forms(linear, noise, columns, forms, every)
+        for _, held in parts:
+            kept, left_in_rest = _left_by_forms(linear, noise, columns, forms, ~held)
+            if kept < REPEATED * whole or np.any((left_in_rest <= ALIAS**2) & (left > LEAST_FALL)):
+                return False
+    return True
 
-    whole = seen(np.ones(len(linear), dtype=bool))
-    return all(seen(~held) >= REPEATED * whole for _, held in parts)
+
+def _left_by_forms(
+    linear: LinearSystem, noise: NoiseSize, columns: Floats, forms: Sequence[Ints], rows: Mask
+) -> tuple[float, Floats]:
+    """Return the square of a signature in some rows, and what each form leaves of it (forms,), in units of noise.
+
+    The first of the `columns` (N, 1 + m) is the signature; the `forms` have indices of the others.
+    """
+    white = make_whitener(restrict(linear, rows), noise.reading, noise.setting_rad)
+    seen = white @ (columns[rows] / noise.reading)
+    size = np.linalg.norm(seen, axis=0)
+    gram = seen.T @ (seen / np.maximum(size, 1e-300)) / np.maximum(size, 1e-300)[:, None]
+    explained = [
+        gram[0, 1 + form]
+        @ np.linalg.pinv(gram[np.ix_(1 + form, 1 + form)], DETERMINED, hermitian=True)
+        @ gram[0, 1 + form]
+        for form in forms
+    ]
+    whole = float(size[0] ** 2)
+    return whole, whole * (1.0 - np.array(explained))
 
 
 def determined(linear: LinearSystem, rows: Mask) -> bool:
@@ -357,6 +388,7 @@ def restrict(linear: LinearSystem, rows: Mask) -> LinearSystem:
         random=linear.random[rows],
         slope=linear.slope[rows],
         by_row=None if linear.by_row is None else linear.by_row[rows],
+        by_place=None if linear.by_place is None else linear.by_place[rows],
         setting=np.array([present.get(int(s), -1) for s in setting]),
     )
 

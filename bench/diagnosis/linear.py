@@ -142,8 +142,9 @@ class LinearSystem:
     orientation at the verification points, None where they do not determine it. Where it contradicts the
     bench file, `model` has installation V as measured. `by_channel` (3,) is the relative noise of the
     channels, with mean square 1. `by_run` is the relative noise of several runs, None where they are alike.
-    `by_row` (N,) is the relative noise of rows with heavy tails, None for normal noise. The last `of_noise` columns
-    of `random` are noise that readings share, slow noise in `slow_channels`.
+    `by_row` (N,) is the relative noise of rows with heavy tails, None for normal noise. `by_place` (N,) is the
+    relative noise of rows where one place scatters more, None where none does. The last `of_noise`
+    columns of `random` are noise that readings share, slow noise in `slow_channels`.
     """
 
     readings: Readings
@@ -162,6 +163,7 @@ class LinearSystem:
     by_channel: Floats = field(default_factory=lambda: np.ones(3), kw_only=True)
     by_run: RunSizes | None = field(default=None, kw_only=True)
     by_row: Floats | None = field(default=None, kw_only=True)
+    by_place: Floats | None = field(default=None, kw_only=True)
     of_noise: int = field(default=0, kw_only=True)
     slow_channels: tuple[int, ...] = field(default=(), kw_only=True)
 
@@ -193,7 +195,8 @@ class LinearSystem:
     def relative(self) -> Floats:
         """Relative noise of each row, 1 for a channel and a run of average noise, shape (N,)."""
         of_row = 1.0 if self.by_row is None else self.by_row
-        return self.relative_of_channel * self.relative_of_run * of_row
+        of_place = 1.0 if self.by_place is None else self.by_place
+        return self.relative_of_channel * self.relative_of_run * of_row * of_place
 
     @cached_property
     def relative_of_run(self) -> Floats:

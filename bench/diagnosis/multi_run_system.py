@@ -560,8 +560,8 @@ def _runs(linear: LinearSystem, each: _EachRun) -> Iterator[_Run]:
         table = replace(readings.select(readings.run == number), block=None)
         rows: Mask = of_row == number
         alone = make_linear(table, linear.model, each.stand_u)
-        by_row = None if linear.by_row is None else linear.by_row[rows]
-        alone = replace(alone, by_channel=linear.by_channel, by_row=by_row)
+        by_row, by_place = (None if size is None else size[rows] for size in (linear.by_row, linear.by_place))
+        alone = replace(alone, by_channel=linear.by_channel, by_row=by_row, by_place=by_place)
         sigma = each.sigma * (1.0 if linear.by_run is None else float(linear.by_run.sizes[number]))
         alone = with_rounding(alone, each.resolution, sigma)
         grid = grid_with_rounding(alone, sigma, each.setting_rad, each.resolution)

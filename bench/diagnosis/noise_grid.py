@@ -14,7 +14,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from bench.base.arrays import Floats, Ints, Mask
-from bench.diagnosis.linear import LinearSystem, RunSizes
+from bench.diagnosis.linear import MODULUS, LinearSystem, RunSizes
 from bench.readings.table import Readings
 
 
@@ -511,8 +511,11 @@ def with_rounding(linear: LinearSystem, digit: float, sigma: float) -> LinearSys
     size = repeated(digit, sigma)
     oriented = np.flatnonzero(linear.setting >= 0)
     key = 3 * np.repeat(cells_of(linear), 3) + linear.rows.channel[oriented]
-    columns = np.zeros((len(linear), int(key.max()) + 1))
+    moduli = np.flatnonzero(linear.rows.channel == MODULUS)
+    columns = np.zeros((len(linear), int(key.max()) + 1 + len(moduli)))
     columns[oriented, key] = size
+    # a verification point is read once, so that nothing of its rounding error averages out
+    columns[moduli, int(key.max()) + 1 + np.arange(len(moduli))] = size
     return linear.with_noise(columns)
 
 

@@ -9,7 +9,7 @@ ratio of the residuals.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Final, NamedTuple
@@ -21,6 +21,7 @@ from bench.base.arrays import ARCSEC, CHANNELS, Floats, Ints, rms
 from bench.base.numbers import quantity
 from bench.diagnosis.evidence import KNOWN_SIZE
 from bench.diagnosis.linear import LinearSystem, RunSizes
+from bench.diagnosis.local_scatter import relative_by_place, residuals
 from bench.diagnosis.mistakes.single_readings import HEAVY_DOF, odds_of_tails
 from bench.diagnosis.noise_grid import (
     NoiseGrid,
@@ -34,7 +35,7 @@ from bench.diagnosis.posterior import NoiseSize, posterior, whiten_rows
 from bench.readings.table import Readings
 from bench.stats.repeats_likelihood import believed_sizes
 
-LOG_PRIOR: Final = {"channels": math.log(0.1), "tails": math.log(0.1), "slow": math.log(0.1)}
+LOG_PRIOR: Final = dict.fromkeys(("channels", "place", "tails", "slow"), math.log(0.1))
 """ln of the prior odds of each kind of noise against noise that is normal and of one size."""
 TAIL_DOF: Final = HEAVY_DOF
 """Degrees of freedom of the t distribution that stands for heavy tails."""
@@ -56,7 +57,7 @@ SIZES: Final = tuple(np.geomspace(0.05, 20.0, 61))
 class NoiseHypothesis:
     """A kind of noise: the system with it, and ln of its prior odds and of what its sizes cost.
 
-    `what` is "channels", "tails" or "slow". `words` are for people.
+    `what` is "channels", "place", "tails" or "slow". `words` are for people.
     """
 
     what: str
@@ -68,6 +69,7 @@ class NoiseHypothesis:
 def noise_hypotheses(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Iterator[NoiseHypothesis]:
     """Yield the kinds of noise, in their likeliest sizes beside the effects' columns (N, m)."""
     yield from _by_channel(linear, effects, noise)
+    yield from _by_place(linear, effects, noise)
     yield from _with_tails(linear, effects, noise)
     yield from _slow(linear, effects, noise)
 
@@ -124,6 +126,23 @@ def sizes_by_channel(left: Floats, freedom: Floats, slope: Floats, cells: Ints, 
 def _by_cell(columns: Floats, cells: Ints, count: int) -> Floats:
     sums = [np.bincount(cells, column, count) for column in columns.T]
     return np.asarray(np.stack(sums, axis=1), dtype=np.float64)
+
+
+def _by_place(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Iterator[NoiseHypothesis]:
+    """Yield noise that is larger in one place: a channel in an installation, or in one of its passes."""
+    found = None
+    if linear.by_place is None:
+        found = relative_by_place(linear, residuals(linear, effects, noise))
+    if found is None:
+        return
+    place, relative, cost = found
+    yield NoiseHypothesis(
+        "place",
+        replace(linear, by_place=relative),
+        LOG_PRIOR["place"] + cost,
+        f"channel {place.channel} in {place.where} scatters {place.sd / place.elsewhere:.1f} times as much as the "
+        "rest: its readings weigh less",
+    )
 
 
 # --- heavy tails ------------------------------------------------------------------------------------
@@ -187,14 +206,16 @@ def log_density(linear: LinearSystem, random: Floats, sigma: float, ratio: float
 
 @dataclass(frozen=True)
 class SlowNoise:
-    """Noise of a channel (0, 1, 2) that is slow: `size` its root mean square over a run, unit of the signal.
+    """Slow noise of `channels` (0, 1, 2), independent in each: `size` is its root mean square over a run.
 
-    `columns` (N, waves) are draws of unit variance of it, in the rows of the system; `cost` is ln of the mean over
-    all sizes of its likelihood, over that at the likeliest size.
+    The size is in the unit of the signal. `columns` (N, waves) are draws of this noise in the rows of the system.
+    `evidence` is ln of the mean of its likelihood over all sizes, against none; `cost` is ln of this mean over the
+    likelihood at the likeliest size.
     """
 
-    channel: int
+    channels: tuple[int, ...]
     size: float
+    evidence: float
     cost: float
     columns: Floats
 
@@ -206,12 +227,13 @@ def _slow(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Iterator[N
     if not found:
         return
     told = ", ".join(
-        f"{quantity(one.size, linear.readings.unit)} in {CHANNELS[one.channel]}" for one in found
+        f"{quantity(one.size, linear.readings.unit)} in {' and '.join(CHANNELS[c] for c in one.channels)}"
+        for one in found
     )
     system = linear.with_noise(*(one.columns for one in found))
     yield NoiseHypothesis(
         "slow",
-        replace(system, slow_channels=tuple(one.channel for one in found)),
+        replace(system, slow_channels=tuple(channel for one in found for channel in one.channels)),
         LOG_PRIOR["slow"] + sum(one.cost for one in found),
         f"beside the noise of a reading there is slow noise, over the run {told} (root mean square): a drift "
         "that is no larger stays hidden in it, and the u of the coefficients holds it",
@@ -219,24 +241,36 @@ def _slow(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Iterator[N
 
 
 def slow_noise(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> tuple[SlowNoise, ...]:
-    """Return the slow noise of each channel that is likelier with it, beside the effects' columns (N, m)."""
+    """Return the slow noise that is likelier than none, beside the effects' columns (N, m); empty without.
+
+    It has one size in all channels, or a size in each channel that has it, whichever has more evidence.
+    """
     random = np.concatenate([linear.random, effects * KNOWN_SIZE], axis=1)
     white = make_whitener(replace(linear, random=random), noise.reading, noise.setting_rad)
     left = white @ (linear.response / noise.reading)
-    return tuple(
-        one
-        for channel in range(3)
-        if (one := _of_channel(linear, white, left, noise.reading, channel)) is not None
+    waves = [_waves(linear, channel) for channel in range(3)]
+    sets = [(0, 1, 2), *((channel,) for channel in range(3))]
+    all_alike, *each = (
+        _in_channels(linear, white, left, noise.reading, channels, [waves[c] for c in channels])
+        for channels in sets
     )
+    own = [one for one in each if one.evidence > 0.0]
+    if all_alike.evidence > max(sum(one.evidence for one in own), 0.0):
+        return (all_alike,)
+    return tuple(own)
 
 
-def _of_channel(
-    linear: LinearSystem, white: Whitener, left: Floats, sigma: float, channel: int
-) -> SlowNoise | None:
-    waves = _waves(linear, channel)
-    if waves is None:
-        return None
-    inside = white @ waves
+def _in_channels(
+    linear: LinearSystem,
+    white: Whitener,
+    left: Floats,
+    sigma: float,
+    channels: tuple[int, ...],
+    waves: Sequence[Floats],
+) -> SlowNoise:
+    """Return the likeliest slow noise of one size in some channels; `waves` are those of each channel."""
+    columns = np.concatenate(waves, axis=1)
+    inside = white @ columns
     values, vectors = np.linalg.eigh(inside.T @ inside)
     values = np.maximum(values, 0.0)
     square = (vectors.T @ (inside.T @ left)) ** 2
@@ -246,22 +280,23 @@ def _of_channel(
     freedom = len(linear) - linear.fixed.shape[1]
     more = 0.5 * np.sum(np.log(weight), axis=1) - 0.5 * freedom * np.log(rest / (left @ left))
     best = int(np.argmax(more))
-    # the mean over all sizes, and one of three channels
-    cost = float(special.logsumexp(more) - np.log(3 * len(SIZES)) - more[best])
-    if more[best] + cost < 0.0:
-        return None
+    # the mean over all sizes, and of one channel one of three
+    cost = float(special.logsumexp(more) - np.log(len(SIZES) * (3 if len(channels) == 1 else 1)) - more[best])
     # white noise beside it is smaller than what was found without it
     size = float(SIZES[best]) * sigma * math.sqrt(float(rest[best]) / freedom)
-    return SlowNoise(channel, size, cost, size * waves)
+    return SlowNoise(channels, size, float(more[best]) + cost, cost, size * columns)
 
 
-def _waves(linear: LinearSystem, channel: int) -> Floats | None:
-    """Return draws of unit root mean square over the readings, (N, waves), of a course of 1/f of one channel."""
+def _waves(linear: LinearSystem, channel: int) -> Floats:
+    """Return draws of unit root mean square over the readings, (N, waves), of a course of 1/f of one channel.
+
+    There are no draws where the channel has too few readings, or all at one time.
+    """
     own = np.flatnonzero((linear.setting >= 0) & (linear.rows.channel == channel))
     time = linear.conditions.elapsed_s[linear.rows.reading[own]]
     span = float(np.ptp(time))
     if len(own) < 2 * WAVES or not span > 0.0:
-        return None
+        return np.zeros((len(linear), 0))
     k = np.arange(1, WAVES + 1)
     waves = np.cos(np.pi * k * (time[:, None] - time.min()) / span) / np.sqrt(k)
     columns = np.zeros((len(linear), WAVES))
@@ -274,10 +309,15 @@ def _waves(linear: LinearSystem, channel: int) -> Floats | None:
 
 @dataclass(frozen=True)
 class NoiseKind:
-    """How the noise departs from normal; `what` is "channels", "runs", "tails", "slow" or "resolution"."""
+    """How the noise departs from normal: "channels", "runs", "place", "tails", "slow" or "resolution"."""
 
     what: str
     words: str
+
+    @property
+    def headline(self) -> str:
+        """What a headline says of it: the words before the colon."""
+        return self.words.partition(":")[0]
 
 
 def noise_kinds(
@@ -291,7 +331,11 @@ def noise_kinds(
     if np.any(linear.by_channel != 1.0):
         sizes = noise.reading * linear.by_channel
         told = ", ".join(f"{quantity(size, unit)} in {c}" for c, size in zip(CHANNELS, sizes, strict=True))
-        yield NoiseKind("channels", f"the channels have noise of different sizes: {told}")
+        most = int(np.argmax(sizes))
+        times = f"{sizes[most] / rms(np.delete(sizes, most)):.1f}"
+        yield NoiseKind(
+            "channels", f"channel {CHANNELS[most]} is {times} times as noisy as the others: {told}"
+        )
     if linear.by_run is not None:
         own = ", ".join(
             f"{quantity(noise.reading * float(size), unit)} in series {', '.join(str(s) for s in series)}"

@@ -29,7 +29,7 @@ from bench.diagnosis.mistakes.search import Mistake
 from bench.diagnosis.multi_run_system import find_mistakes_in_each, search_runs, with_blocks
 from bench.diagnosis.naming import FamilyOdds, FoundEffect, Naming, Scored, name, same_signature
 from bench.diagnosis.next_measurement import Proposal, propose
-from bench.diagnosis.noise_grid import RATIOS, digit_of
+from bench.diagnosis.noise_grid import RATIOS, digit_of, make_noise_grid
 from bench.diagnosis.noise_kinds import NoiseFinding, NoiseKind, noise_findings, noise_kinds
 from bench.diagnosis.posterior import (
     NoiseSize,
@@ -179,7 +179,7 @@ def _left_out(weak: Sequence[FoundEffect]) -> Iterator[str]:
 
 def _held_out(prepared: Prepared, naming: Naming, setting_rad: float) -> tuple[_Estimated, Gap]:
     """Return the joint estimate with the finds, and the gap on readings held out."""
-    estimated = _estimated(prepared, naming)
+    estimated = _estimated(prepared, naming, setting_rad)
     gap = measure_gap(
         prepared.linear, prepared.whitened, naming, estimated.noise, prepared.limit, setting_rad
     )
@@ -222,7 +222,7 @@ class _Estimated:
     p_left: float
 
 
-def _estimated(prepared: Prepared, naming: Naming) -> _Estimated:
+def _estimated(prepared: Prepared, naming: Naming, setting_rad: float) -> _Estimated:
     """Estimate the named effects with the coefficients; say where something is left that has no name."""
     linear, candidates, whitened, data = (
         prepared.linear, prepared.candidates, prepared.whitened, prepared.data,
@@ -233,6 +233,11 @@ def _estimated(prepared: Prepared, naming: Naming) -> _Estimated:
     in_part = tuple(applied for of_find in others for applied in of_find)
     fitted = fit_found(with_other_shapes(linear, in_part), candidates, naming, noise)
     p_left = _p_left(whitened, data, naming)
+    if p_left < UNEXPLAINED and in_part:  # between two shapes of the grid an effect leaves a remainder
+        wide = with_other_shapes(linear, in_part)
+        grid = make_noise_grid(wide, whitened.grid.sigma, setting_rad)
+        beside_shapes = Whitened.of(replace(grid, known=whitened.grid.known), candidates)
+        p_left = _p_left(beside_shapes, beside_shapes.reduce(linear.response[:, None]), naming)
     effects = effects_of(candidates, naming, sized, prepared.limit, linear.moved.angle_rad)
     if p_left < UNEXPLAINED and not any(not e.in_catalogue for e in effects):
         effects = (*effects, _unexplained(p_left))

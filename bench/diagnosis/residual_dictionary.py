@@ -11,7 +11,7 @@ import numpy as np
 from bench.base.arrays import ARCSEC, MINUTE, Floats
 from bench.diagnosis.linear import LinearSystem
 from bench.model.conditions import Conditions
-from bench.model.effects import AppliedEffect, Parameter, Stage
+from bench.model.effects import CATALOGUE, AppliedEffect, Parameter, Stage
 from bench.model.effects.base import Seen
 from bench.model.effects.formula import SUBSYSTEM_OF, FormulaEffect, names_in
 from bench.model.effects.voltmeter import LOW_RANGE_V
@@ -24,8 +24,8 @@ MOST_WAVES: Final = 200
 """Largest number of half waves over a run; beyond it the waves of a run of usual length are aliases."""
 MIDDLES: Final = (0.3, 0.4, 0.5, 0.6, 0.7)
 """Parts of a run at which a parabola in time has its vertex."""
-TIME_CONSTANTS_MIN: Final = (5, 10, 20, 40, 80)
-LAGS_MIN: Final = (0, 5, 10, 20, 30)
+CREEPS_MIN: Final = (1, 4, 16)
+"""Times from which what creeps grows with the logarithm of the time, min."""
 LEVELS: Final = (-0.8, -0.6, -0.4, -0.2, -0.05, 0.05, 0.2, 0.4, 0.6, 0.8)
 
 
@@ -273,12 +273,18 @@ def _courses(conditions: Conditions) -> Iterator[TimeCourse]:
     yield from _of_time(conditions)
     yield from _of_passes(conditions)
     if np.ptp(conditions.warmth_k) > 0.0:
-        for lag in LAGS_MIN:
-            text = "lagged(temperature, lag)" if lag else "temperature"
-            behind = (_constant("lag", "min", MINUTE, lag * MINUTE),) if lag else ()
+        # another lag of an effect of the catalogue is no form of its own; nor is another time constant
+        for lag_s in _shapes("thermal_bias", "lag"):
+            text = "lagged(temperature, lag)" if lag_s else "temperature"
+            behind = (_constant("lag", "min", MINUTE, lag_s),) if lag_s else ()
             yield TimeCourse(
                 "the temperature, at once or with a lag", (text,), behind, of_temperature=True, long=True
             )
+
+
+def _shapes(effect: str, parameter: str) -> tuple[float, ...]:
+    """Return the values, SI, that the search tries for a shape of an effect of the catalogue."""
+    return next(p.grid for p in CATALOGUE[effect].parameters if p.name == parameter)
 
 
 def _visits(conditions: Conditions) -> int:
@@ -342,9 +348,12 @@ def _of_time(conditions: Conditions) -> Iterator[TimeCourse]:
     yield TimeCourse("the time", ("time / T",), span, long=True)
     for middle in MIDDLES:
         yield TimeCourse("a parabola in time", (f"(time / T - {middle:g})**2",), span, long=True)
-    for minutes in TIME_CONSTANTS_MIN:
-        tau = (_constant("tau", "min", MINUTE, minutes * MINUTE),)
+    for tau_s in _shapes("warm_up", "tau"):
+        tau = (_constant("tau", "min", MINUTE, tau_s),)
         yield TimeCourse("what fades with time", ("exp(-time / tau)",), tau, long=True)
+    for minutes in CREEPS_MIN:
+        tau = (_constant("tau", "min", MINUTE, minutes * MINUTE),)
+        yield TimeCourse("what creeps with time", ("log(1 + time / tau)",), tau, long=True)
     for k in range(SLOWEST, FASTEST + 1):
         yield TimeCourse("a slow wave in time", (f"cos({k:g} * pi * time / T)",), span)
     for k in _frequencies(time[np.isfinite(conditions.angle_rad)]):

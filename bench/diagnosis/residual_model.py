@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 from scipy import special
 
-from bench.base.arrays import CHANNELS, Floats, Mask
+from bench.base.arrays import CHANNELS, Floats
 from bench.diagnosis.candidates import Candidates
 from bench.diagnosis.gap import Gap
 from bench.diagnosis.linear import LinearSystem
+from bench.diagnosis.local_scatter import LocalScatter, larger_scatter, residuals
 from bench.diagnosis.naming import FoundEffect, Naming
 from bench.diagnosis.noise_grid import Repeats
-from bench.diagnosis.posterior import NoiseSize, Posterior, posterior, whiten_rows
+from bench.diagnosis.posterior import NoiseSize, Posterior, posterior
 from bench.model.effects import AppliedEffect
 from bench.model.effects.formula import FormulaEffect
 
@@ -62,65 +62,6 @@ class UnexplainedScatter:
     def there(self) -> bool:
         """Whether it is more than chance."""
         return self.p < BY_CHANCE
-
-
-SIGNIFICANT: Final = 1e-3
-"""Chance of so much scatter somewhere, all places counted, below which it is said."""
-LEAST_ROWS: Final = 4
-LARGER: Final = 1.5
-"""By how much the scatter must be larger than elsewhere to be worth a word."""
-
-
-@dataclass(frozen=True)
-class LocalScatter:
-    """Where readings scatter more: standard deviations there and elsewhere, unit of the signal."""
-
-    channel: str
-    where: str
-    sd: float
-    elsewhere: float
-    p: float
-
-    @property
-    def words(self) -> str:
-        """The place in words."""
-        return f"channel {self.channel}, {self.where}"
-
-
-def larger_scatter(linear: LinearSystem, left: Floats) -> LocalScatter | None:
-    """Return the place whose residuals `left` (N,) scatter most beyond the others, None where none does."""
-    places = list(_places(linear))
-    best: LocalScatter | None = None
-    oriented = linear.setting >= 0
-    for channel, where, rows in places:
-        others = oriented & ~rows
-        inside, outside = int(rows.sum()), int(others.sum())
-        if inside < LEAST_ROWS or outside < LEAST_ROWS:
-            continue
-        sd, elsewhere = (float(np.sqrt(np.mean(left[of] ** 2))) for of in (rows, others))
-        if sd <= LARGER * elsewhere:
-            continue
-        p = float(special.fdtrc(inside, outside, (sd / elsewhere) ** 2)) * len(places)
-        if p < SIGNIFICANT and (best is None or p < best.p):
-            best = LocalScatter(channel, where, sd, elsewhere, p)
-    return best
-
-
-def _places(linear: LinearSystem) -> Iterator[tuple[str, str, Mask]]:
-    rows, readings = linear.rows, linear.readings
-    oriented = linear.setting >= 0
-    label = readings.installation[rows.reading]
-    series = readings.series[rows.reading]
-    mounts = np.array([i if s == 1 else f"{i}/{s}" for s, i in zip(series, label, strict=True)])
-    passes = readings.pass_number[rows.reading]
-    for c, channel in enumerate(CHANNELS):
-        own = oriented & (rows.channel == c)
-        yield channel, "everywhere", own
-        for mount in dict.fromkeys(mounts[own].tolist()):
-            here = own & (mounts == mount)
-            yield channel, f"installation {mount}", here
-            for number in dict.fromkeys(passes[here].tolist()):
-                yield channel, f"installation {mount}, pass {number}", here & (passes == number)
 
 
 UNNAMED: Final = "unnamed_"
@@ -210,14 +151,7 @@ def describe(
         unit=linear.readings.unit,
         instead_of=instead_of,
     )
-    return replace(form, scatter=larger_scatter(linear, _left(linear, columns, noise)))
-
-
-def _left(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Floats:
-    """Return the residuals (N,) without the setting error, unit of the signal."""
-    fitted = posterior(linear, effects, noise)
-    left = linear.response - np.concatenate([linear.fixed, linear.random, effects], axis=1) @ fitted.mean
-    return noise.reading * whiten_rows(linear, noise, left[:, None], np.ones(len(linear), dtype=bool))[:, 0]
+    return replace(form, scatter=larger_scatter(linear, residuals(linear, columns, noise)))
 
 
 def _terms(

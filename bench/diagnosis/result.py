@@ -15,6 +15,7 @@ from bench.diagnosis import (
     candidates,
     evidence,
     gap,
+    local_scatter,
     naming,
     noise_grid,
     residual_model,
@@ -99,7 +100,7 @@ def register(linear: LinearSystem, limit: evidence.Threshold) -> Registration:
     }
     if evidence.formulas():
         hashed["formulas"] = evidence.formulas()
-    hashed["form"] = [residual_model.LEAST_CLOSED, residual_model.SIGNIFICANT, residual_model.LARGER]
+    hashed["form"] = [residual_model.LEAST_CLOSED, local_scatter.SIGNIFICANT, local_scatter.LARGER]
     del hashed["sha256"]
     text = json.dumps(hashed, sort_keys=True)
     return replace(settled, sha256=hashlib.sha256(text.encode()).hexdigest())

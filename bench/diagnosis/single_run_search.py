@@ -151,6 +151,7 @@ def in_the_noise_of(prepared: LinearSystem, linear: LinearSystem) -> LinearSyste
     return replace(
         linear,
         by_row=prepared.by_row,
+        by_place=prepared.by_place,
         random=np.column_stack([linear.random, of_noise]),
         of_noise=prepared.of_noise,
     )

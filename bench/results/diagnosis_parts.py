@@ -8,10 +8,11 @@ from pydantic import BeforeValidator, Field
 
 from bench.base.result_model import Real, ResultModel
 from bench.diagnosis.gap import FLOOR, UNDETERMINED, Fold, Gap, rms
+from bench.diagnosis.local_scatter import LocalScatter
 from bench.diagnosis.mistakes.search import Mistake
 from bench.diagnosis.noise_kinds import NoiseKind
 from bench.diagnosis.posterior import KnownTogether
-from bench.diagnosis.residual_model import FormTerm, FreeForm, LocalScatter
+from bench.diagnosis.residual_model import FormTerm, FreeForm
 
 VerdictOfCopy = Literal["agrees", "named", "confounded", "unknown"]
 

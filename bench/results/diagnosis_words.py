@@ -10,7 +10,6 @@ from typing import Final
 
 import numpy as np
 
-from bench.base.arrays import CHANNELS
 from bench.base.numbers import fixed, quantity, rounded, two_digits, typeset, uncertainty
 from bench.diagnosis.confirm import EffectNow
 from bench.diagnosis.free_records import FreeDiagnosis
@@ -248,17 +247,9 @@ def surer_in_words(proposal: Proposal | None) -> str:
     )
 
 
-NOISY: Final = 4.0
-"""Ratio of a channel's noise to that of the others from which on the headline mentions it."""
-
-
 def warnings_in_words(diagnosis: Diagnosis) -> Iterator[str]:
-    """Yield the warnings of the headline: channels with much more noise, and readings far from the model."""
-    sizes = diagnosis.noise_by_channel
-    for i, channel in enumerate(CHANNELS):
-        others = float(np.sqrt(np.mean(np.delete(sizes, i) ** 2)))
-        if sizes[i] >= NOISY * others:
-            yield f"channel {channel} is {sizes[i] / others:.1f} times as noisy as the others"
+    """Yield the warnings of the headline: the kinds of unusual noise, and readings far from the model."""
+    yield from (kind.headline for kind in diagnosis.noise_kinds)
     if diagnosis.far:
         listed = "; ".join(one.words for one in diagnosis.far[:LISTED_FAR])
         more = f" and {len(diagnosis.far) - LISTED_FAR} more" if len(diagnosis.far) > LISTED_FAR else ""

@@ -56,6 +56,11 @@ def dense_evidence(one, columns, known=()):
     return logsumexp(variant) - logsumexp(null)
 
 
+def test_a_shift_at_a_remount_may_be_at_the_verification_points(one):
+    shifts = {v.mounts for v in one.candidates.variants if v.family == "turn_on_shift"}
+    assert shifts == {("2",), ("V",)}
+
+
 @pytest.mark.parametrize("family", ["quadratic_nonlinearity", "head_eccentricity", "warm_up", "step"])
 def test_evidence_is_the_ratio_of_marginal_likelihoods(one, family):
     search = Search.beside(one.whitened, ())

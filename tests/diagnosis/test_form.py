@@ -11,10 +11,11 @@ from bench.config.formulas import effects_as_written, written_formulas
 from bench.diagnosis import diagnose
 from bench.diagnosis.candidates import make_candidates, with_terms, without_copies
 from bench.diagnosis.linear import make_linear
+from bench.diagnosis.local_scatter import larger_scatter
 from bench.diagnosis.noise_grid import Repeats, make_whitener
 from bench.diagnosis.posterior import NoiseSize
 from bench.diagnosis.residual_dictionary import dictionary
-from bench.diagnosis.residual_model import UnexplainedScatter, larger_scatter
+from bench.diagnosis.residual_model import UNNAMED_FORM, UnexplainedScatter
 from bench.model import AppliedEffect, Stage
 from bench.results.diagnosis_parts import form_part
 from tests.support.diagnosis_bench import MODEL, NOISE_V, STAND, OneThreshold, paper_run
@@ -24,6 +25,9 @@ from tests.support.paper_bench import SETTING_U_RAD, STAND_U, K
 def with_added(readings, volts):
     """Readings with so much added to their signals, V (n, 3)."""
     return replace(readings, signal=readings.signal + volts)
+
+
+LAGGING = "the temperature, at once or with a lag"
 
 
 def form_of(readings, model=MODEL):
@@ -72,7 +76,10 @@ def test_its_columns_are_differences_of_the_forward_model(terms):
 
 
 def test_an_effect_of_the_catalogue_that_is_written_as_a_form_is_no_rival_of_it(terms):
-    """The square of y is `quadratic_nonlinearity`, whatever it is called; a fourth power is no such thing."""
+    """The square of y is `quadratic_nonlinearity`, whatever it is called; a fourth power is no such thing.
+
+    A warm-up and a bias that lags behind the temperature are the effects of that name with any constant.
+    """
     _, linear = terms
     whole = with_terms(make_candidates(linear, NOISE_V), linear)
     left = without_copies(whole, make_whitener(linear, NOISE_V, SETTING_U_RAD))
@@ -80,7 +87,24 @@ def test_an_effect_of_the_catalogue_that_is_written_as_a_form_is_no_rival_of_it(
     assert {("a**2",), ("a**4",)} <= told[0]
     assert ("a**2",) not in told[1]
     assert ("a**4",) in told[1]
+    families = {v.family for v in left.variants if v.term is not None and len(v.channels) == 1}
+    assert "what creeps with time, in the bias" in families
+    assert not families & {f"{what}, in the bias" for what in ("what fades with time", LAGGING)}
     assert [v for v in left.variants if v.named] == [v for v in whole.variants if v.named]
+
+
+@pytest.mark.slow
+def test_a_creep_by_the_logarithm_of_the_time_is_no_warm_up(run):
+    """800 ug for each factor e of the time, beside an exponential that leaves some 6 units of noise of it."""
+    found = diagnose(
+        with_added(run, in_channel(800e-6 * np.log1p(run.time_s / 120.0), 1)),
+        MODEL,
+        STAND,
+        np.diag(K),
+        OneThreshold(),
+    )
+    assert found.effects[0].name == UNNAMED_FORM
+    assert found.form.terms[0].family == "what creeps with time, in the bias"
 
 
 @pytest.mark.slow

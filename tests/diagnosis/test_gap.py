@@ -1,5 +1,7 @@
 """Held-out readings: prediction and its covariance against dense conditioning of a Gaussian."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,10 +9,11 @@ from bench.diagnosis.evidence import KNOWN_SIZE
 from bench.diagnosis.gap import Fold, Gap, HeldOut, folds_of, measure_gap, restrict, thirds_of
 from bench.diagnosis.naming import FoundEffect, Naming
 from bench.diagnosis.noise_grid import noise_of_repeats
+from bench.diagnosis.pipeline import diagnose
 from bench.diagnosis.posterior import NoiseSize, posterior, predicted_error
 from bench.diagnosis.where import find_places
 from bench.results.diagnosis_parts import gap_part
-from tests.support.diagnosis_bench import NOISE_V, OneThreshold, paper_run, set_up
+from tests.support.diagnosis_bench import MODEL, NOISE_V, STAND, OneThreshold, paper_run, set_up
 from tests.support.paper_bench import SETTING_U_RAD
 
 
@@ -123,6 +126,31 @@ def test_passes_are_held_out_where_an_effect_repeats_and_thirds_where_it_is_of_o
     once = gap_of(null, "head_zero_shift", ("1 pass 2",))
     assert [fold.label for fold in once.folds] == thirds
     assert all(set(fold.gains) == {"head_zero_shift"} for fold in once.folds)
+
+
+def stepped(channels, fraction):
+    """A run in which the gain of channels made a step at the remount."""
+    run = paper_run(np.random.default_rng(48))
+    gain = np.where(np.isin(np.arange(3), channels), fraction, 0.0)
+    return replace(run, signal=run.signal * (1.0 + gain * (run.installation != "1")[:, None]))
+
+
+def test_thirds_are_held_out_where_a_part_alone_tells_the_form():
+    """Without verification points a step at the remount is one of installation 1, or of installation 2 alone."""
+    one = set_up(stepped([0, 1, 2], 100e-6))
+    thirds = [label for label, _ in thirds_of(one.linear)]
+    assert [fold.label for fold in gap_of(one, "reference_step", ("1",)).folds] == thirds
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("channels", [[0, 1, 2], [0]])
+def test_a_step_of_the_gain_at_the_remount_closes_its_gap(channels):
+    """100 ppm and 200 ppm, some 20 to 30 units of noise."""
+    readings = stepped(channels, 100e-6 if len(channels) == 3 else 200e-6)
+    found = diagnose(readings, MODEL, STAND, cache=OneThreshold())
+    assert found.effects[0].name == ("reference_step" if len(channels) == 3 else "scale_step")
+    assert found.gap.shrinks
+    assert found.gap.closed > 0.8
 
 
 def test_each_setting_is_in_one_third_and_each_angle_in_several(null):

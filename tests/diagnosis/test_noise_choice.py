@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from bench.diagnosis.evidence import null_responses
+from bench.diagnosis.local_scatter import relative_by_place, residuals
 from bench.diagnosis.noise_grid import RATIOS
 from bench.diagnosis.noise_kinds import noise_hypotheses, slow_noise
 from bench.diagnosis.posterior import NoiseSize
@@ -49,21 +50,52 @@ def drawn(made, count, seed, size):
 def test_slow_noise_is_found_at_its_size(made):
     """30 draws of twice the noise of a reading in each channel (seed 3)."""
     found = [one for each in drawn(made, 30, 3, 2.0) for one in each]
-    assert len(found) >= 30  # of 90
-    assert {one.channel for one in found} == {0, 1, 2}
+    assert sum(len(one.channels) for one in found) >= 30  # of 90
+    assert {channel for one in found for channel in one.channels} == {0, 1, 2}
     assert 1.2 < np.median([one.size for one in found]) / NOISE_V < 2.8
 
 
 def test_white_noise_is_seldom_slow(made):
     """60 draws (seed 4), three channels: 200 others gave 4 of 600; at 2 %, 10 of 180 come once in 200 times."""
-    assert sum(len(each) for each in drawn(made, 60, 4, 0.0)) < 10
+    assert sum(len(one.channels) for each in drawn(made, 60, 4, 0.0) for one in each) < 10
 
 
 def test_what_is_random_holds_slow_noise(made):
     (slow, *_) = next(each for each in drawn(made, 20, 5, 3.0) if each)
-    own = (made.linear.setting >= 0) & (made.linear.rows.channel == slow.channel)
+    own = (made.linear.setting >= 0) & np.isin(made.linear.rows.channel, slow.channels)
     assert not np.any(slow.columns[~own])
     np.testing.assert_allclose(np.sqrt(np.mean(np.sum(slow.columns[own] ** 2, axis=1))), slow.size)
+
+
+def test_slow_noise_too_small_in_each_channel_is_found_in_all(made):
+    """30 draws of 0.8 of the noise of a reading (seed 6): more often as one size of all than in single channels."""
+    found = list(drawn(made, 30, 6, 0.8))
+    together = sum(any(len(one.channels) == 3 for one in each) for each in found)
+    single = sum(any(len(one.channels) == 1 for one in each) for each in found)
+    assert together > single
+
+
+def places(made, count, seed, times):
+    """Where larger noise is found in so many draws; that of y in installation 2 is so many times the rest's."""
+    linear = made.linear
+    rng = np.random.default_rng(seed)
+    here = (linear.readings.installation[linear.rows.reading] == "2") & (linear.rows.channel == 1)
+    noise = NoiseSize(NOISE_V, RATIOS[RATIO] / linear.typical_slope * NOISE_V, 150)
+    for response in null_responses(linear, NOISE_V, np.full(count, RATIOS[RATIO]), rng).T:
+        more = here * np.sqrt(times**2 - 1.0) * NOISE_V * rng.normal(size=len(linear))
+        drawn = replace(linear, response=response + more)
+        found = relative_by_place(drawn, residuals(drawn, np.zeros((len(linear), 0)), noise))
+        yield None if found is None else (found[0].channel, found[0].where)
+
+
+def test_noise_of_a_channel_in_one_installation_is_found_there(made):
+    """20 draws of 4 times (seed 7): chance of less than a factor 1.5 from 27 readings is below 1e-9."""
+    assert set(places(made, 20, 7, 4.0)) == {("y", "installation 2")}
+
+
+def test_noise_that_is_alike_has_no_place(made):
+    """40 draws (seed 8), each at 0.1 % with all places counted: two come once in 1,000 times."""
+    assert sum(found is not None for found in places(made, 40, 8, 1.0)) < 2
 
 
 # --- the choice, by whole searches --------------------------------------------------------------------

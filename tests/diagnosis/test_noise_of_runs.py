@@ -125,7 +125,9 @@ def test_runs_that_are_rounded_share_the_error_of_rounding_as_one_run_does():
     found = diagnose(rounded, MODEL, STAND, np.diag(K), OneThreshold())
     assert found.verdict == "agrees"
     assert found.whitened.grid.known
-    assert found.linear.of_noise == 2 * 2 * 9 * 3  # runs, installations, angles, channels
+    assert found.linear.of_noise == 2 * (
+        2 * 9 * 3 + 4
+    )  # runs, installations, angles, channels; verification points
     assert found.noise.reading >= 90e-6 / np.sqrt(12.0)
 
 

@@ -127,7 +127,7 @@ MINUTES = 60.0
 
 def test_other_shapes_are_those_of_the_grid_between_and_one_beyond_either_end():
     warm_up = [tau / MINUTES for ((_, tau),) in other_shapes(CATALOGUE["warm_up"], (("tau", 20 * MINUTES),))]
-    assert warm_up == pytest.approx([5, 50**0.5, 10, 15, 30, 45, 60, 7200**0.5, 120])
+    assert warm_up == pytest.approx([2.5, 12.5**0.5, 5, 50**0.5, 10, 15, 30, 45, 60, 80, 12800**0.5, 160])
     lag = [tau / MINUTES for ((_, tau),) in other_shapes(CATALOGUE["thermal_bias"], (("lag", 0.0),))]
     assert lag == pytest.approx([2.5, 12.5**0.5, 5, 50**0.5, 10, 200**0.5, 20, 30, 1800**0.5, 60])
     # once or twice a turn: there is nothing between

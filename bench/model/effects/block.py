@@ -258,7 +258,7 @@ class ThermalScale(BlockEffect):
     """Scale-factor change k_T T K_ii a_i, T the temperature minus the reference after a first-order lag."""
 
     name = "thermal_scale"
-    parameters = (Parameter("k_T", "ppm/K", 1e-6, plausible=100e-6, per_channel=True), _lag(5, 10, 20))
+    parameters = (Parameter("k_T", "ppm/K", 1e-6, plausible=100e-6, per_channel=True), _lag(5, 10, 20, 30))
     sentence = "the scale factor of the accelerometer follows the temperature, at once or behind a lag"
     shown_by = "the same settings at two temperatures; a step of temperature shows the lag"
     needs_history = True
@@ -277,7 +277,7 @@ class WarmUp(BlockEffect):
         Parameter("A", "ug", 1e-6, plausible=150e-6, per_channel=True),
         Parameter(
             "tau", "min", MINUTE, plausible=20 * MINUTE, per_channel=False,
-            grid=tuple(minutes * MINUTE for minutes in (10, 15, 20, 30, 45, 60)), default=20 * MINUTE,
+            grid=tuple(minutes * MINUTE for minutes in (5, 10, 15, 20, 30, 45, 60, 80)), default=20 * MINUTE,
         ),
     )  # fmt: skip
     sentence = "the bias of the accelerometer settles after it was switched on"

@@ -51,7 +51,7 @@ class VoltmeterWarmUp(VoltmeterEffect):
         Parameter("A", "uV", 1e-6, plausible=100e-6, per_channel=False),
         Parameter(
             "tau", "min", MINUTE, plausible=20 * MINUTE, per_channel=False,
-            grid=tuple(minutes * MINUTE for minutes in (10, 15, 20, 30, 45, 60)), default=20 * MINUTE,
+            grid=tuple(minutes * MINUTE for minutes in (5, 10, 15, 20, 30, 45, 60, 80)), default=20 * MINUTE,
         ),
     )  # fmt: skip
     sentence = (
