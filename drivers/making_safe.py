@@ -50,7 +50,8 @@ class Attempts:
 
         It is `InstrumentLost` if every attempt failed with that error, else `InstrumentRefused`.
         """
-        if self.end():
+        self.end()
+        if self._failures:
             lost = all(isinstance(error, InstrumentLost) for error in self._failures)
             causes = " | ".join(why_failed(error) for error in self._failures)
             raise (InstrumentLost if lost else InstrumentRefused)(name, f"{what}: {causes}", remedy)

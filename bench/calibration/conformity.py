@@ -149,7 +149,8 @@ class DecisionRule:
     def rejects(self, statement: Statement) -> bool:
         """Return whether the rule rejects a value with this statement, given that it does not accept the value.
 
-        It does not reject an inconclusive value, nor under the non-binary rule a conditional pass.
+        It does not reject an inconclusive value, nor under the non-binary rule a conditional pass. A conditional
+        fail is rejected: nonconformity is the likelier, and its probability of a false rejection is stated.
         """
         left_open = statement is Statement.CONDITIONAL_PASS and self.name == NON_BINARY
         return statement is not Statement.INCONCLUSIVE and not left_open

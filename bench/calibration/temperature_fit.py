@@ -14,6 +14,7 @@ from bench.calibration.calibrate import usable_rows
 from bench.calibration.components import note_on_prior
 from bench.calibration.design import FIXED, STEP_RAD, Problem, coefficient_columns, make_problem
 from bench.calibration.gls import (
+    FAR_FROM_STILL,
     MOST_ITERATIONS,
     NEARLY_STILL,
     STANDS_STILL,
@@ -132,7 +133,10 @@ def row_outputs(coefficients: Floats, force: Floats) -> Floats:
 
 
 def fit(task: ThermalProblem, noise: Noise | None = None) -> ThermalFit:
-    """Return the fit of the terms; the noise is estimated from the readings unless given."""
+    """Return the fit of the terms; the noise is estimated from the readings unless given.
+
+    Raises `CalibrationError` if the fit does not converge.
+    """
     values, others = _first_guess(task), task.problem.prior_mean
     count = int(task.terms.sum())
     sizes = noise or _estimated_noise(task, values, others)
@@ -148,6 +152,12 @@ def fit(task: ThermalProblem, noise: Noise | None = None) -> ThermalFit:
             break
         if noise is None and moved > NEARLY_STILL:
             sizes = _estimated_noise(task, values, others)
+    if not moved < FAR_FROM_STILL:
+        raise CalibrationError(
+            f"the fit over temperature did not converge: after {MOST_ITERATIONS} steps a term still moves by "
+            f"{moved:.2g} of its standard uncertainty; look for rows of another installation, another block or "
+            "another unit"
+        )
     residuals = task.signal - task.predict(values, others)
     whitened = whiten(residuals[:, :, None], system.slope, sizes)
     pulls = (others - task.problem.prior_mean) / task.problem.prior_u

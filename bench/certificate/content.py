@@ -347,7 +347,7 @@ class Certificate:
 
     @property
     def valid_instruments(self) -> bool:
-        """Whether every voltmeter and head used has a certificate of its own; see `uncertified`."""
+        """Whether every voltmeter and head used has a valid certificate of its own; see `uncertified`."""
         return not uncertified(self.found)
 
     @property
@@ -369,14 +369,14 @@ def stated(of: Verification) -> tuple[Statement, tuple[Statement, ...]]:
 
 
 def uncertified(found: RunFindings) -> tuple[str, ...]:
-    """Return the names of the voltmeters and the head that have no certificate, or one of another instrument.
+    """Return the names of the voltmeters and the head that had no valid certificate of their own on the day.
 
-    An expired certificate counts as a certificate.
+    That is no certificate, an expired one or that of another instrument.
     """
     return tuple(
         one.name
         for one in found.instruments
-        if one.role in {"voltmeter", "head"} and (one.certificate is None or one.foreign)
+        if one.role in {"voltmeter", "head"} and (one.certificate is None or one.expired or one.foreign)
     )
 
 

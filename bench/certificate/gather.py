@@ -116,8 +116,9 @@ def _missing(certificate: Certificate) -> Iterator[str]:
     names = uncertified(found)
     if names and not found.simulated and (order is None or order.without_certificates is None):
         yield (
-            f"the traceability of {', '.join(names)} (7.8.4.1 c): state their certificates in the bench "
-            "file before a run, or what was agreed as without_certificates in the order file"
+            f"the traceability of {', '.join(names)} (7.8.4.1 c): state certificates that are valid "
+            "on the day of the run in the bench file before it, or what was agreed as without_certificates in the "
+            "order file"
         )
     calibrated = certificate.calibrated
     if calibrated is None:

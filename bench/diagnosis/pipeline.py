@@ -12,6 +12,7 @@ from scipy import special
 
 from bench.base.arrays import CHANNELS, Floats
 from bench.calibration.design import FIXED
+from bench.calibration.result import CalibrationError
 from bench.config.bench_file.file import BenchFile
 from bench.diagnosis.candidates import (
     FREE_BY_ANGLE,
@@ -25,7 +26,7 @@ from bench.diagnosis.candidates import (
 )
 from bench.diagnosis.evidence import Data, Search, Threshold, ThresholdCache, Whitened
 from bench.diagnosis.gap import Gap, measure_gap, near_ratios
-from bench.diagnosis.mistakes.search import Mistake
+from bench.diagnosis.mistakes.search import Mistake, MistakesLeaveTooLittle
 from bench.diagnosis.multi_run_system import find_mistakes_in_each, search_runs, with_blocks
 from bench.diagnosis.naming import FamilyOdds, FoundEffect, Naming, Scored, name, same_signature
 from bench.diagnosis.next_measurement import Proposal, propose
@@ -84,13 +85,19 @@ def diagnose(
     `nominal_scale_factors` (3,), or (blocks, 3) of several, with sign come from the data sheet (unit/g) and tell
     swapped or reversed channels. `there` is what is known of meters and head: effects of what is not there are no
     candidates. The record is never changed: a mistake is corrected in a copy. Raises
-    `CalibrationError` where the readings do not determine the coefficients.
+    `CalibrationError` where the readings do not determine the coefficients, `MistakesLeaveTooLittle` where those
+    with the mistakes corrected do not.
     """
     mistakes = find_mistakes_in_each(readings, model, stand_u, nominal_scale_factors)
-    mistakes = replace(mistakes, corrected=with_blocks(mistakes.corrected, model))
-    absent = there.absent(mistakes.corrected)
     setting_rad = stand_u.get("setting_error", 0.0)
-    prepared, naming = _named(mistakes.corrected, model, stand_u, cache, digit_of(readings), absent)
+    try:
+        mistakes = replace(mistakes, corrected=with_blocks(mistakes.corrected, model))
+        absent = there.absent(mistakes.corrected)
+        prepared, naming = _named(mistakes.corrected, model, stand_u, cache, digit_of(readings), absent)
+    except CalibrationError as error:
+        if not mistakes.mistakes:
+            raise
+        raise MistakesLeaveTooLittle(mistakes, str(error)) from error
     estimated, gap = _held_out(prepared, naming, setting_rad)
     weak = _unconfirmed(prepared, naming, gap)
     if weak:
@@ -525,11 +532,6 @@ class MistakesAlone:
     mistakes: tuple[Mistake, ...]
     corrected: Readings
     reason: str
-
-    @property
-    def words(self) -> str:
-        """The mistakes and what is missing without them, in a sentence."""
-        return f"a mistake: {'; '.join(one.words for one in self.mistakes)}; put right, {self.reason}"
 
 
 def diagnose_fully(

@@ -120,7 +120,7 @@ def axis_rows(values: Floats) -> list[tuple[str, float]]:
 
 
 def _size(error_g: float) -> str:
-    """Return an error as one reads it: "12 mg", "35 µg"."""
+    """Return an error with its unit in ASCII, as autopilots' parameter files are written: "12 mg", "35 ug"."""
     from bench.base.numbers import quantity
 
     return quantity(error_g, "g").replace("µ", "u")

@@ -136,8 +136,8 @@ def _on_drift(chart: ControlChart) -> list[str]:
     if not names:
         return []
     return [
-        f"{listed(names)} of the check block drift{'s' * (len(names) == 1)}: if it is the block and not the "
-        "bench, state it under 'drift' with its u"
+        f"{listed(names)} of the check block drift{'s' * (len(names) == 1)} beyond what is stated: if it is the "
+        "block and not the bench, add it under 'drift' with its u"
     ]
 
 
@@ -293,7 +293,7 @@ def control_chart(
     short = _short_term(later, baseline)
     chart = ControlChart(
         design, baseline, reference, later, centre, shewhart, ewma, short,
-        _components(baseline, pooled, lines), _drift(baseline, later, shewhart, centre, pooled, design),
+        _components(baseline, pooled, lines), _drift(baseline, later, shewhart, centre, pooled, lines, design),
         alone, (), (),
     )  # fmt: skip
     return _concluded(chart)
@@ -334,8 +334,12 @@ class _Lines:
 
     def error(self, runs: Sequence[CheckRun]) -> Floats:
         """Return the effect on the values of a drift error of one u, by coefficient, (n, 12, 12)."""
-        u = np.zeros(len(COEFFICIENTS)) if self._drift is None else self._drift.u
-        return self.years(runs)[:, None, None] * np.diag(u)
+        return self.years(runs)[:, None, None] * np.diag(self.u)
+
+    @property
+    def u(self) -> Floats:
+        """The standard uncertainty of the known drift in a year, (12,)."""
+        return np.zeros(len(COEFFICIENTS)) if self._drift is None else self._drift.u
 
 
 @dataclass(frozen=True)
@@ -422,9 +426,13 @@ def _drift(
     shewhart: JudgedDeviations,
     centre: Centre,
     pooled: _Pooled,
+    lines: _Lines,
     design: ChartDesign,
 ) -> DriftSeen | None:
-    """Return the drift of the baseline and accepted runs; None for few runs, a short time or different meters."""
+    """Return the drift of the baseline and accepted runs beyond the known one, whose u it includes.
+
+    None for few runs, a short time or different meters.
+    """
     kept = [run for run, p in zip(later, shewhart.p_joint, strict=True) if p >= design.alpha]
     runs = [*baseline, *kept]
     if len(runs) < LEAST_FOR_DRIFT or len({run.meters for run in runs}) > 1:
@@ -436,7 +444,7 @@ def _drift(
         u = np.sqrt(np.diag(centre.scatter))
     else:
         u = np.sqrt(float(centre.scale) * np.mean([np.diag(c) for c in pooled.of(runs)], axis=0))
-    return drift_of(years, np.array([run.value for run in runs]), u, centre.dof)
+    return drift_of(years, lines.without(runs), u, centre.dof, lines.u)
 
 
 def _concluded(chart: ControlChart) -> ControlChart:

@@ -60,7 +60,8 @@ class RunsFolder:
 def read_page(run: Run, name: str) -> bytes:
     """Return the content of a run's file. Raises `Refusal` (404) if it is missing, a link or not a regular file."""
     try:
-        descriptor = os.open(run.folder / name, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | os.O_NONBLOCK)
+        flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
+        descriptor = os.open(run.folder / name, flags)
         with os.fdopen(descriptor, "rb") as file:
             if stat.S_ISREG(os.fstat(descriptor).st_mode):
                 return file.read(LARGEST_PAGE)

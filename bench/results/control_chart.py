@@ -117,7 +117,7 @@ class ComponentsPart(ResultModel):
 
 
 class DriftPart(ResultModel):
-    """The drift rate of a coefficient in the accepted runs, from a straight line."""
+    """The drift rate of a coefficient in the accepted runs, from a straight line without the known drift."""
 
     per_year: float
     u: float
@@ -140,7 +140,9 @@ class ChartResult(ResultModel):
     limits: LimitsPart
     runs: list[ChartedRun] = Field(description="runs after the baseline, the oldest first")
     components: ComponentsPart | None
-    drift: dict[str, DriftPart] | None = Field(description="what accepted runs show, in a year")
+    drift: dict[str, DriftPart] | None = Field(
+        description="what accepted runs show beyond the known drift, in a year"
+    )
     baseline_alone_p: list[float] | None = Field(description="chance of each baseline run beside the others")
     in_control: bool
     last: str | None = Field(description="the run that is judged last")

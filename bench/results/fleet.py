@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from pydantic import Field
@@ -19,9 +19,6 @@ from bench.history import bench_or_block, capability, drift, prior
 from bench.history.measured import STANDARD_GRAVITY
 from bench.model.geometry import COEFFICIENTS
 from bench.results.parts import ValuePart, by_coefficient
-
-if TYPE_CHECKING:
-    pass
 
 MOST_SHOWN: Final = 12
 """Largest number of benches or units that a terminal lists; the JSON has all."""

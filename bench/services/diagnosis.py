@@ -28,7 +28,7 @@ from bench.config.model_file import load_model, write_model_file
 from bench.diagnosis.evidence import ThresholdCache
 from bench.diagnosis.free_positions import all_free, diagnose_free
 from bench.diagnosis.free_records import FreeDiagnosis
-from bench.diagnosis.mistakes.search import Mistake
+from bench.diagnosis.mistakes.search import Mistake, MistakesLeaveTooLittle
 from bench.diagnosis.next_measurement import Proposal
 from bench.diagnosis.pipeline import FullDiagnosis, MistakesAlone, diagnose_fully
 from bench.diagnosis.result import Diagnosis
@@ -499,10 +499,13 @@ def _found(body: Body) -> Found:
             stated=source.taken.stated,
             nominal=body.nominal,
         )
-    except CalibrationError as reason:
+    except MistakesLeaveTooLittle as error:
+        mistakes = (*known, *error.search.mistakes)
+        return MistakesAlone(source.name, source.simulated, mistakes, error.search.corrected, error.reason)
+    except CalibrationError as error:
         if not known:
             raise
-        return MistakesAlone(source.name, source.simulated, known, readings, str(reason))
+        return MistakesAlone(source.name, source.simulated, known, readings, str(error))
 
 
 def _result(

@@ -425,12 +425,17 @@ class DriftSeen:
     p: Floats
 
 
-def drift_of(years: Floats, values: Floats, u: Floats, dof: float) -> DriftSeen:
-    """Return straight lines through coefficients (n, p) at times (n,); each value has u (p,) with `dof`."""
+def drift_of(
+    years: Floats, values: Floats, u: Floats, dof: float, u_known: Floats | float = 0.0
+) -> DriftSeen:
+    """Return straight lines through coefficients (n, p) at times (n,); each value has u (p,) with `dof`.
+
+    `u_known` is the standard uncertainty of the drift in a year that has been subtracted from the values.
+    """
     centred = years - years.mean()
     spread = float(centred @ centred)
     slope = centred @ values / spread
-    u_slope = u / np.sqrt(spread)
+    u_slope = np.hypot(u / np.sqrt(spread), u_known)
     t = np.abs(slope / u_slope)
     p = special.erfc(t / np.sqrt(2.0)) if np.isinf(dof) else 2.0 * special.stdtr(dof, -t)
     return DriftSeen(slope, u_slope, np.minimum(1.0, len(slope) * np.asarray(p)))

@@ -196,7 +196,7 @@ TRUE: Final[dict[str, tuple[tuple[str, ...], Callable[[Rng, Day], Truth]]]] = {
     "1° in a pass": (_SLIP, lambda r, on: _angle_off(r, on, 1.0, _pass(r, on))),
     "10′ in a pass": (_SLIP, lambda r, on: _angle_off(r, on, 1 / 6, _pass(r, on))),
     "wrong orientation": (("other_mounting",), lambda _, on: _labelled(on, "2T180")),
-    "not remounted": (("not_remounted",), lambda _, on: _labelled(on, "1")),
+    "not remounted": (("not_remounted", "swapped_installations"), lambda _, on: _labelled(on, "1")),
     "another block in a pass": (("another_block", "other_block"), lambda r, on: Truth(other_block=_pass(r, on))),
 }  # fmt: skip
 """By name of a mistake the names that are right, and what was true instead of what the file says."""

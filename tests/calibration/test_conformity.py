@@ -131,7 +131,7 @@ def test_without_a_rule_it_is_accepted_up_to_five_per_cent(dof, ratio):
     beyond = limit + 1.01 * (limit - one_sided)
     stated = [rule.statements(np.array([y]), limit, known)[0] for y in (at, at + 1e-6, -limit - 1e-6, beyond)]
     assert stated == ["pass", "conditional pass", "conditional fail", "fail"]
-    assert not rule.rejects(stated[1])
+    assert [rule.rejects(Statement(one)) for one in stated[1:]] == [False, True, True]
 
 
 def test_a_guard_band_without_a_name_is_that_of_the_non_binary_rule():

@@ -3,11 +3,13 @@
 import numpy as np
 import pytest
 
-from bench.calibration.result import Noise
+from bench.calibration import temperature_fit
+from bench.calibration.result import CalibrationError, Noise
 from bench.calibration.temperature import separate_temperatures, sort_readings
-from bench.calibration.temperature_fit import ThermalFit, choose_degrees, held_at_zero
+from bench.calibration.temperature_fit import ThermalFit, choose_degrees, held_at_zero, temperature_model
 from bench.readings.table import make_readings
-from tests.support.thermal_bench import CYCLE_C, simulate, truth
+from tests.support.paper_bench import STAND_U
+from tests.support.thermal_bench import CYCLE_C, MODEL, simulate, truth
 
 SEED = 41
 
@@ -136,3 +138,10 @@ def test_of_a_full_degree_there_is_no_doubt(line):
     choice = choose_degrees(steep, 3)
     assert choice.degrees.tolist() == [3] * 12
     assert not np.any(choice.doubts)
+
+
+def test_a_fit_that_still_moves_after_the_last_step_is_refused(monkeypatch):
+    monkeypatch.setattr(temperature_fit, "MOST_ITERATIONS", 1)
+    readings = simulate(np.random.default_rng(SEED), truth(np.random.default_rng(SEED)))
+    with pytest.raises(CalibrationError, match="did not converge: after 1 steps"):
+        temperature_model([readings], MODEL, STAND_U, 9.81)

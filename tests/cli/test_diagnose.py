@@ -330,6 +330,22 @@ def test_what_too_little_is_left_of_is_written_as_a_copy(bench):
     assert len(load_sources(Request(["diagnose/r-corrected.csv"], Path("runs")))[0].readings) == 5
 
 
+def test_a_block_that_was_not_remounted_is_named_though_the_rest_determines_too_little(bench):
+    taken, again = (paper_run(np.random.default_rng(seed)) for seed in (24, 25))
+    signal = taken.signal.copy()
+    signal[taken.installation == "2"] = again.signal[again.installation == "1"]
+    write_csv(replace(taken, signal=signal), Path("r.csv"))
+    status, out, _ = bench("diagnose", "r.csv", "--json", "d.json")
+    assert status == 0
+    assert "A MISTAKE IN PROCEDURE OR WIRING" in out.splitlines()[-1]
+    found = result_of("d.json")
+    keeps_to("diagnose", found)
+    assert found["verdict"] == "mistake"
+    assert [one["name"] for one in found["effects"]] == ["swapped_installations"]
+    assert found["corrected"]["verdict"] is None
+    assert any("do not determine" in note for note in found["notes"])
+
+
 def test_the_simulated_bench_refuses_what_it_cannot_have(bench):
     Path("slip.yaml").write_text(
         "model_file: 1\nname: slip\neffects:\n"

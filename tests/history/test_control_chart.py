@@ -106,6 +106,19 @@ def test_a_known_drift_is_taken_off_with_its_u():
     assert chart.shewhart.u[0, 0] > 1.2 * chart.shewhart.u[0, 1] * U[0] / U[1]
 
 
+@pytest.mark.parametrize(("known", "u", "told"), [(20.0, 1.0, False), (18.0, 5.0, False), (10.0, 0.5, True)])
+def test_the_drift_of_accepted_runs_is_that_beyond_the_known_one(known, u, told):
+    """A block that drifts by 20 u a year."""
+    rng, years = np.random.default_rng(7), np.arange(0.0, 1.0, 1 / 36)
+    real = [check_run(365.25 * year, rng.normal(size=12) + shifted(0, 20.0 * year)) for year in years]
+    drift = KnownDrift(shifted(0, known) * U, shifted(0, u) * U)
+    chart = control_chart(real[:10], real[10:], ChartDesign(basis="stated"), drift=drift)
+    off = chart.drift.per_year - shifted(0, 20.0 - known) * U
+    assert np.all(np.abs(off) < 4.0 * chart.drift.u)
+    assert chart.drift.u[0] > u * U[0]
+    assert any("add it under 'drift'" in note for note in chart.notes) == told
+
+
 def test_a_reference_from_elsewhere_carries_what_lasts():
     lasting = np.diag((5.0 * U) ** 2)
     later = [check_run(1.0, shifted(2, 12.0), lasting=lasting)]

@@ -19,6 +19,7 @@ from bench.calibration.calibrate import usable_rows
 from bench.calibration.design import Problem, make_problem
 from bench.calibration.gls import noise_floor
 from bench.calibration.mistakes import PREFIX, PREFIXES, WrongUnit, sheet_of, wrong_unit
+from bench.calibration.result import CalibrationError
 from bench.diagnosis.mistakes.describing import (
     Description,
     Situation,
@@ -81,6 +82,18 @@ class MistakeSearch:
     mistakes: tuple[Mistake, ...]
     corrected: Readings
     looks: int
+
+
+class MistakesLeaveTooLittle(CalibrationError):
+    """The readings with the mistakes corrected are insufficient; `reason` says why, `search` has the mistakes."""
+
+    def __init__(self, search: MistakeSearch, reason: str) -> None:
+        super().__init__(search, reason)
+        self.search, self.reason = search, reason
+
+    def __str__(self) -> str:
+        """Return the mistakes and what is missing without them, in a sentence."""
+        return f"a mistake: {'; '.join(one.words for one in self.search.mistakes)}; put right, {self.reason}"
 
 
 def find_mistakes(

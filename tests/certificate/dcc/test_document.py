@@ -14,7 +14,9 @@ from bench.certificate.content import Before, uncertified
 from bench.certificate.dcc.document import document_of
 from bench.certificate.dcc.nodes import NAMESPACES, broken_rules
 from bench.certificate.dcc.results import region_factor
+from bench.certificate.gather import missing
 from bench.certificate.proof import Writer
+from bench.config.devices.device import Certificate as Held
 from bench.services.calibration import verification_of
 from bench.services.verification import VerdictOptions
 from tests.support.certificates import ORDER
@@ -183,6 +185,20 @@ def test_a_simulated_run_says_so_and_is_not_called_traceable(root):
     )
     path = ".//dcc:statement[@refType='bench_traceability']/dcc:traceable"
     assert root.findtext(path, namespaces=NAMESPACES) == "false"
+
+
+@pytest.mark.parametrize(("expired", "traceable"), [(False, "true"), (True, "false")])
+def test_a_real_run_on_an_expired_certificate_is_not_called_traceable(issued_certificate, expired, traceable):
+    held = Held(number="7", laboratory="Acme", date="2025-01-01", valid_until="2026-01-01")
+    found = issued_certificate.found
+    instruments = [replace(one, certificate=held) for one in found.instruments]
+    instruments[0] = replace(instruments[0], expired=expired)
+    real = replace(issued_certificate, found=replace(found, simulated=False, instruments=tuple(instruments)))
+    root = etree.fromstring(document_of(real))
+    path = ".//dcc:statement[@refType='bench_traceability']/dcc:traceable"
+    assert root.findtext(path, namespaces=NAMESPACES) == traceable
+    lacking = [text for text in missing(real) if "traceability" in text]
+    assert [instruments[0].name in text for text in lacking] == [True] * expired
 
 
 def test_an_instrument_without_a_certificate_has_none(root, issued_certificate):
