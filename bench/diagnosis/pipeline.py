@@ -59,7 +59,7 @@ from bench.diagnosis.result import (
     register,
 )
 from bench.diagnosis.show import ModelComparison, contradicted, show
-from bench.diagnosis.single_run_search import Prepared, search_run
+from bench.diagnosis.single_run_search import SURE, Prepared, search_run
 from bench.diagnosis.visibility import detectable, hidden, smallest
 from bench.diagnosis.where import far_readings, find_places, looking_like, order_of
 from bench.model import CATALOGUE, AppliedEffect, ForwardModel
@@ -191,10 +191,6 @@ def _held_out(prepared: Prepared, naming: Naming, setting_rad: float) -> tuple[_
         prepared.linear, prepared.whitened, naming, estimated.noise, prepared.limit, setting_rad
     )
     return estimated, gap
-
-
-SURE: Final = 6.0
-"""ln odds above the threshold from which a find stays, though held-out readings do not confirm it."""
 
 
 def _unconfirmed(prepared: Prepared, naming: Naming, gap: Gap) -> list[FoundEffect]:

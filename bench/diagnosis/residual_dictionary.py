@@ -18,8 +18,8 @@ from bench.model.effects.voltmeter import LOW_RANGE_V
 
 SIZE_NAMES: Final = ("A", "B")
 ALL: Final = (0, 1, 2)
-SLOWEST, FASTEST = 1, 6
-"""Range of the number of half waves over a run that describe a slow change in time."""
+FASTEST: Final = 6
+"""Largest number of half waves over a run that describe a slow change in time."""
 MOST_WAVES: Final = 200
 """Largest number of half waves over a run; beyond it the waves of a run of usual length are aliases."""
 MIDDLES: Final = (0.3, 0.4, 0.5, 0.6, 0.7)
@@ -31,22 +31,23 @@ LEVELS: Final = (-0.8, -0.6, -0.4, -0.2, -0.05, 0.05, 0.2, 0.4, 0.6, 0.8)
 
 @dataclass(frozen=True)
 class TermUnit:
-    """The unit of the size of a term, and its plausible size in SI."""
+    """The unit of the size of a term; its plausible size in SI, and that of a course in kelvin, per kelvin."""
 
     text: str
     si: float
     plausible: float
+    plausible_per_k: float = 0.0
+
+    def of(self, course: TimeCourse) -> TermUnit:
+        """Return the unit for a course: per kelvin where the course is of the temperature."""
+        return TermUnit(f"{self.text}/K", self.si, self.plausible_per_k) if course.of_temperature else self
 
 
-BIAS: Final = TermUnit("ug", 1e-6, 30e-6)
-BIAS_PER_K: Final = TermUnit("ug/K", 1e-6, 60e-6)
-SCALE: Final = TermUnit("ppm", 1e-6, 50e-6)
-SCALE_PER_K: Final = TermUnit("ppm/K", 1e-6, 100e-6)
+BIAS: Final = TermUnit("ug", 1e-6, 30e-6, 60e-6)
+SCALE: Final = TermUnit("ppm", 1e-6, 50e-6, 100e-6)
+ANGLE: Final = TermUnit("arcsec", ARCSEC, 10 * ARCSEC, 10 * ARCSEC)
+VOLTS: Final = TermUnit("uV", 1e-6, 20e-6, 20e-6)
 SQUARE: Final = TermUnit("ug", 1e-6, 20e-6)
-ANGLE: Final = TermUnit("arcsec", ARCSEC, 10 * ARCSEC)
-ANGLE_PER_K: Final = TermUnit("arcsec/K", ARCSEC, 10 * ARCSEC)
-VOLTS: Final = TermUnit("uV", 1e-6, 20e-6)
-VOLTS_PER_K: Final = TermUnit("uV/K", 1e-6, 20e-6)
 VOLTS_PER_V2: Final = TermUnit("uV/V^2", 1e-6, 3e-6)
 VOLTS_PER_V3: Final = TermUnit("uV/V^3", 1e-6, 1.3e-6)
 GAIN: Final = TermUnit("ppm", 1e-6, 25e-6)
@@ -174,48 +175,38 @@ def _course(linear: LinearSystem, text: str, constants: tuple[Parameter, ...]) -
 
 
 def _terms(linear: LinearSystem) -> Iterator[DictionaryTerm]:
-    conditions = linear.readings.conditions()
-    courses = list(_courses(conditions))
+    """Yield every term: the courses in each place, products of the force, and terms of the voltage."""
+    courses = list(_courses(linear.readings.conditions()))
     for course in courses:
-        unit = BIAS_PER_K if course.of_temperature else BIAS
-        known = course.constants
-        yield DictionaryTerm(
-            f"{course.words}, in the bias",
-            Stage.BLOCK_OUTPUT,
-            course.expressions,
-            unit,
-            "",
-            known,
-            course.expressions,
-            where=course.where,
-        )
+        yield _of_course(course, "the bias", Stage.BLOCK_OUTPUT, BIAS)
         if course.long:
-            unit = SCALE_PER_K if course.of_temperature else SCALE
-            times = tuple(f"a * ({text})" for text in course.expressions)
-            words = f"{course.words}, in the scale factor"
-            yield DictionaryTerm(
-                words,
-                Stage.BLOCK_OUTPUT,
-                times,
-                unit,
-                "",
-                known,
-                course.expressions,
-                of_force=True,
-                where=course.where,
-            )
-        unit = ANGLE_PER_K if course.of_temperature else ANGLE
-        words = f"{course.words}, in the head's angle"
-        texts = course.expressions
-        yield DictionaryTerm(words, Stage.HEAD_ANGLE, texts, unit, "", known, texts, where=course.where)
+            yield _of_course(course, "the scale factor", Stage.BLOCK_OUTPUT, SCALE, of_force=True)
+        yield _of_course(course, "the head's angle", Stage.HEAD_ANGLE, ANGLE)
         for angle, what in _stand_angles(course):
-            words = f"{course.words}, in {what}"
-            yield DictionaryTerm(words, Stage.STAND, texts, unit, angle, known, texts, where=course.where)
+            yield _of_course(course, what, Stage.STAND, ANGLE, angle)
     for words, expressions in FORCES.items():
         for text in expressions:
             yield DictionaryTerm(words, Stage.BLOCK_OUTPUT, (text,), SQUARE)
     if linear.readings.unit == "V":
         yield from _of_voltmeters(courses)
+
+
+def _of_course(
+    course: TimeCourse, place: str, stage: Stage, unit: TermUnit, adds_to: str = "", *, of_force: bool = False
+) -> DictionaryTerm:
+    """Return the term of a course at a stage; `place` says in words where it acts."""
+    texts = course.expressions
+    return DictionaryTerm(
+        f"{course.words}, in {place}",
+        stage,
+        tuple(f"a * ({text})" for text in texts) if of_force else texts,
+        unit.of(course),
+        adds_to,
+        course.constants,
+        texts,
+        of_force=of_force,
+        where=course.where,
+    )
 
 
 def _stand_angles(course: TimeCourse) -> Sequence[tuple[str, str]]:
@@ -243,12 +234,7 @@ FORCES: Final[dict[str, tuple[str, ...]]] = {
 
 def _of_voltmeters(courses: Sequence[TimeCourse]) -> Iterator[DictionaryTerm]:
     stage = Stage.VOLTMETER_READING
-    for course in courses:
-        if course.long:
-            unit = VOLTS_PER_K if course.of_temperature else VOLTS
-            words = f"{course.words}, in the voltage"
-            texts = course.expressions
-            yield DictionaryTerm(words, stage, texts, unit, "", course.constants, texts, where=course.where)
+    yield from (_of_course(course, "the voltage", stage, VOLTS) for course in courses if course.long)
     for text in ("abs(U)", "abs(Ux)", "abs(Uy)", "abs(Uz)"):
         yield DictionaryTerm("the size of a voltage", stage, (text,), GAIN)
     yield DictionaryTerm("a power of the voltage", stage, ("U**2",), VOLTS_PER_V2)
@@ -354,7 +340,7 @@ def _of_time(conditions: Conditions) -> Iterator[TimeCourse]:
     for minutes in CREEPS_MIN:
         tau = (_constant("tau", "min", MINUTE, minutes * MINUTE),)
         yield TimeCourse("what creeps with time", ("log(1 + time / tau)",), tau, long=True)
-    for k in range(SLOWEST, FASTEST + 1):
+    for k in range(1, FASTEST + 1):
         yield TimeCourse("a slow wave in time", (f"cos({k:g} * pi * time / T)",), span)
     for k in _frequencies(time[np.isfinite(conditions.angle_rad)]):
         wave = (f"cos({k:g} * pi * time / T)", f"sin({k:g} * pi * time / T)")

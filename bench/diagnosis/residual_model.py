@@ -10,7 +10,7 @@ from scipy import special
 
 from bench.base.arrays import CHANNELS, Floats
 from bench.diagnosis.candidates import Candidates
-from bench.diagnosis.gap import Gap
+from bench.diagnosis.gap import LEAST_CLOSED, Gap
 from bench.diagnosis.linear import LinearSystem
 from bench.diagnosis.local_scatter import LocalScatter, larger_scatter, residuals
 from bench.diagnosis.naming import FoundEffect, Naming
@@ -66,8 +66,6 @@ class UnexplainedScatter:
 
 UNNAMED: Final = "unnamed_"
 """Prefix of the name of an unnamed effect."""
-LEAST_CLOSED: Final = 0.5
-"""A form goes into a model file where it closes so much of the gap on readings held out; settled beforehand."""
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,6 @@ from bench.diagnosis import (
     local_scatter,
     naming,
     noise_grid,
-    residual_model,
     visibility,
     where,
 )
@@ -100,7 +99,7 @@ def register(linear: LinearSystem, limit: evidence.Threshold) -> Registration:
     }
     if evidence.formulas():
         hashed["formulas"] = evidence.formulas()
-    hashed["form"] = [residual_model.LEAST_CLOSED, local_scatter.SIGNIFICANT, local_scatter.LARGER]
+    hashed["form"] = [gap.LEAST_CLOSED, local_scatter.SIGNIFICANT, local_scatter.LARGER]
     del hashed["sha256"]
     text = json.dumps(hashed, sort_keys=True)
     return replace(settled, sha256=hashlib.sha256(text.encode()).hexdigest())

@@ -30,7 +30,7 @@ from bench.diagnosis.noise_grid import (
     noise_of_repeats,
     with_rounding,
 )
-from bench.diagnosis.noise_kinds import log_density, log_null, noise_hypotheses
+from bench.diagnosis.noise_kinds import LOG_PRIOR, log_density, log_null, noise_hypotheses
 from bench.diagnosis.posterior import (
     NoiseSize,
     applied_of,
@@ -84,8 +84,8 @@ class Reconsider(Protocol):
 
 SURELY_LESS: Final = 6.0
 """A noise hypothesis is searched in full unless its evidence with the same finds is lower by more than this."""
-MOST_KINDS: Final = 4
-"""Noise hypotheses that are chosen one after another."""
+SURE: Final = 6.0
+"""ln odds above the threshold from which a find needs no second look."""
 
 
 def choose_noise(prepared: Prepared, naming: Naming, again: Reconsider) -> tuple[Prepared, Naming]:
@@ -96,7 +96,7 @@ def choose_noise(prepared: Prepared, naming: Naming, again: Reconsider) -> tuple
     if prepared.whitened.grid.known:
         return prepared, naming
     score = prepared.log_evidence(naming)
-    for _ in range(MOST_KINDS):
+    for _ in range(len(LOG_PRIOR)):
         rivals = []
         for found in ((), naming.found) if naming.found else ((),):
             effects = replace(naming, found=found).columns
@@ -238,7 +238,7 @@ def _closer(task: _Task, prepared: Prepared, naming: Naming) -> Naming:
     Between two ratios of the grid of the search a setting error is up to 1.4 times as large as it is taken for, and
     effects that act as it does look as much more than they are.
     """
-    if not naming.found or min(found.total for found in naming.found) > prepared.limit.value + SURELY_LESS:
+    if not naming.found or min(found.total for found in naming.found) > prepared.limit.value + SURE:
         return naming
     linear, coarse = prepared.linear, prepared.whitened.grid
     noise = noise_size(prepared.whitened, prepared.data, naming.columns)
