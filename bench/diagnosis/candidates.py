@@ -29,9 +29,9 @@ def spells(readings: Readings, *, lasting: bool) -> Iterator[tuple[str, ...]]:
     They are the later passes of a mounting, a single pass and a whole mounting.
 
     A whole mounting is yielded only where its installation was mounted more than once. The mounting angles
-    describe an installation that was mounted only once. With `lasting`, for effects that outlast a remount,
-    any mounting is yielded, and also everything after a pass, verification points included.
-    A mounting with all its passes in the set is named by its own label.
+    describe an installation that was mounted only once. With `lasting`, for effects that outlast a remount, every
+    mounting is yielded. So is everything after a pass, verification points included. A mounting with all its
+    passes in the set is named by its own label.
     """
     mounts = [
         label if series == 1 else f"{label}/{series}"
@@ -101,7 +101,7 @@ UNNAMED: Final = (
 
 SINGLE: Final = (SINGLE_READING, SINGLE_SETTING)
 RARE: Final = 1e-3
-"""Prior odds of a single reading that stands apart against another unnamed pattern: one such reading has tails."""
+"""Prior odds of a single deviating reading against another unnamed pattern; heavy tails give such readings."""
 KIND_PRIOR: Final = (0.03, 0.03, 0.94)
 """Prior probabilities that a form with a formula is missing, an unnamed pattern, an effect of the catalogue."""
 
@@ -476,7 +476,7 @@ def each(mine: Mask, *labels: Iterable[object]) -> Iterator[Floats]:
 
 
 def _phase(linear: LinearSystem) -> Floats:
-    """Return the position of each row in the run, 0 to 1, by time, or by order where times are missing."""
+    """Return the position of each row in the run (N,), 0 to 1: by time, or by order without times."""
     time = linear.readings.time_s[linear.rows.reading]
     timed = np.all(np.isfinite(time)) and np.ptp(time) > 0
     t = time if timed else linear.rows.reading.astype(np.float64)

@@ -1,13 +1,13 @@
 """Bayesian evidence of every candidate, with priors on physical size, the noise unknown.
 
-For a variant with whitened columns A, prior b ~ N(0, s^2) of each in units of its plausible size, and
-residual r of nu numbers with unknown variance (Jeffreys prior), the evidence is
--1/2 ln|I + s^2 A^T A| - nu/2 ln(r^T r - r^T A (A^T A + 1/s^2)^-1 A^T r). It is averaged over a few s (a
-plausible size is a guess: a heavy tail lets the data overrule it) and over the ratio of the two noise sizes.
-The evidence depends on the data only by r^T r and A^T r, so that many data sets are scored at once.
+For a variant with whitened columns A, prior b ~ N(0, s^2) of each in units of its plausible size, and residual r
+of nu numbers with unknown variance (Jeffreys prior), the evidence is -1/2 ln|I + s^2 A^T A| - nu/2 ln(r^T r - r^T
+A (A^T A + 1/s^2)^-1 A^T r). It is averaged over a few s, as a plausible size is a guess, and over the ratio of
+the two noise sizes. The evidence depends on the data only by r^T r and A^T r. So many data sets are scored at
+once.
 
-The threshold is the evidence that chance alone reaches: the same search runs on simulated readings in which
-nothing is missing.
+The threshold is the evidence that chance alone reaches: the same search runs on simulated readings without
+missing effects.
 """
 
 from __future__ import annotations
@@ -71,8 +71,8 @@ class Data:
 class Whitened:
     """The candidates' columns in units of the noise, represented by their scalar products.
 
-    `kept` caches the results of repeated searches in the same data. For a part with one noise ratio,
-    `part_of` is the whole that it was taken from, and the index of that ratio.
+    `kept` caches the results of repeated searches in the same data. For a part with one noise ratio, `part_of` is
+    the whole, and the index of that ratio.
     """
 
     grid: NoiseGrid

@@ -160,7 +160,7 @@ def _where(
 # --- candidates ---------------------------------------------------------------------------------------
 
 FINE_G: Final = 10e-6
-"""Plausible sizes are those of a sensor with so much noise; of a coarser one they are larger in proportion."""
+"""Noise of a sensor with the plausible sizes of the catalogue; a coarser sensor has larger ones in proportion."""
 ZERO_OF_NOISE: Final = 3.0
 """Plausible change of a zero or a scale factor between records, in units of a position's noise."""
 COMMON: Final = "common to the sensors"
@@ -266,7 +266,7 @@ class _Loose(NamedTuple):
 
 
 def without_outliers(rows: FreeRows) -> tuple[FreeRows, tuple[str, ...], Ints]:
-    """Return the positions without those that stand apart, the reason for each, and their origin (k, 2).
+    """Return the positions without outliers, the reason for each outlier, and their origin (k, 2).
 
     Each is compared with what all others let expect, and with their scatter, the worst first.
     """

@@ -23,16 +23,16 @@ FLOOR: Final = 1.0
 """Expected reduced chi-square of held-out readings when nothing is missing."""
 
 LEAST_FALL: Final = 4.0
-"""By so much must the chi-square of readings held out fall, in all and by each effect.
+"""Least fall of the chi-square of held-out readings, in all and by each effect.
 
-An effect that is not there, of whatever size, gains so much from their noise in no more than 2.3 %.
+An absent effect of any size reaches this fall by noise in at most 2.3 % of cases.
 """
 
 LEAST_CLOSED: Final = 0.5
-"""So much of what is above the floor must close, where it is above it by more than chance."""
+"""Least part of the gap above the floor that must close, unless chance explains the gap."""
 
 BY_CHANCE: Final = 0.01
-"""A gap that chance alone reaches so often is none: of that, no part can be asked for."""
+"""Probability of a gap by chance from which on no part of it must close."""
 
 UNDETERMINED: Final = "the rest does not determine the coefficients"
 
@@ -149,8 +149,8 @@ class Gap:
     def shrinks(self) -> bool | None:
         """Whether the gap shrinks by the rule registered; None where nothing was found, or no fold measures it.
 
-        The chi-square falls by `LEAST_FALL`, in all and by each name; `LEAST_CLOSED` of what is above the floor
-        closes, where chance does not reach that; and no root mean square rises, in the signal's unit or in g.
+        The chi-square falls by `LEAST_FALL`, in all and by each name. `LEAST_CLOSED` of the part above the floor
+        closes, unless chance explains that part. No root mean square rises, in the unit of the signal or in g.
         """
         if not self.named or not self.folds:
             return None
@@ -252,9 +252,9 @@ def measure_gap(
 ) -> Gap:
     """Hold readings out in turn; search the others, fit and predict. `whitened` are all readings.
 
-    A search of the others finds no more effects than that of all readings did. Held out are the rows of `parts`
-    with their labels, by default passes and verification points; every third setting where the rest of one of them
-    does not tell the finds (`_tell`).
+    A search of the others finds no more effects than that of all readings did. `parts` are labels with the rows
+    (N,) to hold out, by default passes and verification points. Where the other rows do not determine the finds
+    and their forms (`_tell`), every third setting is held out instead.
     """
     hold = partial(
         _fold, linear, whitened, noise, threshold.at(IN_FOLDS), setting_rad, search, len(naming.found)
@@ -281,9 +281,9 @@ def _tell(
 ) -> bool:
     """Return whether the readings beside each part, held out, show every find and tell its form.
 
-    They show a find where they keep `REPEATED` of the square of its signature. They do not tell its form where
-    another form of its family leaves at most `ALIAS` of the signature in them, and more than `LEAST_FALL` in all
-    readings: which form predicts the part would be left to chance.
+    They show a find where they keep `REPEATED` of the square of its signature. They tell its form unless another
+    form of the family leaves at most `ALIAS` of the signature in them, and more than `LEAST_FALL` in all
+    readings. Otherwise chance would choose the form that predicts the part.
     """
     amplitudes = posterior(linear, candidates.columns[:, list(naming.columns)], noise).amplitudes
     every = np.ones(len(linear), dtype=bool)
@@ -304,7 +304,8 @@ def _tell(
 def _left_by_forms(
     linear: LinearSystem, noise: NoiseSize, columns: Floats, forms: Sequence[Ints], rows: Mask
 ) -> tuple[float, Floats]:
-    """Return the square of a signature in some rows, and what each form leaves of it (forms,), in units of noise.
+    """Return the square of a signature in some rows, and the part that each form leaves (forms,), in units of
+    noise.
 
     The first of the `columns` (N, 1 + m) is the signature; the `forms` have indices of the others.
     """
@@ -394,7 +395,7 @@ def restrict(linear: LinearSystem, rows: Mask) -> LinearSystem:
 
 
 def near_ratios(linear: LinearSystem, noise: NoiseSize) -> tuple[float, ...]:
-    """Return the ratios of the grid next to what the whole data say: for the folds, which have less of it."""
+    """Return the three ratios of the grid about that of all readings; the folds use no others."""
     ratio = noise.setting_rad / noise.reading * linear.typical_slope
     nearest = int(np.argmin(np.abs(np.array(RATIOS) - ratio)))
     first = min(max(nearest - 1, 0), len(RATIOS) - 3)

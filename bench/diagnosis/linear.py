@@ -135,16 +135,16 @@ class RunSizes:
 class LinearSystem:
     """y = X c + Z b + noise about a first guess of the block.
 
-    `response` (N,) measured less predicted; `fixed` (N, 12) by the coefficients; `random` (N, q) by stand
-    angles and the model's own effects, each times its prior standard deviation; `slope` (N,) holds du/dphi
-    in the rows of a setting and zero elsewhere; `setting` (N,) numbers the settings, -1 elsewhere.
-    `problem` has the unknowns of the settings: stand angles and the model's own effects. `orientation` is the
-    orientation at the verification points, None where they do not determine it. Where it contradicts the
-    bench file, `model` has installation V as measured. `by_channel` (3,) is the relative noise of the
-    channels, with mean square 1. `by_run` is the relative noise of several runs, None where they are alike.
-    `by_row` (N,) is the relative noise of rows with heavy tails, None for normal noise. `by_place` (N,) is the
-    relative noise of rows where one place scatters more, None where none does. The last `of_noise`
-    columns of `random` are noise that readings share, slow noise in `slow_channels`.
+    `response` (N,) is measured less predicted. `fixed` (N, 12) has the derivatives by the coefficients. `random`
+    (N, q) has those by stand angles and the model's own effects, times their prior standard deviations. `slope`
+    (N,) is du/dphi in the rows of a setting, else zero. `setting` (N,) numbers the settings, else -1. `problem`
+    has the unknowns of the settings: stand angles and the model's own effects. `orientation` is the orientation
+    at the verification points, None where they do not determine it. Where it contradicts the bench file, `model`
+    has installation V as measured. `by_channel` (3,) is the relative noise of the channels, with mean square 1.
+    `by_run` is the relative noise of several runs, None where they are alike. `by_row` (N,) is the relative noise
+    of rows with heavy tails, None for normal noise. `by_place` (N,) is the relative noise of rows where one place
+    scatters more, None where none does. The last `of_noise` columns of `random` are noise that readings share,
+    slow noise in `slow_channels`.
     """
 
     readings: Readings
@@ -252,8 +252,7 @@ class LinearSystem:
     def formula_columns(self, applied: AppliedEffect) -> Floats:
         """Return the change of the rows by an effect that needs no path, one stage of the model made linear.
 
-        The shape is (N, 1) for an effect of the stand or the head, else (N, 3) with a column for each
-        channel.
+        The shape is (N, 1) for an effect of the stand or the head, else (N, 3), a column for each channel.
         """
         effect = applied.effect
         match effect.stage:

@@ -263,7 +263,7 @@ def _searched_together(readings: Readings, model: ForwardModel) -> Iterator[tupl
 
 
 def _of_run(mistake: Mistake, run: Readings, runs: int) -> Mistake:
-    """Return a mistake of one of several runs, with the mountings of a whole run named and its p of all runs."""
+    """Return a mistake of one of several runs. It names the mountings of a whole run, and its p counts all runs."""
     p = min(runs * mistake.p, 1.0)
     if mistake.installations:
         return replace(mistake, p=p)
@@ -419,7 +419,7 @@ class _Run:
 
 
 COMMON: Final = 5
-"""If more than one run in this many has finds alone, these are not taken as effects of single runs."""
+"""If more than one run in this many has finds of its own, they do not count as effects of single runs."""
 
 UNLIKELY: Final = 5.0
 """ln odds that an effect of a single run must exceed, beside the common effects, to be kept."""

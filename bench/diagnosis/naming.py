@@ -30,7 +30,7 @@ ALONE: Final = 0.95
 SET: Final = 0.99
 """Posterior probability that the names of a tie hold together."""
 ALIAS: Final = 1.0
-"""An effect that leaves no more than this of another, in units of noise, is its alias whatever the priors say."""
+"""An effect that leaves at most this part of another's signature, in units of noise, is its alias for any prior."""
 FIRST_OF_PAIR: Final = 12
 """The number of effects that are tried as the first of a pair."""
 PAIR_MARGIN: Final = 5.0
@@ -43,7 +43,7 @@ SAME: Final = 1e-6
 
 @dataclass(frozen=True)
 class FamilyOdds:
-    """The posterior probability that a family, and no other, stands in the place of an effect found."""
+    """The posterior probability that a find is an effect of this family."""
 
     name: str
     probability: float
@@ -53,10 +53,10 @@ class FamilyOdds:
 class FoundEffect:
     """An effect, or an unnamed family, that was found: `evidence` is ln of the Bayes factor against its absence.
 
-    `odds` are the families that may stand in its place, the most probable first; `ties` those of them that cannot
-    be excluded, `same` those among them with the same signature in these readings. `plainer_than` are larger
-    families of the same subsystem that contain it. `size` is the part of the readings that it explains, in units
-    of noise (rho); `total` is ln of the odds that anything is missing without it.
+    `odds` are the families that may explain the find instead, the most probable first. `ties` are those that the
+    readings do not exclude. `same` are the ties with the same signature in these readings. `plainer_than` are
+    larger families of the same subsystem that contain it. `size` is rho, the length of the explained part of the
+    readings in units of noise. `total` is ln of the odds that anything is missing without the find.
     """
 
     variant: Variant
@@ -95,8 +95,8 @@ class Scored:
     """The scores of a data set beside the known columns of the present model.
 
     `left` are the data products after the fit of the known columns. `evidence` is ln of the Bayes factor of each
-    family, `log_odds` the same times its prior probability, `total` ln of their sum: the odds that anything is
-    missing. `ratio` is the index of the likeliest ratio of the two noise sizes.
+    family. `log_odds` adds ln of its prior probability. `total` is ln of the sum of these odds: the odds that
+    anything is missing. `ratio` is the index of the likeliest ratio of the two noise sizes.
     """
 
     search: Search

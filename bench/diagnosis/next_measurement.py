@@ -137,7 +137,7 @@ MENU: Final = (
 """Shipped procedures that are thought of."""
 
 SEPARATED: Final = 8.0
-"""D from which two explanations are told apart: four standard deviations."""
+"""D from which two explanations count as separated: four standard deviations."""
 
 HELPS: Final = 0.5
 """A procedure that adds less than this to D is no help."""
@@ -204,9 +204,9 @@ NOTHING: Final = 1e-12
 class Proposal:
     """What to measure next and why. `minutes` is the expected time; `shows` are effects hidden so far.
 
-    `source` is the procedure on the menu, `written` the file with the reason on top; `left_out` says of each
-    procedure that this bench cannot carry out why. `chances` are those of all procedures of the menu where there
-    are ties, the likeliest to answer first.
+    `source` is the procedure on the menu. `written` is the file with the reason on top. `left_out` has the reason
+    for each procedure that this bench cannot carry out. `chances` are those of all procedures of the menu where
+    there are ties, the likeliest to answer first.
     """
 
     why: str
@@ -243,7 +243,7 @@ class Proposal:
     def write(self, path: Path) -> Proposal:
         """Write the procedure; return the proposal that says where it stands. Raises `OSError`.
 
-        A file that is there is never written over: where it says something else, a number is added to the name.
+        It never overwrites a file with other contents; it adds a number to the name instead.
         """
         path.parent.mkdir(parents=True, exist_ok=True)
         for number in count(1):
@@ -358,7 +358,7 @@ class _Bill:
         return whole
 
     def _divergences(self, plan: Plan | None) -> dict[tuple[str, str], float]:
-        """Return D of each effect that was found against each that it cannot be told from."""
+        """Return D of each find against each of its ties."""
         diagnosis, linear = self._diagnosis, self._linear(plan)
         result = {}
         for index, effect in enumerate(diagnosis.effects):
@@ -418,7 +418,7 @@ def _looked_for(linear: LinearSystem) -> frozenset[str]:
 
 @lru_cache(maxsize=64)
 def _loaded(path: Path, modified_ns: int) -> Procedure:
-    """Read a procedure once in a process, as long as its file stays what it is."""
+    """Read a procedure once in a process, and again only when its file changes."""
     return load_procedure(path)
 
 

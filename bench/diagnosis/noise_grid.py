@@ -38,9 +38,10 @@ RATIO_SPREAD: Final = 1.0
 """Prior standard deviation of ln gamma about the bench file's value, which is known to a factor of three."""
 
 LOCAL: Final = 0.5
-"""A random column in at most this fraction of the rows joins them in one block; a wider one is fitted.
+"""Largest fraction of the rows that a random column joins in one block; a wider column is fitted.
 
-Of several runs it is one in at most a run's rows: what all runs share would join them all in one dense block."""
+Of several runs it is one in at most a run's rows: what all runs share would join them all in one dense block.
+"""
 
 ROUNDING: Final = 1e-12
 """Remaining fraction of variance below which a fitted direction counts as completely removed."""
@@ -118,10 +119,10 @@ class Whitener:
 class NoiseGrid:
     """A grid of noise ratios, each with a linear map to white noise with the coefficients projected out.
 
-    `white` (ratios) map rows to numbers of variance sigma^2 when nothing is missing, of which `freedom` are
+    `white` (ratios) map rows to numbers of variance sigma^2 where nothing is missing; `freedom` of them are
     independent. `log_det` (ratios,) completes the restricted likelihood; `log_prior` (ratios,) is ln of the
-    prior. `setting_rad_per_noise` (ratios,) is the setting error in rad for a reading noise of one. With
-    `known` the noise is fixed at `sigma`; otherwise the data determine it.
+    prior. `setting_rad_per_noise` (ratios,) is the setting error in rad for a reading noise of one. With `known`
+    the noise is fixed at `sigma`; otherwise the data determine it.
     """
 
     white: tuple[Whitener, ...]
@@ -306,7 +307,7 @@ class ColumnProducts:
 
 @dataclass(frozen=True)
 class GramProducts:
-    """Products taken from the Gram matrix (ratios, P, P): smaller for more rows than columns."""
+    """Products from the Gram matrix (ratios, P, P): smaller for more rows than columns."""
 
     gram: Floats
 
@@ -483,7 +484,10 @@ TERMS: Final = 30
 
 
 def digit_of(readings: Readings) -> float:
-    """Return the step of the signals' last digit, unit of the signal: 2e-5 where all are even at 1e-5; 0: none."""
+    """Return the step of the signals' last digit, unit of the signal:
+
+    2e-5 where all signals are even at 1e-5; 0 without one.
+    """
     resolution = readings.resolution
     if not resolution > 0.0 or readings.resolution_read is not None:
         return resolution

@@ -1,9 +1,9 @@
 """Hypotheses on the noise, compared by evidence: by channel, heavy-tailed, slow; and noise larger than stated.
 
-A hypothesis changes the covariance of the readings, so that all hypotheses on the noise and on what is missing
-explain the same numbers. For heavy tails each row has a precision of its own with the prior that makes its noise
-a t distribution (Tipping and Lawrence, Neurocomputing 69 (2005) 123); how plausible they are is the likelihood
-ratio of the residuals.
+A hypothesis changes the covariance of the readings. So hypotheses on the noise and on missing effects explain the
+same numbers. For heavy tails each row has its own precision, with the prior that makes its noise t-distributed
+(Tipping and Lawrence, Neurocomputing 69 (2005) 123). The odds of heavy tails are the likelihood ratio of the
+residuals.
 """
 
 from __future__ import annotations
@@ -38,11 +38,13 @@ from bench.stats.repeats_likelihood import believed_sizes
 LOG_PRIOR: Final = dict.fromkeys(("channels", "place", "tails", "slow"), math.log(0.1))
 """ln of the prior odds of each kind of noise against noise that is normal and of one size."""
 TAIL_DOF: Final = HEAVY_DOF
-"""Degrees of freedom of the t distribution that stands for heavy tails."""
+"""Degrees of freedom of the t distribution of heavy tails."""
 ROUNDS: Final = 8
 """Rounds of the fit with heavy tails; the bound is at rest by then."""
 OF_READING: Final = 0.4
-"""A row tells of the noise of readings where the fit, which has the error of its setting in it, leaves as much."""
+"""Least part that the fit leaves of a row from which the noise of readings is estimated; the fit has the setting
+errors.
+"""
 FREEST: Final = 0.05
 """Lower limit of the part of a row that the fit leaves."""
 LIGHT: Final = 0.4
@@ -108,9 +110,9 @@ SAME_SIZE: Final = 0.1
 def sizes_by_channel(left: Floats, freedom: Floats, slope: Floats, cells: Ints, floor: float) -> Floats:
     """Return the relative sizes (3,) of the channels' noise, 1 on the average of squares.
 
-    `left` (n, 3) are the residuals of each setting, `freedom` (n,) the part of it that the description does not
-    take up, `slope` (n, 3) du/dphi: what lies along it is the setting's. `cells` (n,) number settings with the same
-    slope, `floor` is the least noise that is believed, unit of the signal.
+    `left` (n, 3) are the residuals of each setting. `freedom` (n,) is the part of a setting that the fit leaves.
+    `slope` (n, 3) is du/dphi, the direction of a setting error. `cells` (n,) number settings with the same slope,
+    `floor` is the least noise that is believed, unit of the signal.
     """
     count = int(cells.max()) + 1
     free = np.bincount(cells, freedom, count)
@@ -183,9 +185,9 @@ def _with_tails(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Iter
 
 
 def _odds_of_tails(linear: LinearSystem, size: Floats, free: Floats) -> float:
-    """Return ln of the likelihood of heavy tails over that of normal noise, of the rows that tell of their noise.
+    """Return ln of the likelihood ratio of heavy tails to normal noise, from the rows that show their noise.
 
-    `size` (N,) are the residuals in units of what the fit leaves of them, `free` (N,) the part that it leaves.
+    `free` (N,) is the part of each row that the fit leaves. `size` (N,) are the residuals over its root.
     """
     telling = free > OF_READING
     by_channel = [size[telling & (linear.rows.channel == c)] for c in range(4)]
@@ -209,8 +211,8 @@ class SlowNoise:
     """Slow noise of `channels` (0, 1, 2), independent in each: `size` is its root mean square over a run.
 
     The size is in the unit of the signal. `columns` (N, waves) are draws of this noise in the rows of the system.
-    `evidence` is ln of the mean of its likelihood over all sizes, against none; `cost` is ln of this mean over the
-    likelihood at the likeliest size.
+    `evidence` is ln of the mean likelihood over all sizes, against no slow noise. `cost` is ln of this mean over
+    the largest likelihood.
     """
 
     channels: tuple[int, ...]
@@ -358,9 +360,9 @@ def _series(linear: LinearSystem) -> list[list[int]]:
 
 
 LARGER: Final = 2.0
-"""Noise is a finding where it is more than so many times what is stated,"""
+"""Least ratio of found to stated noise of a finding."""
 SIGNIFICANT: Final = 1e-4
-"""and chance alone makes it so much larger less often than this."""
+"""Largest probability of that ratio by chance."""
 
 OWN_SCATTER: Final = "the readings' own scatter"
 BENCH_FILE: Final = "the bench file"
@@ -370,8 +372,8 @@ BENCH_FILE: Final = "the bench file"
 class NoiseFinding:
     """Noise of a reading ("reading") or a setting ("setting") that is larger than the `source` states.
 
-    `found` and `stated` in `unit`, `factor` times one another; `p` is the probability of so much by chance, all
-    runs counted. It is that of the run with these `series`, where runs have noise of their own.
+    `found` and `stated` are in `unit`, and `factor` is their ratio. `p` is the probability of this ratio by
+    chance, all runs counted. It is that of the run with these `series`, where runs have noise of their own.
     """
 
     what: str
@@ -385,7 +387,7 @@ class NoiseFinding:
 
     @property
     def words(self) -> str:
-        """A sentence: what, by how much, what it may mean."""
+        """A sentence with the kind of noise, its ratio to the stated noise, and the consequence."""
         of = "a reading" if self.what == "reading" else "a setting of the head"
         if self.series:
             of += f" of series {', '.join(str(number) for number in self.series)}"
@@ -412,10 +414,9 @@ def noise_findings(
 ) -> tuple[NoiseFinding, ...]:
     """Return where the noise found is larger than stated, significantly and by more than a factor of two.
 
-    `stand_u` has the "setting_error" (rad) and the "voltmeter_error" (V) of the bench file, `typical_slope` is
-    how a setting error shows in all three signals, unit of the signal per rad, `digit` the step of the signals'
-    last digit: rounding to it is expected. Runs with noise of their own, `by_run`, are each held against what is
-    stated of them.
+    `stand_u` has the "setting_error" (rad) and the "voltmeter_error" (V) of the bench file. `typical_slope` is
+    the length of du/dphi, unit of the signal per rad. `digit` is the step of the signals' last digit. Runs with
+    noise of their own, `by_run`, are each held against what is stated of them.
     """
     of_readings = _of_readings if by_run is None else partial(_of_runs, by_run)
     found = [*of_readings(noise, readings, stand_u, digit), *_of_settings(noise, stand_u, typical_slope)]
@@ -461,10 +462,10 @@ def _of_settings(
 
 
 def _stated(readings: Readings, stand_u: Mapping[str, float], rounding: float) -> _Stated | None:
-    """Return the noise of a reading as it is stated: the larger of what its samples show and the bench file says.
+    """Return the stated noise of a reading: the larger of that of its samples and that of the bench file.
 
-    Either is without that of `rounding`. An error that is fresh in each reading and alike in all its samples, as
-    that of the shipped stand, only the bench file knows: its word counts where it is larger.
+    Either is without that of `rounding`. Samples do not show an error that they share; the bench file may state
+    it.
     """
     stated = []
     size = stand_u.get("voltmeter_error", 0.0)

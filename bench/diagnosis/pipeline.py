@@ -80,13 +80,11 @@ def diagnose(
 ) -> Diagnosis:
     """Diagnose one table of readings against a model.
 
-    `stand_u` holds standard uncertainties by the names in `STAND_ANGLES` and of the "setting_error", rad, and of
-    the "voltmeter_error", V;
-    `nominal_scale_factors` (3,), or (blocks, 3) of several, with sign come from the data sheet (unit/g) and tell
-    swapped or reversed channels. `there` is what is known of meters and head: effects of what is not there are no
-    candidates. The record is never changed: a mistake is corrected in a copy. Raises
-    `CalibrationError` where the readings do not determine the coefficients, `MistakesLeaveTooLittle` where those
-    with the mistakes corrected do not.
+    `stand_u` holds standard uncertainties by the names in `STAND_ANGLES`, of the "setting_error", rad, and of the
+    "voltmeter_error", V. `nominal_scale_factors` (3,), or (blocks, 3) of several, are those of the data sheet
+    with sign, unit/g. They show swapped or reversed channels. `there` has the known properties of meters and head:
+    effects of absent parts are no candidates. Mistakes are corrected in a copy. Raises `CalibrationError` where the
+    readings do not determine the coefficients, `MistakesLeaveTooLittle` where the corrected copy does not.
     """
     mistakes = find_mistakes_in_each(readings, model, stand_u, nominal_scale_factors)
     setting_rad = stand_u.get("setting_error", 0.0)
@@ -260,7 +258,7 @@ def _noise(
 def _form(
     prepared: Prepared, naming: Naming, estimated: _Estimated, gap: Gap, setting_rad: float
 ) -> FreeForm | None:
-    """Return the form of what has no name, or that stands in the place of a name; None where names suffice.
+    """Return the form of unnamed finds, or of a form tied with a name; None where names suffice.
 
     A pattern without a formula is described by the terms of the dictionary that explain it.
     """
@@ -331,7 +329,7 @@ def _rank(search: Search, whitened: Whitened, ratio: int, columns: tuple[int, ..
 
 
 FAR_P: Final = 0.01
-"""Readings far off change the verdict where the fitted noise gives as much anywhere with less than this."""
+"""Largest probability of a far reading, all looks counted, with which the verdict becomes `unknown`."""
 LISTED_FAR: Final = 4
 
 
@@ -440,9 +438,9 @@ LISTED: Final = 8
 
 @dataclass(frozen=True)
 class Rival:
-    """A family beside what else was found: ln odds that it is there, whether the data can tell it from the named.
+    """A family in the place of a find: ln of its evidence, and whether it is tied with the find.
 
-    `shift` (12 of each block,) is by how much the coefficients would differ were it this one, in units of their u.
+    `shift` (12 of each block,) is the change of the coefficients with this family instead, in units of their u.
     """
 
     family: str
@@ -496,10 +494,10 @@ def rivals(diagnosis: Diagnosis) -> tuple[tuple[Rival, ...], ...]:
 
 @dataclass(frozen=True)
 class FullDiagnosis:
-    """What `bench diagnose` finds out of one body of readings; JSON, terminal and page are told from it.
+    """The result of `bench diagnose` for one set of readings; JSON, terminal and page show it.
 
-    `ranking` has for each effect that was found the families in its place; `skipped_rows` names rows of the
-    source that could not be read. Of several blocks `shown` is the first and `blocks` are all.
+    `ranking` has, for each find, the families in its place. `skipped_rows` names the unreadable rows of the
+    source. Of several blocks `shown` is the first and `blocks` are all.
     """
 
     source: str
@@ -543,13 +541,12 @@ def diagnose_fully(
     stated: bool = True,
     nominal: Floats | None = None,
 ) -> FullDiagnosis:
-    """Diagnose readings that were taken on a bench, and work out what follows; nothing is written.
+    """Diagnose readings of a bench, with rivals, simulation and next measurement. Nothing is written.
 
-    `source` is what they are called, `simulated` whether they come from simulated instruments, `known` mistakes
-    that are put right in them already, `nominal` (blocks, 3) the scale factors of several blocks where they are
-    not all that of the bench file. Where nobody `stated` that the readings are of this bench, nothing is
-    concluded from what meters and head it has. Raises `CalibrationError` where the readings do not determine the
-    coefficients.
+    `source` is the name of the readings. `simulated` says whether simulated instruments made them. `known` are
+    mistakes that are corrected already. `nominal` (blocks, 3) are the scale factors of several blocks that differ
+    from the bench file. Where nobody `stated` that the readings are of this bench, nothing is concluded from what
+    meters and head it has. Raises `CalibrationError` where the readings do not determine the coefficients.
     """
     stand_u = {name: spread.u for name, spread in bench.stand_distributions().items()}
     sheet = np.array(bench.unit_under_test.scale_factors.values) if nominal is None else nominal

@@ -31,7 +31,7 @@ LEVELS: Final = (-0.8, -0.6, -0.4, -0.2, -0.05, 0.05, 0.2, 0.4, 0.6, 0.8)
 
 @dataclass(frozen=True)
 class TermUnit:
-    """The unit of the size of a term; its plausible size in SI, and that of a course in kelvin, per kelvin."""
+    """The unit of the size of a term, and its plausible size in SI: per kelvin for a course of the temperature."""
 
     text: str
     si: float
@@ -57,10 +57,10 @@ GAIN: Final = TermUnit("ppm", 1e-6, 25e-6)
 class TimeCourse:
     """A course over a run: plain numbers of order 1, one `expression` for each size that it needs.
 
-    `constants` are shapes with one value; `of_temperature` where it is in kelvin; `long` where it may be of the
-    scale factor, too, `local` where it is of the bias or the head alone: of one angle, or from one reading on;
-    `fast` where it is of the bias or the head alone, `of_angle` where it is a function of the head's angle. `where`
-    says at which angle, time, pass or mounting it acts.
+    `constants` are shapes with one value. `of_temperature` says that the course is in kelvin. A `long` course
+    also acts in scale factor and voltage. A `local` course (one angle, one mounting, a step) and a `fast` one act
+    in bias and head angle alone. `of_angle` says that it is a function of the head's angle. `where` says at which
+    angle, time, pass or mounting it acts.
     """
 
     words: str
@@ -145,9 +145,9 @@ WITH_CHANNELS: Final = (Stage.BLOCK_OUTPUT, Stage.VOLTMETER_READING)
 def _columns(
     linear: LinearSystem, term: DictionaryTerm, of_courses: dict[tuple[object, ...], Floats]
 ) -> Iterator[Floats]:
-    """Yield for each size of a term what a plausible one adds to the rows: (N, 3) by channel, or (N, 1).
+    """Yield, for each size of a term, the change of the rows by a plausible size: (N, 3) by channel, or (N, 1).
 
-    A course acts at many stages: what it is in the readings is kept in `of_courses`.
+    `of_courses` caches the courses, as each acts at many stages.
     """
     if not term.course:
         effect = term.effect("term", per_channel=term.stage in WITH_CHANNELS)

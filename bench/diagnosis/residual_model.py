@@ -24,14 +24,18 @@ UNNAMED_FORM: Final = "unnamed_form"
 
 
 BY_CHANCE: Final = 0.05
-"""What chance gives so often is stated as an upper limit and as no value; the limit holds in all but as many."""
+"""Probability of the scatter by chance from which on only its upper limit is stated.
+
+The limit has this probability to fail.
+"""
 OF_SETTING: Final = 2
-"""Numbers by which a repeat of a setting tells of the noise: across the turn of the head."""
+"""Degrees of freedom of the noise in a repeat of a setting: those across the turn of the head."""
 
 
 @dataclass(frozen=True)
 class UnexplainedScatter:
-    """Scatter beyond that of the repeats (1 σ, unit of the signal), its u, the 95 % limit, the chance of it.
+    """Scatter beyond that of the repeats (1 σ, unit of the signal), its u, its 95 % limit, and its probability by
+    chance.
 
     `u` and `upper` are infinite where there are no readings beside the repeats to tell.
     """
@@ -43,7 +47,7 @@ class UnexplainedScatter:
 
     @classmethod
     def of(cls, noise: NoiseSize, repeats: Repeats) -> UnexplainedScatter:
-        """Compare the noise beside all that was found with that of the repeats, which is a part of it (F test)."""
+        """Compare the noise beside all finds with the noise of the repeats (F test)."""
         of_repeats = OF_SETTING * repeats.freedom
         beyond = noise.freedom - of_repeats
         all2, repeats2 = noise.reading**2, repeats.sigma**2
@@ -106,9 +110,9 @@ class FormTerm:
 class FreeForm:
     """A description of what has no name by terms of the dictionary.
 
-    `gap` is that on readings held out, searched without them; `dark` is the scatter beyond the repeats beside the
-    terms: it has no form, and is an uncertainty. `scatter` says where it is larger. `instead_of` are the named
-    effects in whose place the terms stand: one or the other is there.
+    `gap` is that of the terms on held-out readings. `dark` is the scatter beyond that of the repeats, an
+    uncertainty. `scatter` says where it is larger. `instead_of` are the named effects in whose place the terms
+    stand: one or the other is there.
     """
 
     terms: tuple[FormTerm, ...]

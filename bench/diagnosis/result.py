@@ -41,8 +41,8 @@ from bench.model.effects.formula import FormulaEffect, names_in
 class Registration:
     """The settings registered before scoring; `sha256` covers them, the catalogue and the size weights.
 
-    Priors, threshold, limits of a tie, what is held out (`held_out_else` where that measures nothing), and by how
-    much the gap must shrink on it.
+    These are the priors, the threshold, the limits of a tie, the folds, and the least fall of the gap.
+    `held_out_else` are the folds where `held_out` measures nothing.
     """
 
     sha256: str
@@ -142,12 +142,11 @@ class EffectValue:
 class NamedEffect:
     """An effect that was found, with its parameters as estimated.
 
-    `aliases` are the other periods a turn of the head that would look the same at the angles measured.
-    `applied` is empty for what has no name, else one entry for each set of mountings with values of its own.
-    `together` are sums or differences of values that the readings tell where they hardly tell the values.
-    `p` is for this effect alone, `p_all_looks` counts everything that was looked at; `rho` is its size over
-    its u (the root of b^T C^-1 b of all its values b), None for a lack of fit, which was not looked for. `odds`
-    are the names that may stand in its place with their posterior probabilities.
+    `aliases` are the other periods a turn of the head that would look the same at the angles measured. `applied`
+    has an entry for each set of mountings with its own values; it is empty for an unnamed find. `together` are
+    sums or differences of values that the readings tell where they hardly tell the values. `p` is for this effect
+    alone; `p_all_looks` counts all looks. `rho` is its size over its u, the root of b^T C^-1 b for its values b;
+    None for a lack of fit. `odds` are the names that may explain the find, with their posterior probabilities.
     """
 
     name: str
@@ -180,16 +179,15 @@ class NamedEffect:
 class Diagnosis:
     """The complete result of the diagnosis of one body of readings.
 
-    `of_copy` is the verdict on the copy in which mistakes are put right, where there are any, and the same as
-    `verdict` where not. `hidden` are effects that the readings could never show, with their parts where it is true
-    of some. `absent` are effects that the bench cannot have, with the reason. `unseen_per_turn` are the
-    periods a turn of head errors that show nowhere at the angles measured. `detectable` are the sizes, in
-    plausible sizes, that are found in half of all runs; `smallest` the same for effects with several sizes,
-    in any direction. Plots and reports use `linear`, `candidates`, `naming`, `fitted` and `noise`.
-    `whitened` and `data` are the products in which the effects were found.
-    `in_part` are the possible parts of the effects with other shapes, included in the coefficients' u.
-    `left_open` are the parts that the readings leave open, for a model file. `findings` are noise larger than
-    stated, `noise_kinds` deviations from normal noise of one size.
+    `of_copy` is the verdict on the copy with mistakes corrected; without mistakes it equals `verdict`. `hidden`
+    are effects that the readings could never show, with their parts where it is true of some. `absent` are
+    effects that the bench cannot have, with the reason. `unseen_per_turn` are the periods a turn of head errors
+    that show nowhere at the angles measured. `detectable` are the sizes, in plausible sizes, that half of all
+    runs find. `smallest` has these of effects with several sizes, in any direction. Plots and reports use
+    `linear`, `candidates`, `naming`, `fitted` and `noise`. `whitened` and `data` are the products in which the
+    effects were found. `in_part` are the possible parts of the effects with other shapes, included in the
+    coefficients' u. `left_open` are the parts that the readings leave open, for a model file. `findings` are
+    noise larger than stated, `noise_kinds` deviations from normal noise of one size.
     """
 
     verdict: Verdict
@@ -236,7 +234,9 @@ OF_TEMPERATURE = ("thermal_bias", "thermal_scale")
 
 
 def at_reference(found: Iterable[Effect]) -> Iterator[str]:
-    """Yield at which temperature the coefficients are those that are told, where effects of it are beside them."""
+    """Yield the temperature for which the coefficients hold, where effects of the temperature are among
+    `effects`.
+    """
     names = [effect.name for effect in found if _of_temperature(effect)]
     if names:
         yield f"the coefficients are those at {REFERENCE_C:g} °C, from which {' and '.join(names)} counts"

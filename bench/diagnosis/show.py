@@ -46,10 +46,10 @@ class ModulusPoint:
 class Simulation:
     """A model fitted to readings and run again at the same angles, times and temperatures.
 
-    `calibration` has the estimates and `test` compares the readings with the simulated bench without noise;
-    `repeated` is the same calibration of one noisy simulation (seed `SEED`). `effects` are the model's with
-    the values estimated here and their u. `points` are the verification points by this model, which has
-    seen none of them unless `joined`: then some effect shows nowhere else.
+    `calibration` has the estimates. `test` compares the readings with the simulated bench without noise.
+    `repeated` is the same calibration of one noisy simulation (seed `SEED`). `effects` are the model's with the
+    values estimated here and their u. `points` are the verification points by this model, which has seen none of
+    them unless `joined`: then some effect shows nowhere else.
     """
 
     model: ForwardModel
@@ -206,7 +206,7 @@ def _fitted(
 
 
 def _modulus_rows(readings: Readings, chosen: NDArray[np.bool_]) -> FreeRows:
-    """Return rows of which the modulus alone is known, times and temperatures as the whole table has them."""
+    """Return the rows with a known modulus only, with the times and temperatures of the whole table."""
     whole, own = readings.conditions(), readings.select(chosen).conditions()
     warmth = whole.warmth_k[chosen] + whole.reference_c
     conditions = replace(own, time_s=whole.elapsed_s[chosen], temperature_c=warmth, began_s=None)

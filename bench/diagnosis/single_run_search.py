@@ -49,7 +49,8 @@ class Prepared:
     """Readings prepared for the search: linear system, whitened candidates, data products and threshold.
 
     `bend` (N,) is the nonlinear part of the finds, subtracted from the response. `log_odds` is ln of the prior
-    odds of the noise hypotheses that were chosen, with what their sizes cost; `chosen` are these with their words.
+    odds of the chosen noise hypotheses, with the cost of their sizes. `chosen` maps these hypotheses to their
+    words.
     """
 
     linear: LinearSystem
@@ -63,7 +64,7 @@ class Prepared:
     chosen: Mapping[str, str] = field(default_factory=dict)
 
     def log_evidence(self, naming: Naming) -> float:
-        """Return ln of the evidence that so many things are missing in this noise, up to a constant.
+        """Return ln of the evidence of this noise with as many finds as `naming` has, up to a constant.
 
         In the place of each find all families count, by their priors.
         """
@@ -91,7 +92,7 @@ SURE: Final = 6.0
 def choose_noise(prepared: Prepared, naming: Naming, again: Reconsider) -> tuple[Prepared, Naming]:
     """Return the finds in the noise with which they have the largest evidence together.
 
-    Rounded readings that repeat themselves tell nothing of their noise; it is that of the rounding.
+    Rounded readings that repeat themselves do not show their noise; the noise of the rounding is kept.
     """
     if prepared.whitened.grid.known:
         return prepared, naming
@@ -160,7 +161,7 @@ def in_the_noise_of(prepared: LinearSystem, linear: LinearSystem) -> LinearSyste
 BENT: Final = 0.3
 """What an effect may change a reading beyond its columns, in units of noise, and count as linear."""
 STEPS: Final = 6
-"""Steps after which what is not linear yet stays as it is: it is left over, and told."""
+"""Most linearisations; the rest of the nonlinearity stays in the residuals."""
 FINER: Final = (0.6, 0.77, 1.0, 1.3, 1.67)
 """Ratios about that of the noises as they were found: parts of it."""
 
@@ -195,8 +196,8 @@ def search_run(
 
     The noise is chosen by evidence (`choose_noise`).
 
-    `stand` holds standard uncertainties by the names in `STAND_ANGLES`, rad, `setting_rad` that of a setting,
-    `resolution` the last digit of the signals. Effects that are `absent` from the bench are not looked for.
+    `stand` holds standard uncertainties by the names in `STAND_ANGLES`, rad. `setting_rad` is that of a setting.
+    `resolution` is the last digit of the signals. Effects that are `absent` from the bench are not looked for.
     Raises `CalibrationError` where there is too little to fit.
     """
     task = _Task(readings, model, stand, setting_rad, resolution, cache, absent)
@@ -235,8 +236,8 @@ def _beside_shapes(task: _Task, prepared: Prepared, naming: Naming) -> Naming:
 def _closer(task: _Task, prepared: Prepared, naming: Naming) -> Naming:
     """Find again what hardly reached the threshold, with the ratio of the noises on a finer grid about its own.
 
-    Between two ratios of the grid of the search a setting error is up to 1.4 times as large as it is taken for, and
-    effects that act as it does look as much more than they are.
+    Between two ratios of the grid a setting error is up to 1.4 times its assumed size. Effects that act like it
+    then look larger than they are.
     """
     if not naming.found or min(found.total for found in naming.found) > prepared.limit.value + SURE:
         return naming

@@ -41,8 +41,8 @@ def detectable(whitened: Whitened, threshold: Threshold, ratio: int) -> dict[str
 class Smallest:
     """The size that is found in half of all runs, whatever direction it has among parameters of one unit.
 
-    `size` is their norm, in the unit of the catalogue. `part` says that it is that of the directions which show:
-    another, beyond belief large, would not.
+    `size` is their norm, in the unit of the catalogue. `part` says that only some directions show; no credible
+    size shows in the others.
     """
 
     parameters: tuple[str, ...]
@@ -101,10 +101,10 @@ NOTHING_SEEN: Final = 1e-6
 
 
 def half_power(whitened: Whitened, threshold: Threshold) -> float:
-    """Return the size (rho, units of noise) of an effect of one parameter that is found in half of all runs.
+    """Return the size (rho, units of noise) at which half of all runs find an effect of one parameter.
 
-    There ln of its evidence, about rho^2/2 less its price, equals the threshold; the price of one
-    parameter and of the forms and families looked at is taken from their number.
+    At this size ln of the evidence, about rho^2/2 less a cost, equals the threshold. The cost follows from the
+    numbers of parameters, forms and families.
     """
     candidates = whitened.candidates
     looks = np.log(len(candidates.families)) + 1.5
@@ -187,7 +187,7 @@ def forms_everywhere(family: str, mounts: tuple[str, ...] = ()) -> tuple[Form, .
 
 
 class ReadingDesign:
-    """Readings, taken or planned, in which explanations are compared.
+    """Readings, measured or planned, in which explanations are compared.
 
     `noise` is the size of the noise, `others` are effects that are in the model beside what is compared, each
     known no better than the readings tell.

@@ -93,10 +93,11 @@ def find_places(
 
 
 def _explained(seen: Floats, left: Floats, first: Ints, two: Mask, least: Floats) -> tuple[Floats, Mask]:
-    """Return the square that each pattern explains of what is left, and whether its columns can be told at all.
+    """Return the square that each pattern explains of the residuals, and whether the residuals determine its
+    columns.
 
-    A pattern has the column `first` of those `seen` (N, columns), and where it has `two` the next one, too; what
-    the places before leave of a column is to be more than the `least` of it.
+    A pattern has the column `first` of `seen` (N, columns), and with `two` the next column. A column is
+    determined where its length exceeds `least`.
     """
     second = np.minimum(first + 1, seen.shape[1] - 1)
     along = seen.T @ left
@@ -193,15 +194,15 @@ def _over_run(linear: LinearSystem, own: Mask, channel: str) -> Iterator[_Look]:
 
 
 FAR: Final = 6.0
-"""A reading so many u from what the final model says is in the headline."""
+"""Least distance in u from the final model of a reading that the headline names."""
 
 
 @dataclass(frozen=True)
 class FarReading:
     """A reading that lies `size_u` standard uncertainties from what the model says without it.
 
-    `channel` is x, y, z, "modulus" or "setting" (along the turn of the head). `p` is the probability that the noise
-    as fitted gives as much anywhere.
+    `channel` is x, y, z, "modulus" or "setting" (along the turn of the head). `p` is the probability of such a
+    distance anywhere by the fitted noise.
     """
 
     installation: str
@@ -263,7 +264,7 @@ ALIKE: Final = 0.01
 """Fraction of a wave's square that another wave may leave and still count as the same."""
 SAME_ANGLE_DEG: Final = 0.1
 ORDERS: Final = {"head_eccentricity": 1, "head_ellipticity": 2}
-"""Effects that are a wave of the head's angle, and how often a turn; of others the shape `harmonic` says it."""
+"""Periods a turn of effects that are a wave of the head's angle, where no shape `harmonic` states them."""
 
 
 def looking_like(angle_rad: Floats, order: int) -> tuple[int, ...]:
@@ -294,7 +295,7 @@ def _different(angle_rad: Floats) -> Floats:
 
 
 def _waves(angle_rad: Floats, order: int) -> Floats:
-    """Cosine and sine of so many periods a turn, (n, 2); of none a constant, (n, 1)."""
+    """Return cosine and sine of a number of periods a turn, (n, 2); for none a constant, (n, 1)."""
     if order == 0:
         return np.ones((len(angle_rad), 1))
     return np.stack([np.cos(order * angle_rad), np.sin(order * angle_rad)], axis=1)
