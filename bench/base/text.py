@@ -6,6 +6,8 @@ import math
 import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from datetime import datetime
+from pathlib import PurePath
 from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
@@ -35,6 +37,21 @@ def visible(text: str) -> str:
     Line ends and tabs stay, as do all visible characters.
     """
     return _ACTS.sub(_escape, text)
+
+
+def shown_path(path: str) -> str:
+    """Return a path as a page shows it: an absolute path by its last name, since folders concern nobody else."""
+    return PurePath(path).name if PurePath(path).is_absolute() else path
+
+
+def civil_minute(time: str) -> str:
+    """Return an ISO 8601 time as people write it: "2026-11-24 00:12 UTC"; another text comes back unchanged."""
+    try:
+        when = datetime.fromisoformat(time)
+    except ValueError:
+        return time
+    zone = when.strftime(" %Z") if when.tzinfo else ""
+    return f"{when:%Y-%m-%d %H:%M}{zone}"
 
 
 def shortened(text: str) -> str:

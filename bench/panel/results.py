@@ -225,7 +225,7 @@ def _calibration(told: Mapping[str, Any]) -> CalibrationTold:
         one = told["coefficients"][name]
         value, expanded = float(one["value"]), float(one.get("U", 2.0 * float(one["u"])))
         per = unit if name.startswith("U0") else f"{unit}/g"
-        scale = scale_for(abs(value), unit)
+        scale = scale_for(max(abs(value), expanded), unit)
         size, shown = (scale.size, scale.unit if name.startswith("U0") else f"{scale.unit}/g")
         if not math.isfinite(size) or size <= 0:
             size, shown = 1.0, per

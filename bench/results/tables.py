@@ -23,7 +23,7 @@ from bench.base.numbers import (
     typeset,
     uncertainty,
 )
-from bench.base.text import visible
+from bench.base.text import shown_path, visible
 from bench.calibration import Calibration, Estimate, Noise, Verification
 from bench.calibration.budget.propagation import correlation_of
 from bench.calibration.design import SYMBOLS
@@ -401,4 +401,5 @@ def _templates() -> Environment:
         lstrip_blocks=True,
     )
     environment.filters["typeset"] = typeset
+    environment.filters["shown_path"] = shown_path
     return environment

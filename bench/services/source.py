@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from bench.base.computing import versions
-from bench.base.text import repeated
+from bench.base.text import civil_minute, repeated, shown_path
 from bench.calibration.budget.meters import KnownMeters
 from bench.calibration.noise import KnownStand
 from bench.config.bench_file.file import BenchFile
@@ -459,7 +459,7 @@ def provenance(source: Source) -> dict[str, str]:
     """Return the provenance of a result for the report: texts by label, in the order in which they are printed."""
     run, origin = source.run, source.origin
     stated = {
-        "source": source.name,
+        "source": shown_path(source.name),
         "unit under test": source.block_name or "not stated",
         "bench": f"{source.taken.words} (SHA-256 {source.taken.sha256})",
         "model": source.model.name,
@@ -488,9 +488,9 @@ def provenance(source: Source) -> dict[str, str]:
 
 def _measured(origin: Origin) -> dict[str, str]:
     """Return the facts known of the run that measured the readings: date, operator, unit and instruments."""
-    stated = {"begun": origin.begun, "operator": origin.operator or "not stated"}
+    stated = {"begun": civil_minute(origin.begun), "operator": origin.operator or "not stated"}
     if origin.procedure:
-        stated["procedure"] = f"{origin.procedure} (plan SHA-256 {origin.plan_hash})"
+        stated["procedure"] = f"{shown_path(origin.procedure)} (plan SHA-256 {origin.plan_hash})"
         stated["instruments"] = "simulated" if origin.simulated else "real"
     return stated | origin.instruments
 
