@@ -463,7 +463,8 @@ def _most_likely(of: LikelihoodResiduals, floor: float, prior: NoisePrior | None
 def whiten(columns: Floats, slope: Floats, noise: Noise) -> Floats:
     """Return W times columns (n, 3, p), where W^T W is the inverse of the covariance of each reading.
 
-    W = (I + s s^T)^(-1/2) D^(-1) with D = diag(sigma_x, sigma_y, sigma_z), s = sigma_phi D^(-1) d.
+    W = (I + s s^T)^(-1/2) D^(-1) with D = diag(sigma_x, sigma_y, sigma_z) and s = sigma_phi D^(-1) d, where d
+    is the reading's row of `slope` (n, 3), du/dphi in signal units per rad.
     """
     sizes = noise.by_channel
     return _shrunk(columns / sizes[:, None], slope / sizes, noise.setting_rad)

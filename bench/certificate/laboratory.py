@@ -86,7 +86,10 @@ class StatedField:
 def stated_fields(
     laboratory: Laboratory | None, unit: UnitOrder | None, order: Order | None
 ) -> Iterator[StatedField]:
-    """Yield every field marked with `OnCertificate`, whether or not the file is given and states it."""
+    """Yield a `StatedField` for each field that is marked with `OnCertificate`, file by file.
+
+    The field's `texts` are empty if its file is None or does not contain it.
+    """
     for model, file in ((Laboratory, laboratory), (UnitOrder, unit), (Order, order)):
         for name, field in (type(file) if file else model).model_fields.items():
             for place in (one for one in field.metadata if isinstance(one, OnCertificate)):

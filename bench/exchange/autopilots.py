@@ -32,7 +32,7 @@ class Sensor:
         return np.asarray(STANDARD_GRAVITY * signal / self.nominal)
 
     def told(self) -> list[str]:
-        """Return in words how z is had from the signals."""
+        """Return comment lines that say how to compute z from the signals."""
         if self.unit == "m/s^2":
             return ["the signals are in m/s^2 and taken as they are: z = U"]
         factors = ", ".join(f"{float(s)!r}" for s in self.nominal)
@@ -44,7 +44,10 @@ class Sensor:
 
 
 def sensor_of(result: BlockResult, nominal: Floats | None = None) -> Sensor:
-    """Return the block as a sensor in m/s^2, with scale factors asked for (unit/g) or its own, rounded."""
+    """Return the block as a sensor in m/s^2.
+
+    `nominal` (3,) are its nominal scale factors, unit/g; None takes the block's own, rounded to `DIGITS` digits.
+    """
     if result.unit == "m/s^2":
         own = np.full(3, STANDARD_GRAVITY)
     elif result.unit == "g":
@@ -71,7 +74,7 @@ class Diagonal:
     vector_g: float
 
     def told(self) -> list[str]:
-        """Return in words what is lost."""
+        """Return comment lines that say what this form omits, and the largest errors that follow at 1 g."""
         return [
             "the six cross-axis terms are left out, for this form has a scale and an offset per axis and no more:",
             f"at 1 g |a| is off by up to {_size(self.modulus_g)}, the vector a by up to {_size(self.vector_g)}, "
@@ -80,7 +83,7 @@ class Diagonal:
 
 
 def diagonal(sensor: Sensor) -> Diagonal:
-    """Return offset and scale of each axis by itself, and exactly what leaving out the rest costs at 1 g.
+    """Return offset and scale of each axis, and the largest errors at 1 g without the cross-axis terms, exactly.
 
     a' = diag(1/M_ii) M a: |a'| lies between the least and the largest singular value of that matrix, and
     |a' - a| is at most the largest one of its difference from 1.

@@ -127,9 +127,11 @@ def leave_safe(
 ) -> dict[str, str]:
     """Leave the block in its safe state, set the chamber to its safe setting, and close all instruments.
 
-    Closing stops the head and returns meters to local operation. A chamber that was not opened is left alone,
-    because another program may be using it; so is a block that this run has not switched. `demanded_c` is the
-    chamber's last set point, or None. Returns the tasks left for a person, by instrument name.
+    `power` controls the block's supply; None if the run controls none. A block that this run has switched, or found
+    on and taken over, is switched off unless its section has `when_unsafe = "stay-on"`; any other block keeps its
+    state. Only an opened chamber is set, because another program may be using one that was not opened; `demanded_c`
+    is its last set point, °C, None if it has none. Closing stops the head and returns meters to local operation.
+    Returns the remaining manual tasks, keyed by instrument name.
     """
     to_do = {}
     if power is not None and (note := power.leave()):
