@@ -52,7 +52,7 @@ class KnownNoise:
         return cls(np.full(3, reading), np.full(3, LEAST_DOF), setting, LEAST_DOF, stated=True)
 
     def beside(self, signals: float) -> KnownNoise | None:
-        """Return the prior to use beside a number of residual signals; None if these suffice.
+        """Return the prior to combine with a number of residual signals; None if these suffice.
 
         A stated prior keeps only the degrees of freedom that the signals lack; a prior of other runs counts in
         full.
@@ -294,7 +294,7 @@ class RepeatedNoise:
 
 
 LEAST_SETTING: Final = 1e-3
-"""Lower limit of the setting error as a fraction of the reading noise, both as seen in the signals."""
+"""Lower limit of the setting error as a fraction of the reading noise, both in the unit of the signal."""
 
 
 def setting_limits(reading: float, setting_rad: float, slope2: float, freedom: float) -> tuple[float, float]:

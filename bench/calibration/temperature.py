@@ -331,8 +331,9 @@ LOOKS: Final = 16
 class TableError:
     """Largest differences found between the table and the polynomials, g.
 
-    `bias` is the interpolation error at 0 g, `per_g` its increase per g along any axis. `single` is the further
-    error of single precision at accelerations up to `reach_g`. `looks` counts the temperatures tested.
+    `bias` is the interpolation error at 0 g, `per_g` its increase per g along any axis. `single` is the
+    additional error of single precision at accelerations up to `reach_g`. `looks` counts the temperatures
+    tested.
     """
 
     bias: float

@@ -312,7 +312,7 @@ class Order(StatedRule):
     """A validated order file.
 
     `rule` and `guard_band` are the decision rule agreed with the customer, which overrides the record's
-    (ISO/IEC 17025:2017, 7.1.3); `agreed` are further agreements. `place` is the place of calibration if it
+    (ISO/IEC 17025:2017, 7.1.3); `agreed` are other agreements. `place` is the place of calibration if it
     was not the laboratory. `without_certificates` is why the customer accepts instruments without
     valid certificates. `sampling` is the sampling plan and method, and who sampled; without it, the customer
     supplied the units. `external` are results from other bodies, `supplied` data from the customer.

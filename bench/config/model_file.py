@@ -162,7 +162,7 @@ def load_model(path: Path, installations: Collection[str] = ()) -> ModelFile:
 def mistakes_with_formulas(
     data: Any, installations: Collection[str] = (), place: Place = ()
 ) -> Iterator[tuple[Place, str]]:
-    """Yield the mistakes in the formulas, effects and open shapes of `data`, a section at `place`."""
+    """Yield the mistakes in the formulas, `effects` and `left_open` of `data`, a section at `place`."""
     wrong = list(formula_mistakes(part(data, "formulas"), (*place, "formulas")))
     yield from wrong
     if wrong:
@@ -385,7 +385,7 @@ def _written_left_open(applied: AppliedEffect) -> dict[str, Any]:
 
 
 def _said_of_open(effect: InPart, times: float, u: float) -> str:
-    """Return the description of an open shape: each change with its u, scaled as in the sum."""
+    """Return the description of an entry of `left_open`: each change with its u, scaled as in the sum."""
     listed = []
     for one in effect.parts:
         sizes = [
@@ -442,7 +442,7 @@ def _written_value(parameter: Parameter, value: Any, u: Any) -> str | dict[str, 
 
 UNNAMED: Final = "unnamed_"
 WIDENED: Final = ("tau", "lag")
-"""Shapes for which a named effect tries further values: half and twice the value found."""
+"""Shapes for which a named effect tries two more values: half and twice the value found."""
 
 
 @dataclass(frozen=True)

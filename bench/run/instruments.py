@@ -97,7 +97,7 @@ def agree_to_others(person: Person, before: Mapping[str, str], now: Mapping[str,
 
 
 def told_at_mounting(instruments: Instruments, key: str) -> float | None:
-    """Return the block's temperature entered by a person, °C; None if no person is asked. Raises `BenchError`."""
+    """Return the block's temperature that a person enters, °C; None if no person enters it. Raises `BenchError`."""
     chamber, thermometer = instruments.chamber, instruments.thermometer
     if thermometer is not None:
         return thermometer.block_c(key) if thermometer.asks_person else None
@@ -107,7 +107,7 @@ def told_at_mounting(instruments: Instruments, key: str) -> float | None:
 def told_at_reading(
     instruments: Instruments, known_c: float | None, key: str
 ) -> tuple[float | None, float | None]:
-    """Return the temperatures of the block and of the chamber's air, °C; the latter only beside a thermometer.
+    """Return the temperatures of the block and of the chamber's air, °C; the latter is None without a thermometer.
 
     `known_c` is the block's temperature, if known; it spares a person the question. Raises `BenchError`.
     """

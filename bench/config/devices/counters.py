@@ -1,4 +1,4 @@
-"""Counters of an encoder beside a head that a person turns: Heidenhain ND 28x, MUX-10, a line of text."""
+"""Counters of an encoder on a head that a person turns: Heidenhain ND 28x, MUX-10, a line of text."""
 
 from __future__ import annotations
 
@@ -69,11 +69,11 @@ class MitutoyoMux10Section(ReadOutHeadForm):
     serial: PortSection = PortSection.of(mitutoyo_mux10)
 
     def driver_options(self) -> dict[str, Any]:
-        """Return the channel of the encoder."""
+        """Return the driver's option: the channel to which the encoder is connected."""
         return {"channel": self.channel}
 
     def simulation_options(self, truth: HeadTruth) -> dict[str, Any]:
-        """Return the channel of the encoder."""
+        """Return the options of every simulated counter, and the channel to which the encoder is connected."""
         return super().simulation_options(truth) | {"channel": self.channel}
 
 
