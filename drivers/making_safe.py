@@ -26,7 +26,7 @@ class Attempts:
     def make(self, by_hand: str, action: Callable[[], object]) -> bool:
         """Carry out an action and return whether it succeeded; `by_hand` tells a person what to do if it failed.
 
-        If the action returns text, as `Instrument.close` may, the text is a further task for a person.
+        If the action returns text, as `Instrument.close` may, the text is another task for a person.
         """
         try:
             left = action()

@@ -33,8 +33,8 @@ class SimulatedMeter:
     """One voltmeter: its constructor `make`, the block channels at its inputs, and its options.
 
     `make` is called with the wiring, the clock and the `options`. The wiring is a channel's terminals or, for a
-    meter with several inputs, a dict by input number. In the second case `inputs` maps channels to input numbers,
-    and `probes` maps further input numbers to sensors.
+    meter with several inputs, a dict by input number. In the second case `inputs` maps channels to input
+    numbers, and `probes` maps other input numbers to sensors.
     """
 
     make: Callable[..., ScpiInstrument]

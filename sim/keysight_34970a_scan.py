@@ -277,7 +277,7 @@ class Scan(MeasuringCycle):
         super().__init__(clock, interrupted)
 
     def preset(self) -> None:
-        """Set the defaults of *RST, CONFigure and MEASure: one immediate sweep, readings without further fields."""
+        """Set the defaults of *RST, CONFigure and MEASure: one immediate sweep, readings without other fields."""
         self.source = "IMM"
         self.count: float = 1
         self.timer_s = 0.0

@@ -284,13 +284,13 @@ class Choice:
 
 @dataclass(frozen=True)
 class Boolean:
-    """ON, OFF, or a number, which is rounded and counts as true unless zero; further `words` as in `Choice`."""
+    """ON, OFF, or a number, which is rounded and counts as true unless zero; additional `words` as in `Choice`."""
 
     words: tuple[str, ...] = ()
     optional: bool = False
 
     def parse(self, text: str) -> Value:
-        """Return "1", "0", or the short form of one of the further words."""
+        """Return "1", "0", or the short form of one of the additional words."""
         if _WORD.match(text):
             word = Choice(("ON", "OFF", *self.words)).parse(text)
             return {"ON": "1", "OFF": "0"}.get(str(word), word)

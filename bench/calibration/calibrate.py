@@ -53,11 +53,11 @@ def calibrate(
 ) -> Calibration:
     """Estimate the twelve coefficients from a table of readings.
 
-    `stand_u` maps names in `STAND_ANGLES` to standard uncertainties of the stand's fixed angles, rad. It may also
-    hold "voltmeter_error" (in the unit of the signals) and "setting_error" (rad): priors of the noise, used if the
-    readings leave too few degrees of freedom to estimate it. `noise` replaces the estimate altogether. `assumed_u`
-    holds assumed uncertainties of further stand angles; they enter `covariance`, but not `covariance_readings`. The
-    coefficients are per local g, stated as `g_m_s2`.
+    `stand_u` maps names in `STAND_ANGLES` to standard uncertainties of the stand's fixed angles, rad. It may
+    also hold "voltmeter_error" (in the unit of the signals) and "setting_error" (rad): priors of the noise,
+    used if the readings leave too few degrees of freedom to estimate it. `noise` replaces the estimate
+    altogether. `assumed_u` holds assumed uncertainties of other stand angles; they enter `covariance`, but not
+    `covariance_readings`. The coefficients are per local g, stated as `g_m_s2`.
 
     With `nominal_angles` the target angles replace the angles read back. Free positions join the fit through |a| =
     1 g unless `join_free` is false; in a fit to free positions alone K is upper triangular by convention. With

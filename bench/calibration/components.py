@@ -107,8 +107,8 @@ def _taken_in(
 ) -> tuple[list[_Term], Floats, Floats, Floats]:
     """Return the accepted terms, their variances and p-values (k,), and each bias's possible wander (3,).
 
-    All kinds of component form one family of tests with the familywise error rate `ASKED_P`. By Holm's step-down
-    method each further kind is tested in a model with the accepted ones.
+    All kinds of component form one family of tests with the familywise error rate `ASKED_P`. By Holm's
+    step-down method each next kind is tested in a model with the accepted ones.
     """
     terms, left, chance = list(basic), list(further), np.zeros(len(basic))
     theta = np.ones(len(basic))

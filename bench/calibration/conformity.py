@@ -1,10 +1,10 @@
 """Conformity of a measured value with a tolerance ±limit, and the risk of a wrong decision.
 
-A measured value y with standard uncertainty u gives the measurand a normal distribution, or a scaled and shifted
-Student t for finite degrees of freedom (JCGM 101:2008, 6.4.9). Without further knowledge this is the posterior. A
-stated population is the prior, and Bayes' theorem gives the posterior (JCGM 106:2012, 6.2 and A.4). The conformance
-probability is the posterior probability of the tolerance interval (JCGM 106:2012, 7). Rules and statements: JCGM
-106:2012, 8 and ILAC-G8:09/2019.
+A measured value y with standard uncertainty u gives the measurand a normal distribution, or a scaled and
+shifted Student t for finite degrees of freedom (JCGM 101:2008, 6.4.9). Without other knowledge this is the
+posterior. A stated population is the prior, and Bayes' theorem gives the posterior (JCGM 106:2012, 6.2 and
+A.4). The conformance probability is the posterior probability of the tolerance interval (JCGM 106:2012, 7).
+Rules and statements: JCGM 106:2012, 8 and ILAC-G8:09/2019.
 """
 
 from __future__ import annotations

@@ -145,9 +145,9 @@ class Problem:
     def names(self) -> list[str]:
         """Return the names of the unknowns after the coefficients: "alpha3[2]", "quadratic_nonlinearity.K2[y]".
 
-        An effect limited to some installations ends with these: "turn_on_shift.step[y][2]". If an effect occurs in
-        several shapes, the shape follows: "axis_wobble.sine(harmonic 2)". An open part of a shape is "warm_up in
-        other shapes (1)".
+        An effect limited to some installations ends with these: "turn_on_shift.step[y][2]". If an effect occurs
+        in several shapes, the shape follows: "axis_wobble.sine(harmonic 2)". A part of an effect's shape with
+        an uncertain size is "warm_up in other shapes (1)".
         """
         stand = [f"{SYMBOLS[STAND_ANGLES[s.column]]}[{self.conditions.mounts[s.mount]}]" for s in self.stand]
         effects = []
@@ -221,8 +221,8 @@ class Problem:
     def forces(self, block: Block, others: Floats) -> tuple[Floats, Floats, dict[int, Floats]]:
         """Return specific forces (n, 3), and their derivatives by the head angle and by each unknown stand angle.
 
-        The last item maps a column of `STAND_ANGLES` to derivatives (n, 3) by that angle of the row's own mounting.
-        All steps go through the forward model in one call: each step is a further set of mountings.
+        The last item maps a column of `STAND_ANGLES` to derivatives (n, 3) by that angle of the row's own
+        mounting. All steps go through the forward model in one call: each step adds a set of mountings.
         """
         n, used = len(self.conditions), self._columns
         stand = self.stand_matrix(others)

@@ -51,10 +51,12 @@ LEAST_NOISE: Final = 1e-11
 
 @dataclass(frozen=True)
 class Shift:
-    """An additional unknown offset of one signal, which removes the weight of this signal in the fit.
+    """An additional unknown without prior, which takes the weight of one observation from the fit.
 
-    `channel` 0, 1, 2 is a channel of row `row` of the oriented readings. `SETTING` is the setting of the head in
-    that row, which moves all three signals along du/dphi. `MODULUS` is the modulus of free reading `row`.
+    `row` is the index of a reading, from 0. With `channel` 0, 1 or 2, the unknown is an offset of signal x, y
+    or z in an oriented reading, in the unit of the signal. With `SETTING` it is an error of the head's angle in
+    an oriented reading, rad, which moves all three signals along du/dphi. With `MODULUS` it is an offset of |a|
+    in a free reading, g.
     """
 
     row: int

@@ -52,7 +52,7 @@ class KnownNoise:
         return cls(np.full(3, reading), np.full(3, LEAST_DOF), setting, LEAST_DOF, stated=True)
 
     def beside(self, signals: float) -> KnownNoise | None:
-        """Return the prior to use beside a number of residual signals; None if these suffice.
+        """Return the prior to combine with a number of residual signals; None if these suffice.
 
         A stated prior keeps only the degrees of freedom that the signals lack; a prior of other runs counts in
         full.
@@ -294,7 +294,7 @@ class RepeatedNoise:
 
 
 LEAST_SETTING: Final = 1e-3
-"""Lower limit of the setting error as a fraction of the reading noise, both as seen in the signals."""
+"""Lower limit of the setting error as a fraction of the reading noise, both in the unit of the signal."""
 
 
 def setting_limits(reading: float, setting_rad: float, slope2: float, freedom: float) -> tuple[float, float]:
@@ -463,7 +463,8 @@ def _most_likely(of: LikelihoodResiduals, floor: float, prior: NoisePrior | None
 def whiten(columns: Floats, slope: Floats, noise: Noise) -> Floats:
     """Return W times columns (n, 3, p), where W^T W is the inverse of the covariance of each reading.
 
-    W = (I + s s^T)^(-1/2) D^(-1) with D = diag(sigma_x, sigma_y, sigma_z), s = sigma_phi D^(-1) d.
+    W = (I + s s^T)^(-1/2) D^(-1) with D = diag(sigma_x, sigma_y, sigma_z) and s = sigma_phi D^(-1) d, where d
+    is the reading's row of `slope` (n, 3), du/dphi in signal units per rad.
     """
     sizes = noise.by_channel
     return _shrunk(columns / sizes[:, None], slope / sizes, noise.setting_rad)

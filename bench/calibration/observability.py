@@ -318,10 +318,10 @@ def observability(
 ) -> Observability:
     """Return which of the problem's unknowns are determined by readings under its conditions.
 
-    The derivatives are at zero stand angles, where the null vectors are exact, and at the coefficients of `block`.
-    `modulus` are further readings of which only |a| = 1 g is used. A stand angle named in `common` is one unknown
-    for all mountings. With `settings` the setting error of each point is an unknown, the same in every pass. Raises
-    `KeyError` for an installation that the model lacks.
+    The derivatives are at zero stand angles, where the null vectors are exact, and at the coefficients of
+    `block`. `modulus` are additional readings of which only |a| = 1 g is used. A stand angle named in `common`
+    is one unknown for all mountings. With `settings` the setting error of each point is an unknown, the same in
+    every pass. Raises `KeyError` for an installation that the model lacks.
     """
     columns = columns_of(problem, block, modulus)
     for name in common:

@@ -66,7 +66,7 @@ class Estimate:
 
 @dataclass(frozen=True)
 class NoisePrior:
-    """Prior sizes of the noise, which count beside the readings.
+    """Prior sizes of the noise, which are combined with the estimates from the readings.
 
     Each variance has a scaled inverse chi-square distribution about its size: `reading` (unit of the signal) and
     `setting_rad`, 1 sigma, with `dof` degrees of freedom. The residuals have `readings_dof`. `ratio` is their

@@ -331,8 +331,9 @@ LOOKS: Final = 16
 class TableError:
     """Largest differences found between the table and the polynomials, g.
 
-    `bias` is the interpolation error at 0 g, `per_g` its increase per g along any axis. `single` is the further
-    error of single precision at accelerations up to `reach_g`. `looks` counts the temperatures tested.
+    `bias` is the interpolation error at 0 g, `per_g` its increase per g along any axis. `single` is the
+    additional error of single precision at accelerations up to `reach_g`. `looks` counts the temperatures
+    tested.
     """
 
     bias: float
@@ -423,7 +424,11 @@ def _table(model: TemperatureModel, reach_g: float, steps: int) -> CompensationT
 def _by_steps(
     model: TemperatureModel, nodes_c: Floats, exact: Floats, between: Floats
 ) -> tuple[float, float, Floats]:
-    """Return the interpolation errors at 0 g and per g, and the interpolated entries (m, 12)."""
+    """Return the largest interpolation errors of a, at 0 g (g) and in proportion to |a| (g/g), and the entries.
+
+    `exact` (n, 12) are the entries of N and U0 at the nodes (n,), °C; the returned entries (m, 12) are interpolated
+    at the temperatures `between` (m,), °C. The errors are of one component of a; at most `ROUNDING` counts as zero.
+    """
     entries = np.stack([np.interp(between, nodes_c, column) for column in exact.T], axis=1)
     truth = model.coefficients(between)
     inverse = entries[:, :9].reshape(-1, 3, 3)
@@ -437,7 +442,11 @@ def _by_steps(
 def _by_rounding(
     model: TemperatureModel, table: CompensationTable, entries: Floats, between: Floats, reach_g: float
 ) -> float:
-    """Return the largest error of single precision, g, over 26 directions at 1 g and at `reach_g`."""
+    """Return the largest error that single precision adds to a component of a, g.
+
+    It is the maximum at the temperatures `between` (m,), °C, of 26 directions, at 1 g and at `reach_g`. `entries`
+    (m, 12) are the interpolated entries of N and U0 in double precision.
+    """
     whole = [np.array(d) for d in itertools.product((-1.0, 0.0, 1.0), repeat=3) if any(d)]
     worst = 0.0
     truth = model.coefficients(between)
@@ -452,7 +461,7 @@ def _by_rounding(
 
 
 def _least_u(model: TemperatureModel) -> float:
-    """Return the least standard uncertainty of a compensated acceleration of 1 g along an axis."""
+    """Return the least standard uncertainty of a compensated component, g, at 1 g along an axis."""
     least = np.inf
     for t in np.linspace(model.minimum_c, model.maximum_c, 9):
         signal = model.block(float(t)).output(np.eye(3))
@@ -461,7 +470,7 @@ def _least_u(model: TemperatureModel) -> float:
 
 
 def approximation(table: CompensationTable) -> dict[str, float | int]:
-    """Return the errors of the table by name, in g."""
+    """Return the errors of the table, g, keyed by their names in the result."""
     error = table.error
     return {
         "interpolation_bias_g": error.bias,

@@ -414,7 +414,7 @@ def _packed(array: Floats) -> bytes:
 
 
 def _in_a_line(error: Exception, path: str) -> str:
-    """Return the message of an error in one line, without the folder, which is shown beside it."""
+    """Return the message of an error in one line, without the folder, which is shown next to it."""
     return " ".join(str(error).replace(f"{path}/", "").removeprefix(f"{path}: ").split())[:300]
 
 

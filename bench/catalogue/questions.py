@@ -412,7 +412,7 @@ def _used(
     """Return the query of a kind of objects that runs used (instruments, certificates), sorted by `order`.
 
     `table` has the objects, `key` is their column in `USES`, `names` and `order` are columns of `table`.
-    `further` are counts beside the numbers of runs and units.
+    `further` are counts in addition to the numbers of runs and units.
     """
     columns = [table.c[name] for name in names.split()]
 

@@ -86,7 +86,10 @@ class StatedField:
 def stated_fields(
     laboratory: Laboratory | None, unit: UnitOrder | None, order: Order | None
 ) -> Iterator[StatedField]:
-    """Yield every field marked with `OnCertificate`, whether or not the file is given and states it."""
+    """Yield a `StatedField` for each field that is marked with `OnCertificate`, file by file.
+
+    The field's `texts` are empty if its file is None or does not contain it.
+    """
     for model, file in ((Laboratory, laboratory), (UnitOrder, unit), (Order, order)):
         for name, field in (type(file) if file else model).model_fields.items():
             for place in (one for one in field.metadata if isinstance(one, OnCertificate)):
@@ -309,7 +312,7 @@ class Order(StatedRule):
     """A validated order file.
 
     `rule` and `guard_band` are the decision rule agreed with the customer, which overrides the record's
-    (ISO/IEC 17025:2017, 7.1.3); `agreed` are further agreements. `place` is the place of calibration if it
+    (ISO/IEC 17025:2017, 7.1.3); `agreed` are other agreements. `place` is the place of calibration if it
     was not the laboratory. `without_certificates` is why the customer accepts instruments without
     valid certificates. `sampling` is the sampling plan and method, and who sampled; without it, the customer
     supplied the units. `external` are results from other bodies, `supplied` data from the customer.

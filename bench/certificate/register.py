@@ -35,7 +35,7 @@ ISSUED, REVOKED = "issued", "revoked"
 
 @dataclass(frozen=True)
 class Entry:
-    """A line of the register: event, certificate number, time (ISO 8601), authorising person, further details."""
+    """A line of the register: event, certificate number, time (ISO 8601), authorising person, other details."""
 
     kind: str
     number: str

@@ -100,8 +100,8 @@ def new_certificate_key(file: Path, name: str, passphrase: bytes | None, now: da
 def signatory_of(key: str, chain: Path | None, passphrase: Callable[[], bytes], now: datetime) -> Signatory:
     """Return the signatory for a `key`: a PEM file, or the address of a key in a token (`pkcs11:…`, RFC 7512).
 
-    `chain` is a PEM file with the certificates, the key's own first. Without it, the chain is read from the file
-    beside the key or from the token. Raises `RecordError` for a key file that others may read or that holds no
+    `chain` is a PEM file with the certificates, the key's own first. Without it, the chain is read from the
+    key's folder or from the token. Raises `RecordError` for a key file that others may read or that holds no
     key, `Refused` for a key or certificate that cannot be used for signing at `now`.
     """
     if key.startswith("pkcs11:"):

@@ -100,7 +100,7 @@ class Verdict:
         """Whether the certificate is intact, its signer not distrusted, and its number valid, as far as checked.
 
         An unsigned certificate is accepted only if a register that the user named contains it. A register found
-        beside the file is not enough, because anybody can write one.
+        in the file's folder is not enough, because anybody can write one.
         """
         holds = self.standing is None or self.standing.holds
         vouched = not self.unsigned or self._by_register
@@ -142,7 +142,7 @@ class Verdict:
 
 
 def verify_certificate(file: Path, trust: Path | None, runs: Path, register: Path | None = None) -> Verdict:
-    """Return the findings on a certificate (PDF or XML), and on its other form if that lies beside it.
+    """Return the findings on a certificate (PDF or XML), and on its other form if that is in the same folder.
 
     `trust` contains the certificates (PEM) of trusted signers or authorities. `register` is the folder of the
     laboratory's register; if it is None, a register in the folder of `file` is used. Raises `Refused` for a file
@@ -281,7 +281,7 @@ def _agree(verdict: Verdict, shown: ShownValues, attached: dict[str, bytes], tit
 
 
 def _hold_together(verdict: Verdict, file: bytes, document: bytes, name: str) -> None:
-    """Verify the PDF beside an XML, and compare the XML inside the PDF with it. Raises `NotIntact`."""
+    """Verify the PDF in the folder of an XML, and compare the XML inside the PDF with it. Raises `NotIntact`."""
     apart = Verdict(name)
     try:
         attached = _verify_pdf(apart, file, None)
@@ -371,9 +371,9 @@ def _against_record(verdict: Verdict, shown: ShownValues, runs: Path) -> None:
 
 @dataclass(frozen=True)
 class Held:
-    """The outcome of a comparison: `told` states what agrees, `wrong` what differs.
+    """The outcome of a comparison, as text: `told` on what agrees, `wrong` on what differs.
 
-    `open` states what the comparison could not prove.
+    `open` is the text on what the comparison could not prove. Each is empty if there is nothing to report.
     """
 
     told: str = ""
@@ -462,9 +462,10 @@ def held_against_register(
 ) -> tuple[RegisterSays | None, Held]:
     """Compare the content of a certificate file with the entry for its number in a register.
 
-    `form` is "pdf" or "xml". `folder` is the register's folder; if it is None, a register beside `file` is used.
-    Returns the entry and the comparison. The entry is None if there is no register, or if one beside `file` does
-    not have the number. Raises `Refused` for a register that is damaged or cannot be read.
+    `form` is "pdf" or "xml". `folder` is the register's folder; if it is None, a register in the folder of
+    `file` is used. Returns the entry and the comparison. The entry is None if there is no register, or if one
+    in the folder of `file` does not have the number. Raises `Refused` for a register that is damaged or cannot
+    be read.
     """
     place = file.absolute().parent if folder is None else folder
     if not (place / LINES).is_file():

@@ -63,11 +63,11 @@ class EffectEntry(FileModel):
 
 
 class OpenShape(FileModel):
-    """An open part of an effect's shape: the sum of `changes`, scaled by the common factor `times` ± `u`.
+    """A part of an effect's shape whose size is uncertain: the sum of `changes` times the factor `times` ± `u`.
 
-    `of` names the effect that may differ by this sum. The factors of different sums are uncorrelated, given the
-    readings in which they were found. `says` describes the sum for the reader of the file; nothing is computed from
-    it.
+    `of` names the effect that may differ by this sum. The factors of different sums are uncorrelated,
+    conditional on the readings in which they were found. `says` describes the sum for the reader of the file;
+    nothing is computed from it.
     """
 
     of: str
@@ -86,12 +86,15 @@ class OpenShape(FileModel):
         return {renamed.get(key, key): value for key, value in written.items()}
 
     def applied(self, number: int) -> AppliedEffect:
-        """Return the sum as one effect with its size; `number` counts the sums of the same effect."""
+        """Return the sum as one effect of size `times` ± `u`; `number` counts the sums of one effect from 1."""
         return in_part(self.of, number, tuple(entry.applied() for entry in self.changes), self.times, self.u)
 
 
 class WithEffects(FileModel):
-    """A file or section with `effects`, the user's `formulas` that they use, and open shapes, `left_open`."""
+    """A file or section with `effects` and the user's `formulas` that they use.
+
+    `left_open` are the parts of the effects' shapes whose sizes are uncertain.
+    """
 
     if TYPE_CHECKING:
         formulas: tuple[FormulaEntry, ...]
@@ -108,7 +111,7 @@ class WithEffects(FileModel):
         return tuple(entry.effect() for entry in self.formulas)
 
     def applied_effects(self) -> tuple[AppliedEffect, ...]:
-        """Return the effects and the open shapes, with their values in SI."""
+        """Return the file's effects, values in SI, then each of `left_open` as an effect of uncertain size."""
         count: Counter[str] = Counter()
         with CATALOGUE.also(self.own_effects()):
             applied = [entry.applied() for entry in self.effects]
@@ -123,7 +126,7 @@ class ModelFile(WithEffects):
 
     `evidence` is text for the reader of the file; nothing is computed from it. `dark_uncertainty` is the part of
     each reading (1 σ) that unnamed terms leave unexplained; users of the file are warned of it. `left_open` lists
-    the open parts of the effects' shapes.
+    the parts of the effects' shapes whose sizes are uncertain.
     """
 
     model_file: Literal["1"]
@@ -159,7 +162,7 @@ def load_model(path: Path, installations: Collection[str] = ()) -> ModelFile:
 def mistakes_with_formulas(
     data: Any, installations: Collection[str] = (), place: Place = ()
 ) -> Iterator[tuple[Place, str]]:
-    """Yield the mistakes in the formulas, effects and open shapes of `data`, a section at `place`."""
+    """Yield the mistakes in the formulas, `effects` and `left_open` of `data`, a section at `place`."""
     wrong = list(formula_mistakes(part(data, "formulas"), (*place, "formulas")))
     yield from wrong
     if wrong:
@@ -382,7 +385,7 @@ def _written_left_open(applied: AppliedEffect) -> dict[str, Any]:
 
 
 def _said_of_open(effect: InPart, times: float, u: float) -> str:
-    """Return the description of an open shape: each change with its u, scaled as in the sum."""
+    """Return the description of an entry of `left_open`: each change with its u, scaled as in the sum."""
     listed = []
     for one in effect.parts:
         sizes = [
@@ -439,7 +442,7 @@ def _written_value(parameter: Parameter, value: Any, u: Any) -> str | dict[str, 
 
 UNNAMED: Final = "unnamed_"
 WIDENED: Final = ("tau", "lag")
-"""Shapes for which a named effect tries further values: half and twice the value found."""
+"""Shapes for which a named effect tries two more values: half and twice the value found."""
 
 
 @dataclass(frozen=True)

@@ -36,7 +36,7 @@ TOLD: Final = 0.5
 """The readings determine a parameter where its u is below this fraction of its wide prior."""
 
 STILL_SEEN: Final = 0.5
-"""A further effect is estimated too where it leaves at least this fraction of the squared signal-to-noise."""
+"""An additional effect is estimated, too, if it leaves at least this part of the squared signal-to-noise ratio."""
 
 POWER: Final = 2.0
 """Margin above the significance limit, in units of noise. An effect that large is nearly always detected."""
@@ -169,8 +169,8 @@ def _chi2(linear: LinearSystem, noise: NoiseSize) -> float:
 def _now(linear: LinearSystem, diagnosis: Diagnosis | FreeDiagnosis) -> tuple[EffectNow, ...]:
     """Estimate the effects from these readings alone, and compare them with the model.
 
-    The open parts of their shapes (`InPart`) keep the model's values, as these readings alone determine them
-    no better. Raises `CalibrationError` where the readings could show no effect.
+    The parts of their shapes with uncertain size (`InPart`) keep the model's values, as these readings alone
+    determine them no better. Raises `CalibrationError` if the readings could show none of the effects.
     """
     model = linear.model
     whole = [not isinstance(model.effects[one.effect].effect, InPart) for one in linear.problem.effects]
@@ -257,9 +257,10 @@ class _Shown:
     def of(cls, estimated: EstimatedEffects, places: Sequence[int], *, apart: bool = True) -> _Shown:
         """Judge the parameters at `places` in the directions that the readings determine.
 
-        A direction is an eigenvector of their covariance: a sum or a difference may be known where no value is.
-        Values of several mountings that are not known `apart` are tied together in the model as they are here. A
-        file states no such ties: the model's u of a direction is then no more than that of these readings.
+        A direction is an eigenvector of their covariance: a sum or a difference of parameters may be determined
+        although no parameter is. With `apart` false, the values of several mountings are correlated in the
+        model as in these readings, but a model file has no correlations. The model's u of a direction is
+        therefore limited to that of these readings.
         """
         use = np.array(places, dtype=np.int64)
         variance, turned = np.linalg.eigh(estimated.covariance[np.ix_(use, use)])
@@ -283,7 +284,7 @@ def _estimated(
 ) -> tuple[Floats, Floats]:
     """Return the change of the effects from the values `found` (m,), and its covariance, in plausible sizes.
 
-    Further effects found in these readings are estimated as well. One that would hide the model's effects is
+    Additional effects found in these readings are estimated as well. One that would hide the model's effects is
     left out, as it then represents their change.
     """
     count, columns = len(found), own

@@ -115,7 +115,7 @@ def _threshold(whitened: Whitened, count: int) -> Threshold:
 
 
 def _of_records(effect: NamedEffect, between: BetweenRecords | None) -> NamedEffect:
-    """Return an effect with what is known of its changes between records in its words."""
+    """Return an effect whose `words` speak of records; a change of the zeros also with what is known of it."""
     if effect.in_catalogue:
         return effect
     if effect.name != ZERO_BY_RUN or between is None:
@@ -126,7 +126,7 @@ def _of_records(effect: NamedEffect, between: BetweenRecords | None) -> NamedEff
 
 
 def _fit(linear: FreeSystem, effects: Floats, fitted: Posterior) -> FreeFit:
-    """Return the coefficients of each sensor and what is left beside the effects' columns (N, p)."""
+    """Return the coefficients of each sensor with their u, and the residuals after the effects' columns (N, p)."""
     rows, spread = linear.positions, np.sqrt(np.diag(fitted.covariance))
     blocks, u = [], np.zeros((rows.sensors, FIXED))
     for sensor, block in enumerate(rows.block):
@@ -160,7 +160,7 @@ def _where(
 # --- candidates ---------------------------------------------------------------------------------------
 
 FINE_G: Final = 10e-6
-"""Noise of a sensor with the plausible sizes of the catalogue; a coarser sensor has larger ones in proportion."""
+"""Noise of a sensor, g, for which the plausible sizes of the catalogue hold; both grow in proportion."""
 ZERO_OF_NOISE: Final = 3.0
 """Plausible change of a zero or a scale factor between records, in units of a position's noise."""
 COMMON: Final = "common to the sensors"
@@ -182,7 +182,7 @@ def _candidates(linear: FreeSystem, sigma: float) -> Candidates:
 
 
 def _sensor_sets(linear: LinearSystem, effect: Effect) -> Iterator[tuple[tuple[str, ...], ...]]:
-    """Yield the sets of sensors that share values of an effect: all the same, each its own."""
+    """Yield the sets of sensors that may share values of an effect: first one set of all, then each alone."""
     assert isinstance(linear, FreeSystem)  # noqa: S101 - no other has sensors
     yield ((),)
     if linear.positions.sensors > 1:
@@ -190,7 +190,10 @@ def _sensor_sets(linear: LinearSystem, effect: Effect) -> Iterator[tuple[tuple[s
 
 
 def _add_unnamed(rows: FreeRows, collector: Collector, unit: float) -> None:
-    """Add zeros and scale factors of each record, of each sensor, in common, and both; zeros that wander."""
+    """Add unnamed changes of zeros and scale factors by record, and zeros that wander.
+
+    The changes are of each sensor, common to the sensors, or both.
+    """
     records = np.unique(rows.record)
     several = [s for s in range(rows.sensors) if len(np.unique(rows.record[rows.sensor == s])) > 1]
     for family, coefficients in ((ZERO_BY_RUN, ZEROS), (SCALE_BY_RUN, SCALES)):
@@ -222,15 +225,18 @@ def _add_unnamed(rows: FreeRows, collector: Collector, unit: float) -> None:
 # --- noise and outliers -------------------------------------------------------------------------------
 
 OUTLIER: Final = 1e-4
-"""A position is an outlier where its p-value, all positions counted, is below this,"""
+"""A position is an outlier if its p-value, corrected for the number of positions, is below this."""
 FAR: Final = 12.0
-"""and it is at least this many standard deviations off, as real sensors have heavier tails than normal."""
+"""It must also be this many standard deviations from the others, as real sensors have heavier tails than normal."""
 MOST_APART: Final = 0.1
-"""At most this fraction of the positions is left out."""
+"""Largest fraction of the positions that is left out."""
 
 
 def _prepared(linear: FreeSystem) -> tuple[NoiseGrid, Candidates]:
-    """Return the noise and the candidates; the noise is what is left where records have zeros of their own."""
+    """Return the noise and the candidates.
+
+    The noise is the scatter that remains when each record has zeros and scale factors of its own.
+    """
     fit = _Loose.of(linear)
     if fit.freedom < LEAST_FREEDOM:
         raise CalibrationError(
@@ -242,7 +248,10 @@ def _prepared(linear: FreeSystem) -> tuple[NoiseGrid, Candidates]:
 
 
 class _Loose(NamedTuple):
-    """What a fit of positions leaves of them (N,), its part of each (N,), and the degrees of freedom."""
+    """The residuals of a fit of positions, `left` (N,), the part of each position in its residual, `free` (N,).
+
+    `freedom` are the degrees of freedom.
+    """
 
     left: Floats
     free: Floats
@@ -250,7 +259,7 @@ class _Loose(NamedTuple):
 
     @classmethod
     def of(cls, linear: FreeSystem, *, drifting: bool = False) -> _Loose:
-        """Fit zeros and scale factors of each record; `drifting` zeros also go with the order in the table."""
+        """Fit zeros and scale factors of each record; `drifting` zeros also change linearly with the row number."""
         rows = linear.positions
         cells = sorted(set(zip(rows.sensor.tolist(), rows.record.tolist(), strict=True)))
         late = np.concatenate([np.arange(len(table)) / len(table) for table in rows.tables])
@@ -268,7 +277,7 @@ class _Loose(NamedTuple):
 def without_outliers(rows: FreeRows) -> tuple[FreeRows, tuple[str, ...], Ints]:
     """Return the positions without outliers, the reason for each outlier, and their origin (k, 2).
 
-    Each is compared with what all others let expect, and with their scatter, the worst first.
+    Each position is compared with its prediction from all others and with their scatter, the worst first.
     """
     apart: list[str] = []
     origin: list[Ints] = []

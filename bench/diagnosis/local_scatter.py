@@ -14,7 +14,7 @@ from bench.diagnosis.linear import LinearSystem
 from bench.diagnosis.posterior import NoiseSize, posterior, whiten_rows
 
 SIGNIFICANT: Final = 1e-3
-"""Probability of as much scatter by chance, all places counted, below which a place is named."""
+"""A place is named if its scatter has a probability by chance, corrected for all places, below this."""
 LEAST_ROWS: Final = 4
 EVERYWHERE: Final = "everywhere"
 LARGER: Final = 1.5
@@ -38,7 +38,7 @@ class LocalScatter:
 
 
 def residuals(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Floats:
-    """Return the residuals (N,) beside effects' columns (N, m), unit of the signal, without the setting error.
+    """Return the residuals (N,) after a fit of effects' columns (N, m), without the setting error, in signal units.
 
     They are divided by the relative noise of their rows.
     """
@@ -48,15 +48,15 @@ def residuals(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Floats
 
 
 def larger_scatter(linear: LinearSystem, left: Floats) -> LocalScatter | None:
-    """Return the place whose residuals `left` (N,) scatter most beyond the others, None where none does."""
+    """Return the place whose residuals `left` (N,) scatter most in excess of the others; None if there is none."""
     return max(_larger(linear, left), key=lambda found: -found[0].p, default=(None, None))[0]
 
 
 def relative_by_place(linear: LinearSystem, left: Floats) -> tuple[LocalScatter, Floats, float] | None:
     """Return the place in an installation that scatters most, the relative noise (N,) with it, and ln of its cost.
 
-    The mean square of the relative noise is 1. The cost is that of one place among all, and of one further size.
-    None where no such place scatters more.
+    The mean square of the relative noise is 1. The cost counts the choice of one place among all, and one more
+    size. None if no place scatters significantly more.
     """
     places = (one for one in _larger(linear, left) if one[0].where != EVERYWHERE)
     found = max(places, key=lambda one: -one[0].p, default=None)

@@ -26,9 +26,9 @@ from bench.model.effects import CATALOGUE
 
 MOST_EFFECTS: Final = 5
 ALONE: Final = 0.95
-"""Posterior probability from which a name stands alone."""
+"""Posterior probability from which a find has a single name."""
 SET: Final = 0.99
-"""Posterior probability that the names of a tie hold together."""
+"""Least sum of the posterior probabilities of the names in a tie."""
 ALIAS: Final = 1.0
 """An effect that leaves at most this part of another's signature, in units of noise, is its alias for any prior."""
 FIRST_OF_PAIR: Final = 12
@@ -36,9 +36,9 @@ FIRST_OF_PAIR: Final = 12
 PAIR_MARGIN: Final = 5.0
 """Two named effects replace an unnamed family when ln of their evidence is higher by this margin."""
 ABSURD: Final = 60.0
-"""A candidate that would have to be this many plausible sizes large is no alias."""
+"""A candidate is no alias if it would have to be more than this many plausible sizes large."""
 SAME: Final = 1e-6
-"""Two effects whose signatures differ by at most this part of their square are the same in these readings."""
+"""Two effects count as the same in these readings if their signatures differ by at most this part (squared)."""
 
 
 @dataclass(frozen=True)
@@ -92,11 +92,12 @@ class Naming:
 
 @dataclass(frozen=True)
 class Scored:
-    """The scores of a data set beside the known columns of the present model.
+    """The scores of a data set, given the known columns of the present model.
 
-    `left` are the data products after the fit of the known columns. `evidence` is ln of the Bayes factor of each
-    family. `log_odds` adds ln of its prior probability. `total` is ln of the sum of these odds: the odds that
-    anything is missing. `ratio` is the index of the likeliest ratio of the two noise sizes.
+    `left` are the data products after the fit of the known columns. `evidence` is ln of the Bayes factor of
+    each family. `log_odds` adds ln of its prior probability. `total` is ln of the sum of these odds: the odds
+    that anything is missing. Higher is more probable in all three. `ratio` is the index of the likeliest ratio
+    of the two noise sizes.
     """
 
     search: Search
@@ -109,7 +110,7 @@ class Scored:
 
     @classmethod
     def beside(cls, whitened: Whitened, data: Data, known: Sequence[int]) -> Scored:
-        """Score all variants beside a model that has the `known` columns already.
+        """Score all variants, given a model that contains the `known` columns.
 
         The scores of the same data are cached, as a search requests them repeatedly.
         """
@@ -138,7 +139,7 @@ class Scored:
         )
 
     def best(self, among: Among | None = None) -> FoundEffect:
-        """Return the most probable family (of those `among`) in its best form."""
+        """Return the most probable family (of those `among`) in the form with the most evidence."""
         families = [f for f in self.log_odds if among is None or among(f)]
         return self.found(max(families, key=lambda family: self.log_odds[family]))
 
@@ -170,12 +171,12 @@ class Scored:
         return variants[best]
 
     def explained(self, variant: Variant) -> float:
-        """Return the square of the data that a form explains, in units of the noise squared."""
+        """Return the part of the data's sum of squares that a form explains, in units of the noise squared."""
         amplitude, gram = self.amplitude(variant)
         return max(float(amplitude @ gram @ amplitude), 0.0)
 
     def amplitude(self, variant: Variant) -> tuple[Floats, Floats]:
-        """Return the sizes of a form's columns (p,) and their Gram matrix (p, p) beside what is known."""
+        """Return the sizes of a form's columns (p,) and their Gram matrix (p, p), given the known columns."""
         columns = list(variant.columns)
         gram = self.search.between(self.ratio, columns)
         along = self.left.along[self.ratio, columns, 0]
@@ -184,7 +185,7 @@ class Scored:
 
 
 Among = Callable[[str], bool]
-"""Says of a family whether it may be found."""
+"""A function that returns whether a family may be found."""
 
 MOST_KEPT: Final = 24
 """The number of scored models that are cached for the data scored last."""
@@ -207,9 +208,9 @@ def name(
     begun: Sequence[FoundEffect] = (),
     among: Among | None = None,
 ) -> Naming:
-    """Find what is missing in one data set, `most` effects at most beside those that were `begun` with.
+    """Find what is missing in one data set, at most `most` effects in addition to those in `begun`.
 
-    With `among` no other families are found; all count in the odds that something is missing.
+    With `among` no other families are found; all families count in the odds that something is missing.
     """
     found, free = list(begun), len(begun)
     while True:
@@ -280,7 +281,7 @@ def _re_examine(
     among: Among | None,
     kept: int,
 ) -> list[FoundEffect]:
-    """Test each earlier find but the first `kept` beside all others, as it may have replaced another effect."""
+    """Test each earlier find, except the first `kept`, given all others, as it may have replaced another effect."""
     for _ in range(2):
         changed = False
         for i in range(kept, len(found)):
@@ -295,7 +296,7 @@ def _re_examine(
 def needed(
     whitened: Whitened, data: Data, found: list[FoundEffect], threshold: Threshold, kept: int = 0
 ) -> list[FoundEffect]:
-    """Drop finds, the weakest first, without which nothing is missing; the first `kept` stay."""
+    """Return the finds without those that are not needed, the weakest tested first; the first `kept` stay."""
     while len(found) > max(kept, 1):
         without = [Scored.beside(whitened, data, _columns(found, but=i)) for i in range(kept, len(found))]
         weakest = int(np.argmin([scored.total for scored in without]))
@@ -306,7 +307,7 @@ def needed(
 
 
 def in_place(scored: Scored, one: FoundEffect, among: Among | None = None) -> FoundEffect:
-    """Return a find with the odds of all families in its place; `scored` is beside all other finds."""
+    """Return a find with the odds of all families in its place; `scored` are the scores given all other finds."""
     family, evidence = one.variant.family, scored.evidence
     ranked = sorted(
         (f for f in scored.log_odds if among is None or among(f)), key=lambda f: -scored.log_odds[f]
@@ -336,11 +337,11 @@ def in_place(scored: Scored, one: FoundEffect, among: Among | None = None) -> Fo
 
 
 LEAST_SAID: Final = 1e-3
-"""Families of lower probability are not listed."""
+"""Posterior probability below which a family is not listed."""
 
 
 def _holding(odds: Sequence[FamilyOdds]) -> list[str]:
-    """Return the first family where it is probable enough to stand alone, else those that hold `SET` together."""
+    """Return the first family if its probability reaches `ALONE`, else the first ones that together reach `SET`."""
     if odds[0].probability >= ALONE:
         return [odds[0].name]
     held, chosen = 0.0, []
@@ -353,7 +354,7 @@ def _holding(odds: Sequence[FamilyOdds]) -> list[str]:
 
 
 def _aliases(scored: Scored, variant: Variant, enough: float, most: float = ABSURD) -> dict[str, int]:
-    """Return the effects that explain `enough` of a signature, with the fewest numbers that they need for it.
+    """Return the effects that explain `enough` of a signature, with the fewest parameters that each needs for it.
 
     None of them may have to be more than `most` plausible sizes large.
     """
@@ -381,7 +382,7 @@ def _subsystem(family: str) -> object:
 
 
 def same_signature(naming: Naming) -> Iterator[str]:
-    """Yield a sentence for each find whose signature in these readings other effects have, too."""
+    """Yield a sentence for each find whose signature in these readings is also that of other effects."""
     for one in naming.found:
         if one.same:
             at = f" in {', '.join(one.variant.mounts)}" if one.variant.mounts else ""

@@ -115,7 +115,7 @@ def _signals(table: Readings, model: ForwardModel, block: Block, volts: Floats) 
 def following(first: Readings, plan: Plan, model: ForwardModel, block: Block, line_hz: float) -> Readings:
     """Return the readings `first` together with those of a plan that is carried out after them.
 
-    The temperature stays as it was last.
+    The temperature initially stays at its last value.
     """
     known = first.temperature_c[np.isfinite(first.temperature_c)]
     warmth = float(known[-1]) if len(known) else float("nan")
@@ -134,25 +134,28 @@ MENU: Final = (
     "verification", "calibration", "inputs", "return", "turn-12", "remount-180", "remount-90", "discerning",
     "turn-24",
 )  # fmt: skip
-"""Shipped procedures that are thought of."""
+"""Names of the shipped procedures that may be proposed."""
 
 SEPARATED: Final = 8.0
 """D from which two explanations count as separated: four standard deviations."""
 
 HELPS: Final = 0.5
-"""A procedure that adds less than this to D is no help."""
+"""A procedure must increase D by at least this to be proposed."""
 
 SHOWN: Final = 2.5
-"""An effect shows when its plausible size is so many units of noise: twice the plausible size is found then."""
+"""An effect shows if its plausible size is at least this many units of noise: then twice this size is found."""
 
 
 BLIND: Final = 5.0
-"""An effect that must be more than so many plausible sizes large to be found is as good as hidden."""
+"""An effect counts as hidden if it must be more than this many plausible sizes large to be found."""
 
 
 @dataclass(frozen=True)
 class Separation:
-    """D of an effect that was found against one that it cannot be told from, without and with the procedure."""
+    """D between a find and one of its ties, `before` and `after` the readings of the procedure.
+
+    D is the expectation of ln of the odds of the true name against the other; higher is better.
+    """
 
     effect: str
     other: str
@@ -161,7 +164,7 @@ class Separation:
 
     @property
     def settled(self) -> bool:
-        """Whether the procedure tells them apart."""
+        """Whether the procedure separates the two."""
         return self.after >= SEPARATED
 
 
@@ -177,10 +180,10 @@ class Chance:
 def answers(odds: Mapping[str, float], gained: Mapping[str, float], first: str) -> float:
     """Return the probability that a posterior reaches `ALONE`: of the name `first`, or of one of its rivals.
 
-    `odds` are the present posteriors; `gained` is for each rival what new readings add to D against `first`, -inf
-    for one that stays an alias, which no odds answer. Where
-    one of two names is true, ln of their odds grows by a normal number of mean D and variance 2 D. Of several
-    rivals the one that is hardest to tell from the true name decides; D between two rivals is not looked at.
+    `odds` are the present posteriors, that of `first` included. `gained` has for each rival the increase of D
+    against `first` by the new readings, -inf for a rival that remains an alias. If one of two names is true, ln
+    of their odds grows by a normal number of mean D and variance 2 D. Of several rivals the one that is hardest
+    to separate from the true name decides; D between two rivals is not considered.
     """
     enough = math.log(ALONE / (1.0 - ALONE))
 
@@ -197,7 +200,7 @@ def answers(odds: Mapping[str, float], gained: Mapping[str, float], first: str) 
 
 
 NOTHING: Final = 1e-12
-"""A D of rounding: the odds stay as they are."""
+"""Largest D that is rounding only: the odds then stay the same."""
 
 
 @dataclass(frozen=True)
@@ -220,7 +223,7 @@ class Proposal:
 
     @property
     def surer(self) -> Chance | None:
-        """What the proposed procedure costs and gives; None where nothing is tied."""
+        """The cost and the probability of the proposed procedure; None if there is no tie."""
         return next((one for one in self.chances if one.procedure == self.name), None)
 
     @property
@@ -237,11 +240,11 @@ class Proposal:
 
     @property
     def procedure(self) -> Path:
-        """The file to carry out: that of the menu until it is written elsewhere."""
+        """The file to carry out: the procedure of the menu, or the written file once there is one."""
         return self.written or self.source
 
     def write(self, path: Path) -> Proposal:
-        """Write the procedure; return the proposal that says where it stands. Raises `OSError`.
+        """Write the procedure; return the proposal with the path of the file. Raises `OSError`.
 
         It never overwrites a file with other contents; it adds a number to the name instead.
         """
@@ -259,12 +262,12 @@ class Proposal:
 
 
 def propose(diagnosis: Diagnosis, bench: BenchFile, menu: Sequence[Path] | None = None) -> Proposal | None:
-    """Propose what to measure next after a diagnosis; None when nothing on the menu helps.
+    """Propose what to measure next after a diagnosis; None if nothing on the menu helps.
 
-    Of the procedures that settle most ties the shortest; where none settles one, the one that tells most in
-    its time. Without a tie: the shortest of those that show most of what is hidden. `menu` are procedure files
-    (the shipped ones in `MENU` by default); one that includes others is not thought of. After a mistake, or where
-    something has no name, nothing is proposed.
+    It is the shortest of the procedures that resolve most ties; if none resolves one, the procedure with the
+    largest increase of D per minute. Without a tie it is the shortest of those that show most of the hidden
+    effects. `menu` are procedure files (the shipped ones in `MENU` by default); a file that includes others is
+    ignored. After a mistake, or if a find has no name, nothing is proposed.
     """
     if diagnosis.verdict in {"mistake", "unknown"}:
         return None
@@ -306,7 +309,7 @@ class _Bill:
                 yield path, procedure.plan
 
     def _linear(self, plan: Plan | None) -> LinearSystem:
-        """Return the readings as they are, or with those of a plan as a further run."""
+        """Return the system of the present readings, or of these with the readings of a plan as one more run."""
         linear = self._diagnosis.linear
         if plan is None:
             return linear
@@ -343,7 +346,7 @@ class _Bill:
     def _answers(
         self, before: Mapping[tuple[str, str], float], after: Mapping[tuple[str, str], float]
     ) -> float:
-        """Return the probability that every tie gets an answer."""
+        """Return the probability that every tie is resolved."""
         whole = 1.0
         for effect in self._diagnosis.effects:
             gained = {
@@ -377,7 +380,7 @@ class _Bill:
     # --- what is hidden -----------------------------------------------------------------------------
 
     def showing(self) -> Proposal | None:
-        """Return the shortest procedure that shows most of what the readings could hardly show."""
+        """Return the shortest procedure that shows most of the effects that the readings could hardly show."""
         diagnosis = self._diagnosis
         sought = _looked_for(diagnosis.linear)
         blind = [
@@ -407,7 +410,7 @@ class _Bill:
 
 
 def _looked_for(linear: LinearSystem) -> frozenset[str]:
-    """Return the effects that were looked for: those that the model lacks and that have a size in the unit."""
+    """Return the effects that were searched for: those that the model lacks and that have a size in the unit."""
     own = {applied.effect.name for applied in linear.model.effects}
     return frozenset(
         name

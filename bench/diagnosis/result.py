@@ -249,7 +249,11 @@ def _of_temperature(effect: Effect) -> bool:
 
 
 def assumed(linear: LinearSystem) -> Iterator[str]:
-    """Yield sentences on facts that the readings do not state, or that contradict the bench file."""
+    """Yield sentences on what the diagnosis assumed or left out.
+
+    They name the effects that failed to load, an orientation that contradicts the bench file, readings without
+    times or temperatures, and the effects that are omitted because the signals are not in volts.
+    """
     readings = linear.readings
     yield from (f"not looked for: {trouble}" for trouble in CATALOGUE.troubles)
     if linear.orientation is not None and linear.orientation.contradicts:

@@ -1,4 +1,4 @@
-"""The block as a sensor in m/s^2: PX4, ArduPilot, Kalibr, and what their forms leave out."""
+"""The block as a sensor in m/s^2: PX4, ArduPilot, Kalibr, and what their forms omit."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from bench.exchange.result import BlockResult
 STANDARD_GRAVITY: Final = 9.80665
 """m/s^2 (3rd CGPM, 1901): what a data sheet's "V/g" means by g."""
 DIGITS: Final = 3
-"""Significant digits of the scale factors that are taken where none are stated."""
+"""Significant digits of the block's own scale factors, which are used if none are requested."""
 
 
 @dataclass(frozen=True)
 class Sensor:
-    """z = M a + b in m/s^2; z = 9.80665 U / `nominal` (3,), a scale factor in unit/g."""
+    """The block as a sensor in m/s^2: z = M a + b, z = 9.80665 U / `nominal` (3,), scale factors in unit/g."""
 
     nominal: Floats
     M: Floats
@@ -32,7 +32,7 @@ class Sensor:
         return np.asarray(STANDARD_GRAVITY * signal / self.nominal)
 
     def told(self) -> list[str]:
-        """Return in words how z is had from the signals."""
+        """Return comment lines that say how to compute z from the signals."""
         if self.unit == "m/s^2":
             return ["the signals are in m/s^2 and taken as they are: z = U"]
         factors = ", ".join(f"{float(s)!r}" for s in self.nominal)
@@ -44,7 +44,10 @@ class Sensor:
 
 
 def sensor_of(result: BlockResult, nominal: Floats | None = None) -> Sensor:
-    """Return the block as a sensor in m/s^2, with scale factors asked for (unit/g) or its own, rounded."""
+    """Return the block as a sensor in m/s^2.
+
+    `nominal` (3,) are its nominal scale factors, unit/g; None takes the block's own, rounded to `DIGITS` digits.
+    """
     if result.unit == "m/s^2":
         own = np.full(3, STANDARD_GRAVITY)
     elif result.unit == "g":
@@ -62,7 +65,8 @@ def sensor_of(result: BlockResult, nominal: Floats | None = None) -> Sensor:
 class Diagonal:
     """The form of autopilots: a_i = (z_i - offset_i) scale_i, m/s^2; the cross-axis terms are left out.
 
-    `modulus_g` and `vector_g` are the most by which |a| and a are then off at 1 g, in any direction, in g.
+    `modulus_g` and `vector_g` are the largest errors of |a| and of the vector a that follow at 1 g in any
+    direction, g.
     """
 
     offset: Floats
@@ -71,7 +75,7 @@ class Diagonal:
     vector_g: float
 
     def told(self) -> list[str]:
-        """Return in words what is lost."""
+        """Return comment lines that say what this form omits, and the largest errors that follow at 1 g."""
         return [
             "the six cross-axis terms are left out, for this form has a scale and an offset per axis and no more:",
             f"at 1 g |a| is off by up to {_size(self.modulus_g)}, the vector a by up to {_size(self.vector_g)}, "
@@ -80,10 +84,10 @@ class Diagonal:
 
 
 def diagonal(sensor: Sensor) -> Diagonal:
-    """Return offset and scale of each axis by itself, and exactly what leaving out the rest costs at 1 g.
+    """Return offset and scale of each axis, and the largest errors at 1 g without the cross-axis terms, exactly.
 
-    a' = diag(1/M_ii) M a: |a'| lies between the least and the largest singular value of that matrix, and
-    |a' - a| is at most the largest one of its difference from 1.
+    a' = diag(1/M_ii) M a: at |a| = 1, |a'| lies between the least and the largest singular value of
+    diag(1/M_ii) M, and |a' - a| is at most the largest singular value of diag(1/M_ii) M - 1.
     """
     scale = 1.0 / np.diag(sensor.M)
     left = scale[:, None] * sensor.M
@@ -94,9 +98,9 @@ def diagonal(sensor: Sensor) -> Diagonal:
 
 @dataclass(frozen=True)
 class Triangular:
-    """The form of Kalibr: z = M R a + b with M lower triangular, R the turn from the block's axes to M's own.
+    """The form of Kalibr: z = M R a + b with M lower triangular and R the rotation to the axes of M.
 
-    `turn_rad` is the angle of R.
+    `turn_rad` is the angle of R, rad.
     """
 
     M: Floats
@@ -106,7 +110,7 @@ class Triangular:
 
 
 def lower_triangular(sensor: Sensor) -> Triangular:
-    """Return M lower triangular with a positive diagonal, and R orthogonal, of which M R is the sensor's matrix."""
+    """Return the factors of `sensor.M` = M R: M lower triangular with a positive diagonal, and R orthogonal."""
     q, r = np.linalg.qr(sensor.M.T)
     sign = np.where(np.diag(r) < 0, -1.0, 1.0)
     M, R = (sign[:, None] * r).T, (q * sign).T
@@ -115,7 +119,7 @@ def lower_triangular(sensor: Sensor) -> Triangular:
 
 
 def axis_rows(values: Floats) -> list[tuple[str, float]]:
-    """Return (X, value), (Y, value), (Z, value)."""
+    """Return the three `values` with the names of their axes: (X, value), (Y, value), (Z, value)."""
     return [(axis.upper(), float(value)) for axis, value in zip(CHANNELS, values, strict=True)]
 
 
@@ -155,7 +159,7 @@ def _px4_values(sensor: Sensor) -> list[tuple[str, float]]:
 
 
 def px4_notes(result: BlockResult, nominal: Floats | None = None) -> list[str]:
-    """Return what the form loses, and what of it PX4 would not take."""
+    """Return comment lines on what the form omits, and on values that PX4 would refuse."""
     form = diagonal(sensor_of(result, nominal))
     low, high = PX4_SCALE
     return form.told() + _outside("CAL_ACC0_{}SCALE", form.scale, low, high, "PX4")
@@ -176,7 +180,7 @@ def ardupilot_param(result: BlockResult, nominal: Floats | None = None) -> str:
 
 
 def ardupilot_notes(result: BlockResult, nominal: Floats | None = None) -> list[str]:
-    """Return what the form loses, and what of it ArduPilot would not take."""
+    """Return comment lines on what the form omits, and on values that ArduPilot would refuse."""
     form = diagonal(sensor_of(result, nominal))
     low, high = ARDUPILOT_SCALE
     outside = _outside("INS_ACCOFFS_{}", form.offset, -ARDUPILOT_OFFSET, ARDUPILOT_OFFSET, "ArduPilot")
@@ -184,7 +188,7 @@ def ardupilot_notes(result: BlockResult, nominal: Floats | None = None) -> list[
 
 
 def _outside(name: str, values: Floats, low: float, high: float, program: str) -> list[str]:
-    """Say which values are beyond what a program allows for a parameter."""
+    """Return comment lines on the values outside the range that `program` allows for a parameter."""
     return [
         f"{name.format(axis)} = {value:.4g} is outside {low:g} to {high:g}, which {program} allows: "
         "take out more before it, by the electronics or by other scale factors (--nominal)"
@@ -209,7 +213,7 @@ def _head(result: BlockResult, sensor: Sensor, notes: list[str]) -> list[str]:
 
 
 def kalibr_yaml(result: BlockResult, nominal: Floats | None = None) -> str:
-    """Return the file: chain `imu0`, with the model, M, and beside it what Kalibr has no place for."""
+    """Return the file: chain `imu0`, with the model and M, and `bias` and `C_accel_block`, which Kalibr ignores."""
     sensor = sensor_of(result, nominal)
     form = lower_triangular(sensor)
     lines = [
@@ -226,7 +230,7 @@ def kalibr_yaml(result: BlockResult, nominal: Floats | None = None) -> str:
 
 
 def kalibr_notes(result: BlockResult, nominal: Floats | None = None) -> list[str]:
-    """Return what Kalibr's form loses."""
+    """Return comment lines on what Kalibr's form omits."""
     form = lower_triangular(sensor_of(result, nominal))
     arcsec = math.degrees(form.turn_rad) * 3600
     return [

@@ -1,4 +1,4 @@
-"""The forms there are: JSON, CSV, C header, Excel workbook, for autopilots; who writes each, what it loses."""
+"""The forms of a calibration: JSON, CSV, C header, Excel workbook, files for autopilots."""
 
 from __future__ import annotations
 
@@ -41,8 +41,8 @@ def json_text(result: BlockResult) -> str:
 def csv_text(result: BlockResult) -> str:
     """Return a table of every number (name, value, u, U, unit), then the covariances, each under a line of its own.
 
-    Comment lines begin with #; a covariance has its names in the first row and the first column. Numbers are such
-    that they read back to the same.
+    Comment lines begin with #; a covariance has its names in the first row and the first column. Each number
+    has enough digits to be read back exactly.
     """
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\r\n")
@@ -70,7 +70,7 @@ def csv_text(result: BlockResult) -> str:
 
 
 def c_header(result: BlockResult) -> str:
-    """Return a C99 header that needs nothing else: N, U0, their covariance, functions for a and for its own."""
+    """Return a self-contained C99 header: N, U0, their covariance, and functions for a and for its covariance."""
     numbers = result.inverse
     rows = ",\n".join(f"    {_row(row)}" for row in numbers.covariance)
     n = ",\n".join(f"    {_row(row)}" for row in numbers.values[:9].reshape(3, 3))
@@ -151,7 +151,7 @@ AXES = "xyz"
 
 
 def workbook(result: BlockResult) -> bytes:
-    """Return an .xlsx file: the facts, every number, three covariances, and a sheet that converts signals."""
+    """Return an .xlsx file: origin, every number, three covariances, and a sheet that converts signals."""
     from openpyxl import Workbook
 
     book = Workbook()
@@ -184,7 +184,7 @@ def _numbers(sheet: Worksheet, rows: Iterable[ReportedNumber]) -> None:
 
 
 def _write(sheet: Worksheet, rows: Sequence[Sequence[Any]]) -> None:
-    """Append rows; a text is a text, also one that begins like a formula."""
+    """Append rows; text that begins like a formula is stored as text."""
     for row in rows:
         at = sheet.max_row + (sheet.cell(sheet.max_row, 1).value is not None)
         for column, value in enumerate(row, 1):
@@ -195,10 +195,10 @@ def _write(sheet: Worksheet, rows: Sequence[Sequence[Any]]) -> None:
 
 
 def _conversion(sheet: Worksheet, result: BlockResult) -> None:
-    """Fill in the sheet in which three signals are typed and a, |a| and its U come out.
+    """Fill in the sheet that computes a, |a| and the U of |a| from three signals that the user types.
 
-    It begins with what the model gives for +1 g on z. N stands in B2:B10 of the sheet "inverse", U0 in B11:B13;
-    U of |a| is first order, from their covariance.
+    It initially contains the signals that the model gives for +1 g on z. N is in B2:B10 of the sheet "inverse",
+    U0 in B11:B13. U of |a| is computed to first order from their covariance.
     """
     upright = result.block.output(np.array([[0.0, 0.0, 1.0]]))[0]
     _write(sheet, [["", *AXES], [f"U / {result.unit}", *upright.tolist()]])
@@ -231,7 +231,7 @@ def _conversion(sheet: Worksheet, result: BlockResult) -> None:
 
 
 def print_coefficients(result: BlockResult, on: Console) -> None:
-    """Print what heads every form, N and U0, and the misalignment angles."""
+    """Print the facts that every form begins with, then N and U0, then the misalignment angles."""
     for line in result.head():
         on.print(line, style="bold" if line.startswith("SIMULATED") else None)
     on.print("a = N (U - U0), a the specific force in g of the place")
@@ -255,10 +255,11 @@ def _table(rows: Iterable[ReportedNumber], k: float, times: float = 1.0, unit: s
 
 @dataclass(frozen=True)
 class ExportForm:
-    """A form: its words for a person, the end of its file's name, who writes it.
+    """A form: its name in `words`, the suffix of its file's name, and the function that writes it.
 
-    `loses` tells what the form cannot hold, a sentence each; None for one that holds everything. Both take the
-    scale factors (3,) by which signals become m/s^2, unit/g, None for those of the block, rounded.
+    `loses` returns comment lines on the parts of a result that the form omits; it is None for a form that omits
+    nothing. Both functions take the scale factors (3,), unit/g, that convert signals to m/s^2; None means the
+    block's own, rounded.
     """
 
     words: str

@@ -1,4 +1,4 @@
-"""What every form of a calibration carries: the numbers, what is derived from them, and where they come from."""
+"""The content of every form of a calibration: the coefficients, the numbers derived from them, and their origin."""
 
 from __future__ import annotations
 
@@ -102,12 +102,12 @@ class CoefficientsResult(ResultModel):
 class BlockResult:
     """The coefficients of one block: U = K a + U0, a in g of the place, `g_m_s2`, U in `unit`.
 
-    `covariance` (12, 12) in the order of `COEFFICIENTS`, `combined` whether it holds more than what the readings
-    show; `covariance_readings` is that part, None where the result does not tell it apart. `expanded` are the U
-    by name that the result states; for all else U is `k` times u. `gravity_u` is the relative standard
-    uncertainty of `g_m_s2`, which is in no number per g, 0 where the result does not tell it. `bench` is what a
-    result says of its bench file, `certificates` name those of its instruments. `block_type`, `serial` and
-    `made_at` are empty where nobody states them.
+    `covariance` (12, 12) is in the order of `COEFFICIENTS`; `covariance_readings` is its part that the readings
+    show, None if the result does not give it separately. `expanded` maps names of numbers to the expanded
+    uncertainties U in the result; for all other numbers U is `k` times u. `gravity_u` is the relative standard
+    uncertainty of `g_m_s2`, 0 if the result does not contain it; numbers per g do not include it. `bench` is
+    the result's description of its bench file, `certificates` describe those of its instruments. `block_type`,
+    `serial` and `made_at` are empty if unknown.
     """
 
     block: Block
@@ -128,13 +128,13 @@ class BlockResult:
 
     @cached_property
     def combined(self) -> bool:
-        """Whether u holds every source of the bench, or what the readings show alone."""
+        """Whether u includes every error source of the bench, and not only the part that the readings show."""
         readings = self.covariance_readings
         return readings is not None and not np.array_equal(readings, self.covariance)
 
     @cached_property
     def inverse(self) -> Derived:
-        """N and U0 of a = N (U - U0)."""
+        """N and U0 of a = N (U - U0), with their covariance."""
         return inverse(self.block, self.covariance)
 
     @cached_property
@@ -176,7 +176,7 @@ class BlockResult:
         return f"{self.block_type} {self.serial}".strip()
 
     def facts(self) -> dict[str, str]:
-        """Return what heads each form, in its order; texts from outside in one line each."""
+        """Return the facts that each form begins with, keyed by name, in their order; each text is one line."""
         told = {
             **({"mark": SIMULATED} if self.simulated else {}),
             "block": self.block_name or "not stated",
@@ -198,7 +198,7 @@ class BlockResult:
         return [f"{name}: {text}" if name != "mark" else text for name, text in self.facts().items()]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return all of it as `bench coefficients --json` writes it."""
+        """Return the content of `bench coefficients --json`."""
         return CoefficientsResult.from_object(
             self,
             unit_under_test={"type": self.block_type, "serial": self.serial} if self.block_name else None,

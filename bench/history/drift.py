@@ -175,9 +175,9 @@ def unit_drift(when: Dates, vector: Floats, covariance: Floats, common: Floats |
     """Return the drift of one block from calibrations `vector` (n, 12) at times `when` (n,), in any order.
 
     `covariance` (n, 12, 12) are the stated covariances. `common` (12,) are the standard uncertainties of errors
-    that all calibrations share, such as the gain of the same meters; they are part of the stated u. Such errors do
-    not affect rates, and further calibrations do not reduce them. Raises `CalibrationError` for fewer than three
-    calibrations, or if all lie within a day.
+    that all calibrations share, such as the gain of the same meters; they are part of the stated u. Such errors
+    do not affect rates, and more calibrations do not reduce them. Raises `CalibrationError` for fewer than
+    three calibrations, or if all lie within a day.
     """
     return history_drift(when, vector, np.diagonal(covariance, axis1=1, axis2=2), common)
 

@@ -71,7 +71,7 @@ class Variance:
 
     @property
     def u_next(self) -> float:
-        """The standard deviation that applies to a further run: widened for its dof, never zero."""
+        """The standard deviation that applies to the next run: widened for its dof, never zero."""
         if self.held:
             return self.size
         nu = max(self.dof, FEW_DOF)
@@ -101,11 +101,11 @@ class Learned:
 
     `means` (m + waves,), rad, belong to `keys` (angle and installation, or empty for all), followed by the
     harmonics of the head; their covariance is `covariance`. `stated` (m,) are their u before learning, rad.
-    `variances` are those between mountings by kind of angle, then of the drift by channel (unit of the signal, per
-    root hour); `variances_covariance` (k, k) is that of their squares. `noise` (4,) is that of x, y, z and of the
-    setting (rad). `known` is the prior knowledge for further calibrations. `not_told` gives the reason for each
-    kind that the runs do not determine. `meters` are the differences between voltmeters, or a sentence on why they
-    are unknown.
+    `variances` are those between mountings by kind of angle, then of the drift by channel (unit of the signal,
+    per root hour); `variances_covariance` (k, k) is that of their squares. `noise` (4,) is that of x, y, z and
+    of the setting (rad). `known` is the prior knowledge for later calibrations. `not_told` gives the reason for
+    each kind that the runs do not determine. `meters` are the differences between voltmeters, or a sentence on
+    why they are unknown.
     """
 
     runs: tuple[str, ...]

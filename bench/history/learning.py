@@ -367,10 +367,10 @@ def learn(
 
 
 def told_by_runs(body: RunSums, layout: Layout, free: Beliefs) -> tuple[Beliefs, dict[str, str]]:
-    """Return the beliefs in which undetermined variances are held at their prior, with reasons by kind of angle.
+    """Return the beliefs in which undetermined variances are fixed at their prior, with reasons by kind of angle.
 
-    Of variances that cannot be separated, those with the smallest stated size are held first, so that the others
-    are determined.
+    Of variances that cannot be separated, those with the smallest stated size are fixed first, so that the
+    others are determined.
     """
     beliefs, reasons = free, {}
     for j, kind in enumerate(layout.kinds):

@@ -64,7 +64,7 @@ class RunFit:
 
 
 def run_fit(name: str, readings: Readings, model: ForwardModel, stand_u: Mapping[str, float]) -> RunFit:
-    """Fit one run by itself with the stated limits of the stand. Raises `CalibrationError` if that is impossible.
+    """Fit one run alone with the stated limits of the stand. Raises `CalibrationError` if that is impossible.
 
     `stand_u` has the standard uncertainty of every stand angle, rad, including those that the bench file does not
     state.
@@ -340,7 +340,7 @@ def between_runs(ratio: Floats, dof: Floats) -> tuple[float, float, float]:
 
 
 def known_noise(runs: Sequence[RunFit], variances: Floats) -> tuple[KnownNoise, Floats]:
-    """Return the noise of a further run as prior knowledge, and the degrees of freedom (4,) of the pooled noise.
+    """Return the noise of the next run as prior knowledge, and the degrees of freedom (4,) of the pooled noise.
 
     The degrees of freedom of the prior include the variation of the noise between runs, and its uncertainty.
     """

@@ -279,7 +279,7 @@ SESSIONS: Final = "sessions.json"
 LONGEST_SESSION: Final = timedelta(days=7)
 LONGEST_LINK: Final = timedelta(minutes=30)
 MOST_SESSIONS: Final = 20
-"""Largest number of sessions of one person; a further session ends the oldest."""
+"""Largest number of sessions of one person; a new session ends the oldest."""
 MOST_LINKS: Final = 50
 LONGEST_NAME: Final = 60
 

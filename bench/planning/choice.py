@@ -542,7 +542,7 @@ class Chooser:
 MOST: Final = 4
 """Greatest number of settings chosen at once to distinguish effects."""
 WORTH: Final = 0.5
-"""A further setting is chosen only if its information exceeds this fraction of the first one's."""
+"""Another setting is chosen only if its information exceeds this fraction of the first one's."""
 
 
 def telling_apart(

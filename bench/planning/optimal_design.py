@@ -56,7 +56,7 @@ class Goal:
         return float(np.sqrt(self.variance(covariance) + self.floor))
 
     def ratio(self, covariance: Floats) -> float:
-        """Return the uncertainty divided by the uncertainty asked for; at most 1 if the goal is reached."""
+        """Return the uncertainty divided by the required one; at most 1 if the goal is reached."""
         return self.u(covariance) / self.asked
 
     def relaxed(self, endless: float) -> Goal:
@@ -99,7 +99,7 @@ def delta_g_goals(
     """Return a goal for Δg at each verification point `at`; `force` (n, 3) is the specific force there, of 1 g.
 
     The noise `reading_v` of the reading at the point is included. Raises `CalibrationError` if this noise alone
-    exceeds the uncertainty asked for.
+    exceeds the required uncertainty.
     """
     _require_positive("Δg", asked_g)
     functionals, by_signal = modulus_slopes(force, block)
@@ -246,7 +246,7 @@ class ExchangeDesign:
 
     @property
     def largest(self) -> float:
-        """The largest ratio of an uncertainty to that asked for, with the noise estimated from the readings."""
+        """The largest ratio of an uncertainty to the required one, with the noise estimated from the readings."""
         wider2 = widening(3 * self.settings - len(self._prior)) ** 2
         variances = wider2 * (self._variances(self.covariance()) - self._floor) + self._floor
         return self._largest(variances)

@@ -68,8 +68,8 @@ class PlannedPoint:
 class PlannedMounting:
     """A mounting of the block with its points in the order of the plan.
 
-    `mount_step` is the index of the mounting step, None if the block stays mounted. `steps` are the further
-    steps that belong to the mounting, such as levelling and soaking, and take `time_s` seconds in all.
+    `mount_step` is the index of the mounting step, None if the block stays mounted. `steps` are the other steps
+    that belong to the mounting, such as levelling and soaking, and take `time_s` seconds in all.
     """
 
     mount: Mounting
@@ -203,7 +203,7 @@ def _visits(plan: Plan, found: Sequence[PlannedPoint], line_hz: float) -> tuple[
 
 _NO_PART: Final = 1e-6
 NO_GOAL: Final = 1e-12
-"""The uncertainty asked for if only a time limit is given; it can never be reached."""
+"""The required uncertainty if only a time limit is given; it can never be reached."""
 
 
 @dataclass(frozen=True)
@@ -238,7 +238,7 @@ class Aim:
 
 @dataclass(frozen=True)
 class Reached:
-    """The progress towards a goal: present or expected uncertainty `u` and the uncertainty asked for, in `unit`."""
+    """The progress towards a goal: present or expected uncertainty `u` and the required uncertainty, in `unit`."""
 
     name: str
     u: float
@@ -247,7 +247,7 @@ class Reached:
 
     @property
     def ratio(self) -> float:
-        """The uncertainty divided by the uncertainty asked for."""
+        """The uncertainty divided by the required one; at most 1 if the goal is reached."""
         return self.u / self.asked
 
 
@@ -371,7 +371,7 @@ class Visits(ExchangeDesign):
 
     @property
     def largest(self) -> float:
-        """The largest ratio of an uncertainty to the uncertainty asked for."""
+        """The largest ratio of an uncertainty to the required one; at most 1 if all goals are reached."""
         return self._largest(self.variances)
 
     @property

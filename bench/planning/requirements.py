@@ -132,7 +132,11 @@ _SHIPPED: Final[Mapping[str, str]] = {
 
 @dataclass(frozen=True)
 class Remedy:
-    """A further measurement that `determines` a number of open directions and takes `cost_s` of bench time."""
+    """An additional measurement, described in `text`.
+
+    `determines` is the number of undetermined directions (of the fit's null space) that it resolves; `cost_s` is
+    its bench time, s.
+    """
 
     text: str
     determines: int
@@ -143,7 +147,7 @@ class Remedy:
 class Outlook:
     """The coefficients and stand angles that planned readings determine, and remedies for the others.
 
-    `remedies` are the measurements that close an open direction, cheapest first.
+    `remedies` are the additional measurements that resolve an undetermined direction, cheapest first.
     """
 
     found: Observability
@@ -205,7 +209,7 @@ def _observability(
 
 
 def _open_of(found: Observability, names: Sequence[str]) -> int:
-    """Return the number of open directions among the unknowns `names`; those of added mountings do not count."""
+    """Return the number of undetermined directions among the unknowns `names`, without those of added mountings."""
     rows = [found.names.index(name) for name in names]
     return int(np.sum(np.linalg.svd(found.null[rows], compute_uv=False) > 1e-3))
 

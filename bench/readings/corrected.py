@@ -45,7 +45,7 @@ class Corrections:
         return any(self.gain) or any(self.offset_v)
 
     def then(self, gain: tuple[float, float, float], offset_v: tuple[float, float, float]) -> Corrections:
-        """Return these corrections followed by a further correction of the signals, U (1 + `gain`) + `offset_v`."""
+        """Return these corrections followed by another correction of the signals, U (1 + `gain`) + `offset_v`."""
         both = [(1.0 + own) * (1.0 + more) - 1.0 for own, more in zip(self.gain, gain, strict=True)]
         sums = [own * (1.0 + more) + added
                 for own, more, added in zip(self.offset_v, gain, offset_v, strict=True)]  # fmt: skip
@@ -141,7 +141,7 @@ class LevelReading:
 def with_levels(readings: Readings, seen: Sequence[LevelReading]) -> Readings:
     """Return the readings with level columns added; unchanged if no mounting has a levelling.
 
-    `seen` are the level readings in order of time.
+    `seen` are all level readings in order of time.
     """
     found = {
         mounting: of for mounting in {s.mounting for s in seen} if (of := _mounting_level(seen, mounting))

@@ -313,7 +313,12 @@ def _runs_table(result: ChartResult) -> Table:
 
 
 def _coefficients_table(result: ChartResult) -> Table:
-    """Return a table of the deviations of the last run, and of the scatter of the baseline over stated u."""
+    """Return a table with a row for each coefficient of the last run.
+
+    The columns are its deviation from the centre, u of the deviation, the deviation in units of u, the weighted
+    mean (EWMA) in units of u, and the ratio of the baseline's scatter to `stated` u, with its p-value if below
+    0.01.
+    """
     last, limits, parts = result.runs[-1], result.limits, result.components
     shown = table(
         last.run, ">off the centre", ">u", f">in u (≤ {limits.single:.1f})",

@@ -175,7 +175,7 @@ def _drawn_of(shown: ModelComparison) -> int:
 
 
 def _overlays(shown: ModelComparison) -> tuple[list[Markup], list[Markup]]:
-    """Return overlays of measured and simulated signals: a list with the most telling one, and the others."""
+    """Return overlays of measured and simulated signals: a list with the clearest one, and a list of the others."""
     figures = [drawn(overlay_of_mount(shown, i)) for i in most_telling(shown)[: _drawn_of(shown)]]
     return figures[:1], figures[1:]
 

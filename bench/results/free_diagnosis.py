@@ -61,7 +61,7 @@ class FreeNoise(ResultModel):
 
 
 class HeldOutByRecord(ResultModel):
-    """The scatter over stated u of the zeros of held-out records, predicted from the other records."""
+    """The ratio of scatter to stated u of the zeros of held-out records, predicted from the other records."""
 
     by: Literal["record"]
     before: Real = Field(description="with zeros that stay")

@@ -115,7 +115,7 @@ class RequireResult(ResultModel):
 
 @dataclass(frozen=True)
 class Requirements:
-    """The result of `bench require`, with further data for its text.
+    """The result of `bench require`, with additional data for its text.
 
     `up_to_g` is the largest acceleration asked about, None if none was; `left_out` names the errors not counted.
     """
@@ -262,7 +262,7 @@ def plan_points_result(
 
 @dataclass(frozen=True)
 class PlannedPoints:
-    """The result of `bench plan-points`, with further data for its text.
+    """The result of `bench plan-points`, with additional data for its text.
 
     `paper_settings` is the number of settings in the paper's procedure. `learned` is whether learned sizes of the
     bench exist, which the plan does not use. `time` is the bench time allowed.

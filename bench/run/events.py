@@ -283,7 +283,7 @@ class EventType(StrEnum):
     REDO = "redo"
     """`first` and `last`, the range of steps; `wish`."""
     REMOUNTED = "remounted"
-    """`installation`, `series`, and `now_series`, the series number of the further readings.
+    """`installation`, `series`, and `now_series`, the series number of the later readings.
 
     With `why`, the block stayed mounted but lost power in between, which also begins a new visit.
     """

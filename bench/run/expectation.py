@@ -36,8 +36,8 @@ class ExpectedPose(NamedTuple):
     """The effect of gravity on the block at one reading.
 
     `force` (…, 3) is the specific force in g on a stand without errors. `slopes` (…, 3, 6) are its derivatives
-    with respect to the stand's angles and the setting error, g/rad. `addition` (…, 3) is the sum of the
-    model's further effects, V.
+    with respect to the stand's angles and the setting error, g/rad. `addition` (…, 3) is the sum of the model's
+    other effects, V.
     """
 
     force: Floats
@@ -311,7 +311,7 @@ def millivolts(value_v: float, sign: str = "") -> str:
 
 
 class Kind(StrEnum):
-    """Kinds of mistakes, as early signs record them beside their sentences."""
+    """Kinds of mistakes, as early signs record them with their sentences."""
 
     CABLING = "cabling"
     ROTATION = "rotation"

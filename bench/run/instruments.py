@@ -97,7 +97,7 @@ def agree_to_others(person: Person, before: Mapping[str, str], now: Mapping[str,
 
 
 def told_at_mounting(instruments: Instruments, key: str) -> float | None:
-    """Return the block's temperature entered by a person, °C; None if no person is asked. Raises `BenchError`."""
+    """Return the block's temperature that a person enters, °C; None if no person enters it. Raises `BenchError`."""
     chamber, thermometer = instruments.chamber, instruments.thermometer
     if thermometer is not None:
         return thermometer.block_c(key) if thermometer.asks_person else None
@@ -107,7 +107,7 @@ def told_at_mounting(instruments: Instruments, key: str) -> float | None:
 def told_at_reading(
     instruments: Instruments, known_c: float | None, key: str
 ) -> tuple[float | None, float | None]:
-    """Return the temperatures of the block and of the chamber's air, °C; the latter only beside a thermometer.
+    """Return the temperatures of the block and of the chamber's air, °C; the latter is None without a thermometer.
 
     `known_c` is the block's temperature, if known; it spares a person the question. Raises `BenchError`.
     """
@@ -127,9 +127,11 @@ def leave_safe(
 ) -> dict[str, str]:
     """Leave the block in its safe state, set the chamber to its safe setting, and close all instruments.
 
-    Closing stops the head and returns meters to local operation. A chamber that was not opened is left alone,
-    because another program may be using it; so is a block that this run has not switched. `demanded_c` is the
-    chamber's last set point, or None. Returns the tasks left for a person, by instrument name.
+    `power` controls the block's supply; None if the run controls none. A block that this run has switched, or found
+    on and taken over, is switched off unless its section has `when_unsafe = "stay-on"`; any other block keeps its
+    state. Only an opened chamber is set, because another program may be using one that was not opened; `demanded_c`
+    is its last set point, °C, None if it has none. Closing stops the head and returns meters to local operation.
+    Returns the remaining manual tasks, keyed by instrument name.
     """
     to_do = {}
     if power is not None and (note := power.leave()):

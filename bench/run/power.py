@@ -395,8 +395,9 @@ def take_up(
 ) -> None:
     """Restore the block's power state before step `first` of a resumed run.
 
-    The block is warmed up again if it was off (by the record, the supply's state or the person) or not yet warm.
-    If it was off during a visit, the visit's further readings form a new one; `another_visit` gets the first.
+    The block is warmed up again if it was off (by the record, the supply's state or the person) or not yet
+    warm. If it was off during a visit, the visit's later readings form a new one; `another_visit` gets the
+    first.
     """
     if not _on_at(plan, first):
         return

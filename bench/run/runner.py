@@ -149,7 +149,7 @@ class Runner:
         With `resume`, first restore the bench to the state that the earlier steps left, then continue at that
         point; `progress` must already hold the completed steps. The first error is recorded, and raised after
         every instrument is safe and closed: `BenchError`, `RecordError`, `RunAborted`, `KeyboardInterrupt`. Its
-        notes list further errors during shutdown and the tasks left for a person.
+        notes list other errors during shutdown and the tasks left for a person.
         """
         cause: BaseException | None = None
         try:
@@ -268,14 +268,14 @@ class Runner:
             self._zero_s = self.bench.clock.now_s() - resume.bench_s
 
     def _remount(self, step: Mount) -> None:
-        """Ask whether the block is still mounted as it was; if not, number its further readings as a new visit."""
+        """Ask whether the block is still mounted as it was; if not, number its later readings as a new visit."""
         if self._workbench.still_mounted(step):
             self._workbench.temperature_c = self.progress.temperature_c
             return
         self._emit_remounted(step)
 
     def _emit_remounted(self, step: Mount | Read, why: str = "") -> None:
-        """Record that the block was mounted again or lost power, so that its further readings form a new visit."""
+        """Record that the block was mounted again or lost power, so that its later readings form a new visit."""
         planned = (s.series for s in self.plan.steps if isinstance(s, Mount | Read))
         visit = 1 + max(*planned, *self.progress.remounts.values())
         told = {"why": why} if why else {}

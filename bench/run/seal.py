@@ -173,9 +173,10 @@ def new_key(file: Path, passphrase: bytes | None) -> tuple[Path, str]:
 
 
 def write_private(file: Path, key: Any, passphrase: bytes | None, beside: dict[Path, str]) -> None:
-    """Write a private key (PKCS#8, PEM), readable by its owner only, and the public texts `beside` it.
+    """Write a private key (PKCS#8, PEM), readable by its owner only, and public files.
 
-    Raises `RecordError` if a file exists, or if others may enter the folder.
+    `beside` maps the paths of the public files to their texts. Raises `RecordError` if a file exists, or if
+    others may enter the folder.
     """
     serialization, _ = _cryptography()
     for one in (file, *beside):

@@ -245,7 +245,7 @@ class BenchSetup:
 class Workbench:
     """Executor of plan steps on a bench; `now_s` returns the bench time since the start of the run, s.
 
-    `visits` maps (series, installation) to the series number recorded with further readings once the block was
+    `visits` maps (series, installation) to the series number recorded with later readings once the block was
     remounted during that series. `power` controls the block's supply, where there is one. `tell` records an
     event. `between_naps` is called repeatedly during waits. `temperature_c` is the temperature last read or
     entered by a person; `demanded_c` is the chamber's last set point.

@@ -34,7 +34,7 @@ _Text = Annotated[str, AfterValidator(_printable)]
 
 
 class _Part(BaseModel):
-    """A part of the origin file beside a readings file; unknown members are ignored."""
+    """A part of the origin file of a readings file; unknown members are ignored."""
 
     model_config = ConfigDict(frozen=True, extra="ignore", strict=True)
 
@@ -80,7 +80,7 @@ class Origin(_Part):
     mended: tuple[_Text, ...] = ()
 
     def text_beside(self, readings: Path, content: bytes) -> str:
-        """Return the text of the origin file that belongs beside a readings file with this `content`."""
+        """Return the text of the origin file of a readings file with this `content`."""
         empty = {name for name in ("serials", "mended") if not getattr(self, name)}
         own = self.model_dump(mode="json", exclude={"sha256", *empty})
         try:
@@ -115,16 +115,17 @@ def instrument_name(identity: str, serial: str, resource: str | None, bench: str
 
 @dataclass(frozen=True)
 class OriginBeside:
-    """The content of the origin file beside a readings file, and notes for the reader.
+    """The content of the origin file of a readings file, and notes for the reader.
 
-    `origin` is None where there is no origin file or it is not trusted."""
+    `origin` is None where there is no origin file or it is not trusted.
+    """
 
     origin: Origin | None = None
     notes: tuple[str, ...] = ()
 
 
 def origin_of_run(run: Run) -> OriginBeside:
-    """Return the origin of a run's readings; for an imported run, the one stated beside its file."""
+    """Return the origin of a run's readings; for an imported run, that of the imported file."""
     if run.imported:
         told = origin_beside(run.folder / IMPORTED)
         if told.origin is not None or told.notes:
@@ -154,7 +155,7 @@ def origin_of_run(run: Run) -> OriginBeside:
 
 
 def origin_beside(readings: Path) -> OriginBeside:
-    """Return the content of the origin file beside a readings file, with notes.
+    """Return the content of the origin file of a readings file, with notes.
 
     It is empty if the origin file is missing or invalid, or states the SHA-256 of other readings.
     """
@@ -311,10 +312,10 @@ def recorded_sha256(run: Run) -> str:
 def bench_of(
     name: str, run: Run | None, told: OriginBeside, given: str | BenchFile | None
 ) -> tuple[BenchTaken, tuple[str, ...]]:
-    """Return the bench file for readings, with notes: the file asked for, else the one that the run recorded.
+    """Return the bench file for readings, with notes: the requested file, else the one that the run recorded.
 
-    For readings without a run it is the first of these: the file asked for, the file in BENCH_FILE, the file
-    named beside the readings (`told`), the shipped file.
+    For readings without a run it is the first of these: the requested file, the file in BENCH_FILE, the file
+    that the origin file names (`told`), the shipped file.
     """
     if run is not None:
         return _of_run(run, given)

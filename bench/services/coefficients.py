@@ -347,7 +347,7 @@ ALL: Final = "all"
 
 
 def forms_of(names: list[str]) -> list[ExportForm]:
-    """Return the forms asked for, each once, in their order; "all" stands for all forms. Raises `Refused`."""
+    """Return the requested forms, each once, in their order; "all" stands for all forms. Raises `Refused`."""
     from bench.exchange.forms import FORMS
 
     strange = [name for name in names if name not in FORMS and name != ALL]

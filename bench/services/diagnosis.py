@@ -99,9 +99,9 @@ class _Result(ABC):
     def written(self, *, accept_first: bool = False, report: bool = True) -> Self:
         """Write all files of `bench diagnose`; return the result with their paths.
 
-        `accept_first` writes a model also if the readings cannot decide between effects, with the likeliest one.
-        A file that cannot be written is noted in `not_written`, or raises `OSError` if an output folder was asked
-        for.
+        `accept_first` writes a model also if the readings cannot decide between effects, with the likeliest
+        one. A file that cannot be written is noted in `not_written`, or raises `OSError` if an output folder
+        was requested.
         """
 
     def __repr__(self) -> str:
@@ -425,7 +425,7 @@ def _by_unused_name(path: Path, write: Callable[[Path], None]) -> Path:
 
 
 def _write_copy(body: Body, mistakes: Sequence[Mistake], corrected: Readings, path: Path) -> Path:
-    """Write the copy in which mistakes are corrected, and its origin file beside it.
+    """Write the copy in which mistakes are corrected, and its origin file in the same folder.
 
     The copy holds the values that the instruments showed; reading it with the same bench file gives exactly
     `corrected`.
@@ -445,7 +445,7 @@ def _write_copy(body: Body, mistakes: Sequence[Mistake], corrected: Readings, pa
 
 
 def diagnosed(request: Diagnose, bodies: Sequence[Body | Failed]) -> list[Diagnosed | Failed]:
-    """Diagnose bodies of readings, several of them in parallel processes; write the files asked for.
+    """Diagnose bodies of readings, several of them in parallel processes; write the requested files.
 
     Of several bodies, one that cannot be evaluated gives a `Failed`; a single body raises `CalibrationError` or
     `Refused`.
@@ -458,7 +458,7 @@ def diagnosed(request: Diagnose, bodies: Sequence[Body | Failed]) -> list[Diagno
 
 
 def diagnosed_alone(request: Diagnose, body: Body, *, report: bool = True) -> Diagnosed:
-    """Diagnose one body and write the files asked for; `report` decides on the page where the request does not.
+    """Diagnose one body and write the requested files; `report` decides on the page where the request does not.
 
     Raises `CalibrationError` where the readings do not determine the coefficients.
     """

@@ -226,7 +226,10 @@ learn = python_call(Learn, learning_of, "learn")
 
 
 def _until(expires: datetime.date | str | None, made: datetime.date) -> datetime.date:
-    """Return the last valid day of a learned file: the day stated, or a number of days after `made`."""
+    """Return the last valid day of a learned file: the date `expires`, or that number of days after `made`.
+
+    Without `expires` it is `USUAL_DAYS` after `made`. Raises `Refused` for a day that is not after `made`.
+    """
     if expires is None:
         return made + datetime.timedelta(days=USUAL_DAYS)
     if isinstance(expires, str):
@@ -244,13 +247,13 @@ def _until(expires: datetime.date | str | None, made: datetime.date) -> datetime
 
 
 def _certified(source: Source) -> Source:
-    """Return a source corrected by certificates alone, whose model has no effects unless a model was asked for."""
+    """Return a source corrected by certificates alone; its model has no effects unless the request has a model."""
     plain = source.model if source.request.model else ForwardModel(source.bench.installation_models())
     return replace(source.as_certified(), model=plain)
 
 
 def _effects_of_model(sources: Sequence[Source]) -> tuple[AppliedEffect, ...]:
-    """Return the effects of the model file asked for; none without one.
+    """Return the effects of the model file of the request, with their u; none if the request has no model.
 
     Raises `Refused` for an effect of a block or of a single mounting, which is not of the bench.
     """
@@ -331,8 +334,8 @@ NOT_VOLTS: Final = "differences between the voltmeters: the signals are in {unit
 def differences_of(sources: Sequence[Source]) -> MeterDifferences | str:
     """Return the learned differences between the voltmeters of a bench, or why these runs do not determine them.
 
-    They are computed from calibrations with the stated limits of the stand, which hardly affect the lengths of
-    the rows of K.
+    They are computed from calibrations with the stand's limits from the bench file, which hardly affect the lengths
+    of the rows of K.
     """
     if sources[0].readings.unit != "V":
         return NOT_VOLTS.format(unit=sources[0].readings.unit)
@@ -380,7 +383,11 @@ def _meter_run(source: Source, meters: tuple[str, str, str], day: float) -> Mete
 
 
 def written_meters(found: MeterDifferences) -> dict[str, Any]:
-    """Return the voltmeters' section of a learned file; covariances are widened for few degrees of freedom."""
+    """Return the voltmeters' section of a learned file.
+
+    Each covariance is multiplied by ν/(ν − 2), where ν is the least degrees of freedom of the meters' differences,
+    but at least `FEW_DOF`; the factor is 1 if ν is infinite.
+    """
     return {
         "meters": list(found.meters),
         "group": list(found.group),
@@ -535,7 +542,10 @@ stability = python_call(asked.Stability, at_rest, "stability")
 
 
 def _bench_of(record: str, runs: Path, bench: Bench) -> tuple[BenchTaken, tuple[str, ...]]:
-    """Return the bench file asked for, else that of the run or of the origin file, else the default; notes."""
+    """Return the bench file with its source, and notes on the choice.
+
+    It is the bench file `bench` of the request, else that of the run or of the origin file, else the default.
+    """
     given = str(bench) if isinstance(bench, Path) else bench
     if Path(record).is_file():
         return bench_of(record, None, origin_beside(Path(record)), given)

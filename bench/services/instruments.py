@@ -263,7 +263,7 @@ def free_folder(now: datetime) -> Path:
 
 
 def commission(setting: CommissioningPlan) -> dict[str, Any]:
-    """Carry out a commissioning; return its result, which is also written beside its page and wire log.
+    """Carry out a commissioning; return its result, which is also written to the folder of its page and wire log.
 
     The bench is left safe and the page written whatever happens. Raises `Refused` for a folder that cannot be
     used, `BenchError` for a bench that cannot be simulated.

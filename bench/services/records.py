@@ -71,7 +71,7 @@ def run_summary(run: Run, digest_of: Callable[[Run], Digest] = Digest.of) -> Run
 
 
 def show_run(run: Run, request: ShowRun) -> ShowResult:
-    """Return the content of a run and, if asked for, the evidence for its record. Raises as `proof_of`."""
+    """Return the content of a run and, if requested, the evidence for its record. Raises as `proof_of`."""
     told: list[str] = []
     problems = list(run.history.problems)
     if request.proved and not problems:
@@ -123,7 +123,7 @@ NOTHING_OUTSIDE = (
 
 @dataclass(frozen=True)
 class SealResult:
-    """A seal, its file, and the reason why it has no time stamp although one was asked for."""
+    """A seal, its file, and the reason why it has no time stamp although one was requested."""
 
     seal: Seal
     file: Path

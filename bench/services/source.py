@@ -141,7 +141,7 @@ class Source:
 
     @property
     def block_name(self) -> str:
-        """Type and serial number of the block; empty if no origin and no bench file asked for states them."""
+        """Type and serial number of the block; empty if neither origin file nor requested bench file has them."""
         if self.origin is None and not (self.request.bench or os.environ.get("BENCH_FILE")):
             return ""
         unit = self.bench.unit_under_test
@@ -190,9 +190,9 @@ class Source:
     def output(self, command: str, suffix: str, *, what_if: bool = False) -> Path:
         """Return the path of the file that a command writes for this source.
 
-        The file lies in the folder of `--out`, else in the run's folder, else in a folder named after the command
-        beside the readings file. With `what_if`, it lies in the folder `what-if` of the run, unless `--out` is
-        given.
+        The file lies in the folder of `--out`, else in the run's folder, else in a folder named after the
+        command, next to the readings file. With `what_if`, it lies in the folder `what-if` of the run, unless
+        `--out` is given.
         """
         file = _output(self.name, self.run, self.request.out, command, suffix)
         aside = what_if and self.run is not None and self.request.out is None
@@ -421,7 +421,7 @@ def attempted(name: str, work: Callable[[], R]) -> R | Failed:
 
 
 def load_each(request: Request) -> list[Source | Failed]:
-    """Read each source by itself and return a `Failed` for one that fails; a single source raises its error."""
+    """Read each source separately and return a `Failed` for one that fails; a single source raises its error."""
     if len(request.sources) == 1:
         return [*load_sources(request)]
     check_gravity(request.g_m_s2)

@@ -122,7 +122,7 @@ class Judgement:
 def judgement_of(
     bench: BenchFile, *asked: VerdictOptions, default: DecisionRule = NOBODY_STATED_ONE
 ) -> Judgement:
-    """Return the basis of a verdict: the values of the bench file, replaced by the options asked for.
+    """Return the basis of a verdict: the values of the bench file, replaced by the options of the request.
 
     Later options override earlier ones. `default` is the rule if none is named. Raises `Refused` for invalid
     options, and `CalibrationError` for a guard band with a rule that has none.

@@ -287,7 +287,7 @@ class ChartDesign:
 
     @property
     def each_arl(self) -> float:
-        """The average run length of each of the three statistics by itself."""
+        """The average run length of each of the three statistics alone."""
         return STATISTICS * self.arl
 
     @property

@@ -184,12 +184,12 @@ def asked_for(at: Projection, Z: ComponentColumns, inside: int, dof: float) -> C
     """Return the tests of the components after the first `inside`.
 
     The variances of the first `inside` components are being estimated. Their share is taken off score and
-    information, for their estimates come from the repeats alone and do not maximise the likelihood (the C(alpha)
-    test: J. Neyman, in Probability and Statistics: The Harald Cramer Volume (1959) 213). A quadratic form over its
-    mean is taken as chi-square over its degrees of freedom, which match its mean and variance (Satterthwaite,
-    Biometrics Bull. 2 (1946) 110). It is tested as F, with at most `dof` denominator degrees of freedom, because
-    the inside sizes are estimates. With few degrees of freedom of either kind, as for a drift or few repeats, large
-    values are not rare.
+    information, for their estimates come from the repeats alone and do not maximise the likelihood (the
+    C(alpha) test: J. Neyman, in Probability and Statistics: The Harald Cramer Volume (1959) 213). A quadratic
+    form divided by its mean is treated as chi-square divided by its degrees of freedom, which match its mean
+    and variance (Satterthwaite, Biometrics Bull. 2 (1946) 110). It is tested as F, with at most `dof`
+    denominator degrees of freedom, because the inside sizes are estimates. With few degrees of freedom of
+    either kind, as for a drift or few repeats, large values are not rare.
     """
     scores, traces, whole = at.moments(Z)
     scale = np.sqrt(np.diag(whole)[:inside])
@@ -294,7 +294,7 @@ def profile_of(
     free: Sequence[int],
     scale: float,
 ) -> Profile:
-    """Return the profile along size `which`; the variances `free` were estimated, all others are held.
+    """Return the profile along size `which`; the variances `free` were estimated, all others are fixed.
 
     `information` (k, k) is that of the variances (k,) at the maximum of the likelihood.
     """

@@ -3,9 +3,10 @@
 Source: GageMux Operating Manual, page 7, "Mitutoyo Mux-10 Format": 0, channel, A, sign, eight characters of a
 reading, CR, such as 01A-001.2340.
 
-Not confirmed by a source: the request (taken: the number of the channel and CR, as at other multiplexers); the port
-as delivered; the codes of errors (any other reply is no reading). The form has no place for a unit, for a reference
-mark or for the name of the maker: the unit is taken to be degrees, and a person is asked for the reference mark.
+Not confirmed by a source: the request (taken: the number of the channel and CR, as at other multiplexers); the
+port as delivered; the codes of errors (any other reply is no reading). The form has no place for a unit, for a
+reference mark or for the name of the maker: the driver assumes degrees, and a person is asked for the reference
+mark.
 """
 
 from typing import Final

@@ -18,7 +18,7 @@ SERIAL: Final = {
 }  # fmt: skip
 
 BUSY_S: Final = 1.0
-"""Time after a command without reply in which the controller loses further commands."""
+"""Time after a command without reply in which the controller loses later commands."""
 RESOLUTION_C: Final = 0.1
 
 # bits of MODE?

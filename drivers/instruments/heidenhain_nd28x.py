@@ -1,4 +1,4 @@
-"""A Heidenhain ND 281B or ND 287 beside a head that a person turns. Source: see its facts."""
+"""A Heidenhain ND 281B or ND 287 on a head that a person turns. Source: see its facts."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A counter in the form of a Mitutoyo MUX-10, beside a head that a person turns. Source: see its facts."""
+"""A counter in the form of a Mitutoyo MUX-10, on a head that a person turns. Source: see its facts."""
 
 from __future__ import annotations
 

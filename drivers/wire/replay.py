@@ -376,7 +376,10 @@ def as_pairs(made: Iterable[Exchange]) -> str:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Print one instrument's pairs, and notes on missing replies to standard error; return the exit status."""
+    """Print the exchanges of one instrument in a wire log as a Python list of pairs (sent, answered).
+
+    A query without a reply gets a note on standard error. Returns the exit status: 0, or 2 for an unreadable log.
+    """
     parser = argparse.ArgumentParser(
         prog="python -m drivers.wire.replay", description="Print a wire log as pairs of (sent, answered)."
     )

@@ -125,10 +125,12 @@ _NO_LOCKS: Final = (OSError, NotImplementedError)
 
 
 def normalised(resource: str) -> str:
-    """Return one canonical name for all spellings of a resource.
+    """Return a name of the resource that is equal for its usual spellings.
 
-    Instruments behind one adapter share the adapter's name. A serial port is named after the device to which its
-    symbolic links resolve. Host names are not resolved.
+    Case, parts that VISA lets one omit, hexadecimal numbers, and localhost for 127.0.0.1 make no difference.
+    Leading zeros do (`GPIB0::022` is not `GPIB0::22`), and so do host names in place of addresses, which are
+    not resolved. Instruments behind one adapter share the adapter's name. A serial port is named after the
+    device to which its symbolic links resolve.
     """
     if (adapter := _ADAPTER.fullmatch(resource)) is not None:
         place = adapter[1]

@@ -188,7 +188,7 @@ class ScriptedOperator:
             self._pass_time(share * duration_s)
 
     def _wait_for_encoder(self) -> None:
-        """Stand beside a head at rest until what watches it answers, for a while."""
+        """Call `meanwhile` with the head at rest until it is None, for at most `LONGEST_WAIT_S`."""
         end_s = self._world.clock.now_s() + LONGEST_WAIT_S
         while self.meanwhile is not None and self._world.clock.now_s() < end_s:
             self._world.clock.sleep(REST_LOOK_S)

@@ -427,7 +427,7 @@ class Question:
 
 @dataclass(frozen=True)
 class Assessment:
-    """A budget and its consequences; `exact` is None without Monte Carlo, `beside` are further notes."""
+    """A budget and its consequences; `exact` is None without Monte Carlo; `beside` are additional notes."""
 
     budget: Budget
     question: Question

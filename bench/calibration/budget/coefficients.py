@@ -298,7 +298,7 @@ _Patterns = Sequence[tuple[Floats, Ints]]
 """Changes of the signals by a unit of a source, V (n, 3), with labels of draws as in `Influence.of`."""
 
 _SAME_ANGLE_RAD: Final = math.radians(0.05)
-"""Settings no further apart than this share the error of one angle of the head."""
+"""Settings at most this far apart share the error of one angle of the head."""
 
 _EVERYTHING: Final = np.zeros((1, 1), dtype=np.int64)
 

@@ -139,8 +139,8 @@ def numerical_tolerance(u: float, digits: int = 2) -> float:
 class Validation:
     """Validation of linear propagation by Monte Carlo, with one row for each of m outputs.
 
-    `low`, `high` (m,) are the absolute differences of the interval ends, `tolerance` (m,) is delta, `ratio` (m,) is
-    u by Monte Carlo over u by linear propagation.
+    `low`, `high` (m,) are the absolute differences of the interval ends, `tolerance` (m,) is delta, `ratio`
+    (m,) is u by Monte Carlo divided by u by linear propagation.
     """
 
     low: Floats

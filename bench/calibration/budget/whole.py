@@ -119,8 +119,8 @@ def sign(
 def dof_through(calibration: Calibration, jacobian: Floats, known: float | Floats = 0.0) -> Floats:
     """Return the effective degrees of freedom (m,) of quantities computed from the coefficients of `sign`.
 
-    `jacobian` (m, 12) has their derivatives by the coefficients; `known` is a further variance with infinite
-    degrees of freedom.
+    `jacobian` (m, 12) has their derivatives by the coefficients; `known` is an additional variance with
+    infinite degrees of freedom.
     """
     if not calibration.sources:
         return np.full(len(jacobian), np.inf)

@@ -78,7 +78,7 @@ def _one_range_mistakes(voltmeters: Any) -> Iterator[tuple[Place, str]]:
 
 
 def _resource_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
-    """Check that no two instruments share a resource, except a thermometer beside a multiplexer's signals."""
+    """Check that no two instruments share a resource, except a thermometer and signals on one multiplexer."""
     meters = enumerate(_items(part(data, "instruments", "voltmeters")))
     places: list[tuple[str, Place]] = [(f"voltmeter {i + 1}", ("voltmeters", i)) for i, _ in meters]
     places += [(f"the {role.replace('_', ' ')}", (role,)) for role in FURTHER]

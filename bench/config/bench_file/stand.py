@@ -466,7 +466,7 @@ class UncertaintySection(FileModel):
     """The limits of errors that the readings do not reveal; omitted limits have defaults.
 
     The default for voltmeters is the maker's limits, for temperature the chamber's band, and for rail voltages
-    their tolerance. The deviations of temperature and rail voltages are taken to be constant throughout a run.
+    their tolerance. The deviations of temperature and rail voltages are assumed constant throughout a run.
     """
 
     voltmeter_gain: RatioError | None = None

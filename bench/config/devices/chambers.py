@@ -29,11 +29,11 @@ class EspecSection(ControlledChamberForm):
     serial: PortSection = PortSection.of(espec)
 
     def driver_options(self) -> dict[str, Any]:
-        """Return the identity pattern of the controller."""
+        """Return the driver's option: the pattern that the controller's identity must match."""
         return {"identity": self.identity}
 
     def simulation_options(self, truth: ChamberTruth) -> dict[str, Any]:
-        """Return the chamber's limits, its name if the pattern is a plain name, and its sensor noise."""
+        """Return the simulation's options: limits (°C), sensor noise, a name if the pattern is a plain one."""
         named = {"name": self.identity} if as_stated(self.identity) else {}
         return super().simulation_options(truth) | named | {"noise_c": truth.sensor_noise}
 
@@ -65,11 +65,11 @@ class ThermotronSection(ControlledChamberForm):
     serial: PortSection = PortSection.of(thermotron)
 
     def driver_options(self) -> dict[str, Any]:
-        """Return the identity pattern of the controller."""
+        """Return the driver's option: the pattern that the controller's identity must match."""
         return {"identity": self.identity}
 
     def simulation_options(self, truth: ChamberTruth) -> dict[str, Any]:
-        """Return the chamber's limits, and its name if the pattern is a plain name."""
+        """Return the simulation's options: temperature limits, °C, and a name if the pattern is a plain one."""
         named = {"identity": self.identity} if as_stated(self.identity) else {}
         return super().simulation_options(truth) | named
 
@@ -108,11 +108,11 @@ class WatlowF4TSection(ControlledChamberForm):
         return self
 
     def driver_options(self) -> dict[str, Any]:
-        """Return the loop, the output, the safe temperature (°C) and the identity pattern."""
+        """Return the driver's options: loop, output, safe temperature (°C) and identity pattern."""
         return {"loop": self.loop, "output": self.output, "safe_c": self.safe, "identity": self.identity}
 
     def simulation_options(self, truth: ChamberTruth) -> dict[str, Any]:
-        """Return the chamber's limits, its loop and its output."""
+        """Return the simulation's options: temperature limits, °C, loop and output."""
         return super().simulation_options(truth) | {"loop": self.loop, "output": self.output or 1}
 
 

@@ -1,4 +1,4 @@
-"""Counters of an encoder beside a head that a person turns: Heidenhain ND 28x, MUX-10, a line of text."""
+"""Counters of an encoder on a head that a person turns: Heidenhain ND 28x, MUX-10, a line of text."""
 
 from __future__ import annotations
 
@@ -50,11 +50,11 @@ class HeidenhainNd28xSection(ReadOutHeadForm):
     serial: NdPort = NdPort.of(nd)
 
     def driver_options(self) -> dict[str, Any]:
-        """Return the model."""
+        """Return the driver's option `model`: the display unit that the driver must find."""
         return {"model": self.model}
 
     def simulation_options(self, truth: HeadTruth) -> dict[str, Any]:
-        """Return the model and what every simulated counter is given."""
+        """Return the options of every simulated counter, and `model`."""
         return super().simulation_options(truth) | {"model": self.model}
 
 
@@ -69,11 +69,11 @@ class MitutoyoMux10Section(ReadOutHeadForm):
     serial: PortSection = PortSection.of(mitutoyo_mux10)
 
     def driver_options(self) -> dict[str, Any]:
-        """Return the channel of the encoder."""
+        """Return the driver's option: the channel to which the encoder is connected."""
         return {"channel": self.channel}
 
     def simulation_options(self, truth: HeadTruth) -> dict[str, Any]:
-        """Return the channel of the encoder."""
+        """Return the options of every simulated counter, and the channel to which the encoder is connected."""
         return super().simulation_options(truth) | {"channel": self.channel}
 
 
@@ -93,8 +93,9 @@ class EncoderLineSection(ReadOutHeadForm):
     """A counter that answers `request` with one line of text.
 
     The whole line must match `pattern`, a regular expression; its group `angle`, as in `(?P<angle>...)`, is the
-    number in the `unit`. `counts_per_turn` is stated for the unit counts. `example` is a line as the counter sends
-    it. `errors` are lines in place of an angle, each with its meaning. `model` names the counter in the record.
+    number in the `unit`. `counts_per_turn` is required if the unit is counts, and else refused. `example` is a line
+    as the counter sends it. `errors` maps each line that the counter sends instead of an angle to its meaning.
+    `model` names the counter in the record.
     """
 
     facts: ClassVar = encoder_line
@@ -147,12 +148,12 @@ class EncoderLineSection(ReadOutHeadForm):
         return Port(ends[self.reply_end], ends[self.request_end], serial)
 
     def driver_options(self) -> dict[str, Any]:
-        """Return the request and the form of the reply."""
+        """Return the driver's options: `model`, `request`, `pattern`, `errors` and `per_turn`."""
         own = self.model_dump(include={"model", "request", "pattern", "errors"})
         return own | {"per_turn": self.per_turn}
 
     def simulation_options(self, truth: HeadTruth) -> dict[str, Any]:
-        """Return the request, the form of the reply and an example of it."""
+        """Return the options of every simulated counter, the request, and the form of the reply with an example."""
         ends = encoder_line.ENDS
         return {
             **super().simulation_options(truth),

@@ -63,7 +63,7 @@ class DeviceSection(FileModel):
         return cls.sections_of(cls.role) if "role" in cls.__dict__ else ()
 
     def driver_options(self) -> dict[str, Any]:
-        """Return the driver's keyword arguments beyond those that every driver of its role has."""
+        """Return the keyword arguments of the driver, without those that every driver of its role has."""
         return {}
 
     def simulation_options(self, truth: Any) -> dict[str, Any]:
@@ -78,11 +78,11 @@ class DeviceSection(FileModel):
 class Device:
     """The declaration of an instrument, found as `DEVICE` in a module of this folder or of a plug-in.
 
-    `name` is the instrument's `driver` in bench files. `driver` and `simulation` name classes as "module:Class"; a
-    leading dot means a module beside the declaration. `simulation` is None for an instrument that a person
-    operates. `example` is a bench-file section of the instrument (for a voltmeter with one signal, that of x).
-    `simulated` lists the keys of the role's simulation section that take effect. `place` orders the instruments of
-    a role in lists; equal places are ordered by name.
+    `name` is the instrument's `driver` in bench files. `driver` and `simulation` name classes as
+    "module:Class"; a leading dot means a module in the folder of the declaration. `simulation` is None for an
+    instrument that a person operates. `example` is a bench-file section of the instrument (for a voltmeter with
+    one signal, that of x). `simulated` lists the keys of the role's simulation section that take effect.
+    `place` orders the instruments of a role in lists; equal places are ordered by name.
     """
 
     name: str

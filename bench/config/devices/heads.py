@@ -47,11 +47,11 @@ class AcutrolSection(MotorisedHeadForm):
         return tolerance_rad
 
     def driver_options(self) -> dict[str, Any]:
-        """Return the axis, and the rate below which the axis counts as stationary (rad/s)."""
+        """Return the driver's options: the axis, and the rate below which the axis counts as stationary, rad/s."""
         return {"axis": self.axis, "still_rad_s": self.still_rate}
 
     def simulation_options(self, truth: HeadTruth) -> dict[str, Any]:
-        """Return the speed and the axis."""
+        """Return the simulation's options: the speed, deg/s, and the axis."""
         return super().simulation_options(truth) | {"axis": self.axis}
 
 
@@ -106,11 +106,11 @@ class NewportSection(MotorisedHeadForm):
     serial: NewportPort = NewportPort.of(newport)
 
     def driver_options(self) -> dict[str, Any]:
-        """Return the axis, the identity pattern, and whether homing is allowed."""
+        """Return the driver's options: the axis, the identity pattern, and whether homing is allowed."""
         return self.model_dump(include={"axis", "identity", "allow_homing"})
 
     def simulation_options(self, truth: HeadTruth) -> dict[str, Any]:
-        """Return the speed, the axis, the range of travel, whether it is homed, and any stated name."""
+        """Return the simulation's options: speed, axis, range of travel, homed state, and any name."""
         named = {"model": self.identity} if as_stated(self.identity) else {}
         return {
             **super().simulation_options(truth),
@@ -176,12 +176,12 @@ class ZaberSection(MotorisedHeadForm):
         return self
 
     def driver_options(self) -> dict[str, Any]:
-        """Return the address, step scale, identity pattern, permission to home and use of checksums."""
+        """Return the driver's options: address, step scale, identity, permission to home, use of checksums."""
         own = {"steps_per_degree", "resolution", "device", "axis", "identity", "allow_homing", "checksums"}
         return self.model_dump(include=own)
 
     def simulation_options(self, truth: HeadTruth) -> dict[str, Any]:
-        """Return the address, step scale, speed, range of travel, homed state and encoder."""
+        """Return the simulation's options: address, step scale, speed, range of travel, homed state and encoder."""
         named = {"device_id": int(self.identity)} if self.identity.isdecimal() else {}
         return {
             **super().simulation_options(truth),
@@ -245,11 +245,11 @@ class LeicaNivelSection(LevelForm, WiredForm):
         return self
 
     def driver_options(self) -> dict[str, Any]:
-        """Return the sensor's address, the directions of its axes, and the number of averages."""
+        """Return the driver's options: the address, the directions of the axes, and the number of averages."""
         return self.model_dump(include={"sensor", "along", "across", "averages"})
 
     def simulation_options(self, truth: LevelTruth) -> dict[str, Any]:
-        """Return the sensor's address and the directions of its axes."""
+        """Return the simulation's options: the sensor's address and the directions of its axes."""
         return self.model_dump(include={"sensor", "along", "across"})
 
 

@@ -43,7 +43,7 @@ class ManualHeadSection(HeadForm):
         return self
 
     def driver_options(self) -> dict[str, Any]:
-        """Return the tolerance of a reading (rad), and whether Enter accepts the target."""
+        """Return the driver's options: the tolerance of a reading, rad, and whether Enter accepts the target."""
         return {"tolerance_rad": self.tolerance, "enter_accepts_target": self.enter_accepts_target}
 
 
@@ -62,7 +62,7 @@ class ManualChamberSection(ChamberForm):
         return self
 
     def driver_options(self) -> dict[str, Any]:
-        """Return the temperature limits and the safe setting, °C."""
+        """Return the driver's options: the temperature limits and the safe setting, °C."""
         return {"minimum_c": self.minimum, "maximum_c": self.maximum, "safe_c": self.safe}
 
 
@@ -87,7 +87,7 @@ class ManualLevelSection(LevelForm):
     turn: SizeRad = math.radians(1.0)
 
     def driver_options(self) -> dict[str, Any]:
-        """Return the graduation, the number of graduations, and the standard uncertainties."""
+        """Return the driver's options: the size and number of divisions, and the standard uncertainties."""
         return {
             "division_rad": self.division,
             "reading_divisions": self.reading,
@@ -112,7 +112,7 @@ class ManualThermometerSection(TemperatureRange, ThermometerForm):
         return self.tolerance
 
     def driver_options(self) -> dict[str, Any]:
-        """Return the temperature range (°C), and the sensor's description for the record."""
+        """Return the driver's options: the temperature range, °C, and the sensor's description for the record."""
         return {"minimum_c": self.minimum, "maximum_c": self.maximum, "sensor": self.sensor}
 
 
@@ -169,7 +169,7 @@ class ManualSupplySection(SupplyForm):
         return SupplyLimits({name: output.limits() for name, output in self.outputs.items()})
 
     def driver_options(self) -> dict[str, Any]:
-        """Return the limits of the outputs, and the voltage tolerance (V)."""
+        """Return the driver's options: the limits of the outputs, and the voltage tolerance, V."""
         return {"limits": self.limits, "tolerance_v": self.tolerance}
 
 

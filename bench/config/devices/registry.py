@@ -346,7 +346,7 @@ class UnknownThermometer(ThermometerForm):
 
     @property
     def tolerance_k(self) -> float:
-        """The limit of its error, K; unknown, and taken to be that of an ordinary thermometer."""
+        """The limit of the thermometer's error, K: it is unknown, so that of an ordinary thermometer is used."""
         return 0.5
 
 

@@ -148,7 +148,7 @@ class VoltmeterForm(WiredForm):
 
     @property
     def name(self) -> str:
-        """The instrument's name as stated; the default is "voltmeter.x" with its signals."""
+        """The name in the file, or else "voltmeter." with the meter's signals, as in "voltmeter.x"."""
         return self.stated_name or f"voltmeter.{''.join(self.channels)}"
 
     @property
@@ -178,7 +178,7 @@ class VoltmeterForm(WiredForm):
         return certificate
 
     def simulation_options(self, truth: VoltmeterTruth) -> dict[str, Any]:
-        """Return the interface, whether there is noise, and the errors to simulate."""
+        """Return the simulation's options: the interface, whether there is noise, and the errors to simulate."""
         accuracy: str | dict[float, tuple[float, float]] | None = truth.accuracy
         if truth.accuracy == CERTIFICATE:
             accuracy = {} if self.certificate is None else self.certificate.errors()
@@ -290,7 +290,7 @@ class MotorisedHeadForm(HeadForm, WiredForm):
         }
 
     def simulation_options(self, truth: HeadTruth) -> dict[str, Any]:
-        """Return the speed of the head, deg/s."""
+        """Return the simulation's option: the speed of the head, deg/s."""
         return {"speed_deg_s": math.degrees(self.speed)}
 
 
@@ -345,7 +345,7 @@ class ReadOutHeadForm(HeadForm, WiredForm):
         return {"zero_rad": self.zero, "falling": self.falling}
 
     def simulation_options(self, truth: HeadTruth) -> dict[str, Any]:
-        """Return what every simulated counter is given."""
+        """Return the options of every simulated counter: zero (deg), sense and referenced state."""
         return {"zero_deg": math.degrees(self.zero), "falling": self.falling, "referenced": truth.homed}
 
 
@@ -427,7 +427,7 @@ class ControlledChamberForm(ChamberForm, WiredForm):
         return self.minimum, self.maximum, self.band
 
     def simulation_options(self, truth: ChamberTruth) -> dict[str, Any]:
-        """Return the lowest and the highest set point of the simulated controller, °C."""
+        """Return the simulation's options: the lowest and the highest set point of the controller, °C."""
         return {"lowest_c": self.minimum, "highest_c": self.maximum}
 
 
@@ -537,10 +537,10 @@ class WiredSupplyForm(SupplyForm, WiredForm):
         return SupplyLimits.of(self.facts, getattr(self, "model", None))
 
     def driver_options(self) -> dict[str, Any]:
-        """Return the limits of the outputs."""
+        """Return the driver's option: the settings that the outputs support."""
         return {"limits": self.limits}
 
     def simulation_options(self, truth: SupplyTruth) -> dict[str, Any]:
-        """Return the model; empty for a supply of one model."""
+        """Return the simulation's option `model`, or none for a driver of one model."""
         model = getattr(self, "model", None)
         return {} if model is None else {"model": model}

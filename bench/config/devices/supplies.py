@@ -29,7 +29,7 @@ class AimTtiSection(WiredSupplyForm):
     serial: AimTtiPort = AimTtiPort.of(aim)
 
     def driver_options(self) -> dict[str, Any]:
-        """Return the limits of the outputs, and the model that must respond."""
+        """Return the driver's options: the settings that the outputs support, and the model that must respond."""
         return super().driver_options() | {"model": self.model}
 
 
@@ -53,7 +53,7 @@ class KeysightE36300Section(WiredSupplyForm):
     model: Literal["E36311A", "E36312A", "E36313A"]
 
     def driver_options(self) -> dict[str, Any]:
-        """Return the limits of the outputs, and the model that must respond."""
+        """Return the driver's options: the settings that the outputs support, and the model that must respond."""
         return super().driver_options() | {"model": self.model}
 
 
@@ -88,11 +88,11 @@ class KeysightE3631ASection(WiredSupplyForm):
         return serial
 
     def driver_options(self) -> dict[str, Any]:
-        """Return the limits of the outputs, and the selected interface."""
+        """Return the driver's options: the settings that the outputs support, and the selected interface."""
         return super().driver_options() | {"interface": self.interface}
 
     def simulation_options(self, truth: SupplyTruth) -> dict[str, Any]:
-        """Return the selected interface."""
+        """Return the simulation's option: the selected interface."""
         return {"interface": self.interface}
 
 

@@ -103,7 +103,7 @@ class Keithley2000Section(OneChannelForm):
         return keithley.TERMINATORS[self.serial.terminator] if serial else keithley.READ_TERMINATION
 
     def port(self) -> Port:
-        """Return the setup of the wire; on RS-232 the section states the line termination."""
+        """Return the setup of the wire; on RS-232 with the line termination of the section."""
         return Port(self.line_end, self.line_end, super().port().serial)
 
     def simulation_options(self, truth: VoltmeterTruth) -> dict[str, Any]:
@@ -164,11 +164,11 @@ class Keysight34970ASection(SerialPortForm):
         return delay_s
 
     def driver_options(self) -> dict[str, Any]:
-        """Return the channel delay."""
+        """Return the driver's option: the channel delay, s."""
         return {"channel_delay_s": self.channel_delay}
 
     def simulation_options(self, truth: VoltmeterTruth) -> dict[str, Any]:
-        """Return the common options, the model (34972A if by LAN) and the cards by slot number."""
+        """Return the options of every voltmeter, the model (34972A if by LAN) and the cards by slot."""
         return super().simulation_options(truth) | {
             "model": multiplexer.MODELS[self.interface == "lan"],
             "cards": {100 * (number // 100): multiplexer.CARD for number in self.inputs.values()},
@@ -215,11 +215,11 @@ class Keysight34970AThermometerSection(ThermometerForm, WiredForm):
         return sensor.meter_c + sensor.probe_c + sensor.probe_slope * _ROOM_C
 
     def driver_options(self) -> dict[str, Any]:
-        """Return the channel, the sensor type and the selected interface."""
+        """Return the driver's options: the channel, the sensor type and the selected interface."""
         return self.model_dump(include={"channel", "sensor", "interface"})
 
     def simulation_options(self, truth: ThermometerTruth) -> dict[str, Any]:
-        """Return channel, sensor type and interface, the simulated errors, the model and its cards."""
+        """Return the simulation's options: channel, sensor type, interface, errors, the model and its cards."""
         own = {"error_c": truth.error, "noise_c": truth.noise, "air_share": truth.air_share}
         return {
             **self.model_dump(include={"channel", "sensor", "interface"}),

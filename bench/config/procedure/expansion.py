@@ -41,7 +41,7 @@ from bench.readings.table import REFERENCE, SHORTED
 from drivers.interfaces import Direction
 
 MOST_STEPS: Final = 200_000
-"""The most steps of a plan; more are taken for a mistake in a file."""
+"""The most steps of a plan; more count as a mistake in a file."""
 
 _DIRECTIONS: Final[Mapping[str, Direction]] = {"rising": 1, "falling": -1}
 _INPUTS: Final[Mapping[str, str]] = {"short": SHORTED, "reference": REFERENCE}
@@ -294,7 +294,7 @@ class Expansion:
         self._steps.append(Wait(self._key("wait"), duration_s, reason))
 
     def _note_power(self, verb: PowerVerb, context: _Context) -> None:
-        """Note that the block was switched on again: further readings on this mounting start a new series."""
+        """Note that the block was switched on again: later readings on this mounting start a new series."""
         mounted = (context.installation, context.series)
         if verb.switch != "off" and mounted in self._measured:
             self._since_power[mounted] = None

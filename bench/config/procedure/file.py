@@ -1,4 +1,4 @@
-"""The contents of a procedure file: steps with one verb each, and the sections beside them."""
+"""The contents of a procedure file: steps with one verb each, and the other sections."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ MOST_BYTES: Final = 10 * MEGABYTE
 """Largest size of the procedure file, which a program may have written; included files have a lower limit."""
 
 MOST_FILES: Final = 1_000
-"""The most included files; more are taken for a mistake."""
+"""The most included files; more count as a mistake."""
 
 MOST_DEEP: Final = 100
 """The greatest depth of files that include each other."""
@@ -158,7 +158,7 @@ class _Tree:
     def _check_scopes(self, document: Document, steps: Any, place: Place, scope: _Scope) -> None:
         """Check that every verb is allowed where it occurs; `steps` are as written, valid or not.
 
-        An included file is checked once for each set of enclosing verbs; further checks would repeat the same
+        An included file is checked once for each set of enclosing verbs; more checks would repeat the same
         mistakes.
         """
         for entry, verb, body in _entries(steps, place):

@@ -1,4 +1,4 @@
-"""Three descriptions of readings, each freer than the one before, and readings held against one of them."""
+"""Three descriptions of readings, each with more unknowns than the last, and the test of readings against one."""
 
 from __future__ import annotations
 
@@ -17,37 +17,40 @@ from bench.calibration.result import Noise
 from bench.model import CATALOGUE, STAND_ANGLES, AppliedEffect, Block, Conditions
 
 WIDE_G: Final = 5e-3
-"""Prior 1 sigma of a free value of a point, or of a slow change, in g: more than any effect makes."""
+"""Prior 1 sigma of a free value of a point, or of a slow change, in g: larger than any effect."""
 WIDE_RAD: Final = np.radians(0.1)
-"""Prior 1 sigma of a turn of the block, about any axis, in each pass."""
+"""Prior 1 sigma of a rotation of the block about any axis in each pass, rad."""
 COEFFICIENTS_WIDE: Final = 10.0
-"""Prior 1 sigma of the coefficients about the first guess, in scale factors: none in effect."""
+"""Prior 1 sigma of the coefficients about the first guess, in scale factors: so wide that it has no effect."""
 FIRST: Final = 3
-"""Readings after a remount that may be off by hysteresis: the block came from elsewhere,"""
+"""Number of readings after a remount that hysteresis may shift, because the block came from another orientation."""
 FIRST_G: Final = 1e-4
-"""by so much, prior 1 sigma, in g."""
+"""Prior 1 sigma of this shift, g."""
 HYSTERESIS: Final = CATALOGUE["hysteresis"]
-"""What makes first readings differ from their repeats without a mistake,"""
+"""The effect that makes first readings differ from their repeats although there is no mistake."""
 WIDTHS_G: Final = next(p.grid for p in HYSTERESIS.parameters if p.name == "width_g")
-"""with a play of about one of these widths."""
+"""Widths of the play that are tried for hysteresis, g."""
 RELAXATION_S: Final = (480.0, 960.0, 1920.0, 3840.0)
-"""Time constants of slow changes."""
+"""Time constants of slow changes, s."""
 
 NEAR_DEG: Final = 3.0
 """Largest difference, in degrees, between the angles of repeats."""
 CANDIDATE: Final = 21.1
-"""Chi-square (three signals) from which a reading is left out, to be looked at: p = 1e-4."""
+"""Chi-square of a reading's three signals (p = 1e-4) above which it is left out as a possible mistake."""
 ROUNDS: Final = 3
 """Number of iterations that make noise and weights consistent."""
 MEDIANS: Final = (0.4549, 1.3863 / 2)
-"""Medians of chi-square with one and with two degrees of freedom, over the degrees of freedom."""
+"""Medians of chi-square with one and with two degrees of freedom, each divided by its degrees of freedom."""
 SEEN: Final = 0.05
-"""A reading of which the fit leaves a smaller fraction does not contribute to the noise estimate."""
+"""A reading contributes to the noise estimate if the fit leaves at least this fraction of its variance."""
 
 
 @dataclass(frozen=True)
 class Description:
-    """What is not noise: columns (n, 3, p) with unit priors; those of `stand` (n, 3, q) are of that size."""
+    """A model of the readings without noise: `columns` (n, 3, p), signals per unit of unknowns with priors N(0, 1).
+
+    `stand` (n, 3, q) are the columns of the stand's errors, scaled in the same way.
+    """
 
     columns: Floats
     stand: Floats
@@ -55,7 +58,10 @@ class Description:
 
 @dataclass(frozen=True)
 class Situation:
-    """Readings less the model's prediction, `left` (n, 3); du/dphi `slope` (n, 3); least noise `floor`."""
+    """Readings minus the model's prediction, `left` (n, 3), with du/dphi `slope` (n, 3) per rad.
+
+    `floor` is the least noise. All are in the unit of the signal.
+    """
 
     left: Floats
     slope: Floats
@@ -63,21 +69,22 @@ class Situation:
 
     @property
     def unit(self) -> Floats:
-        """Directions of du/dphi, (n, 3)."""
+        """Unit vectors along du/dphi, (n, 3)."""
         length = np.linalg.norm(self.slope, axis=1, keepdims=True)
         return np.asarray(self.slope / np.where(length > 0, length, 1.0))
 
 
 def situation(problem: Problem, block: Block, signal: Floats, floor: float) -> Situation:
-    """Return readings `signal` (n, 3) about a first guess of the block."""
+    """Return readings `signal` (n, 3) minus the prediction for a first guess of the block."""
     linear = problem.linear(block, problem.prior_mean)
     return Situation(signal - linear.predicted, linear.slope, floor)
 
 
 def _points(conditions: Conditions) -> Ints:
-    """Return a number per reading (n,): same mounting and, to a degree, the same angle.
+    """Return the number of each reading's point (n,): one for each mounting and angle, rounded to 1 degree.
 
-    An angle near that of its repeats counts as theirs: a wrong setting stays with them.
+    A reading within `NEAR_DEG` of the median angle of its repeats belongs to their point, so that a wrong
+    setting stays with its repeats.
     """
     angle = np.degrees(conditions.angle_rad)
     repeats = repeat_groups(conditions)
@@ -90,11 +97,13 @@ def _points(conditions: Conditions) -> Ints:
 
 @dataclass(frozen=True)
 class Descriptions:
-    """`ladder`: the model with its stand errors; with a free value for each point; with slow changes besides.
+    """The descriptions of the readings of a `problem`, linearised about a `block`.
 
-    Where points are hardly repeated the ladder is the model, and the model with slow changes. `drifting` is
-    that, too; `beginning` the last of the ladder, where the first readings of a mounting may be off besides.
-    `model` are the columns of the first, of the readings of a `problem` about a `block`.
+    `ladder` has three, from the fewest unknowns to the most: the model with its stand errors; with a free value
+    for each point; with slow changes, too. If points are hardly repeated, it has two: the model, and the model
+    with slow changes. `drifting` is the model with slow changes. `beginning` is the last of the ladder with
+    free shifts of the first readings of each mounting. `model` are the column arrays of the first of the
+    ladder.
     """
 
     ladder: tuple[Description, ...]
@@ -106,10 +115,10 @@ class Descriptions:
 
     @cached_property
     def hysteretic(self) -> tuple[Description, ...]:
-        """The first of the ladder, where every channel has hysteresis besides: one for each width of its play.
+        """The first of the ladder with hysteresis in every channel: a description for each width in `WIDTHS_G`.
 
-        Not for all widths at once: their differences are off in a first reading and nowhere else, as nothing is
-        that friction does.
+        One description with all widths would be wrong: differences between widths shift a first reading alone,
+        which friction cannot do.
         """
         return tuple(
             Description(np.concatenate([*self.model, columns], axis=2), self.drifting.stand)
@@ -118,7 +127,7 @@ class Descriptions:
 
 
 def descriptions(problem: Problem, block: Block) -> Descriptions:
-    """Return the descriptions of the readings of a problem about a first guess of the block."""
+    """Return the descriptions of a problem's readings, linearised about a first guess of the block."""
     groups = _points(problem.conditions)
     linear = problem.linear(block, problem.prior_mean)
     scale = np.linalg.norm(block.K, axis=1)
@@ -147,7 +156,7 @@ def descriptions(problem: Problem, block: Block) -> Descriptions:
 
 
 def _hysteresis(problem: Problem, block: Block) -> Iterator[Floats]:
-    """Yield columns of hysteresis of each of the catalogue's widths, for each channel apart, (n, 3, 3)."""
+    """Yield columns of hysteresis (n, 3, 3), one for each channel, for each width in `WIDTHS_G`."""
     still = np.zeros((len(problem.conditions.mounts), len(STAND_ANGLES)))
     plain = replace(problem.model, effects=())
     without = plain.readings(block, problem.conditions, still)
@@ -158,22 +167,22 @@ def _hysteresis(problem: Problem, block: Block) -> Iterator[Floats]:
 
 
 def _first(conditions: Conditions) -> NDArray[np.bool_]:
-    """A column for each of the first readings after each remount, (n, k)."""
+    """Return a column for each of the first `FIRST` readings after each remount, (n, k)."""
     starts = np.flatnonzero(conditions.remounted)
     rows = np.unique(np.concatenate([starts + i for i in range(FIRST)]))
     return np.asarray(np.arange(len(conditions))[:, None] == rows[rows < len(conditions)])
 
 
 def turns(conditions: Conditions) -> Ints:
-    """Return a number per reading (n,): same mounting, same pass."""
+    """Return the number of each reading's pass in its mounting (n,), from 0."""
     key = np.stack([conditions.mount, conditions.pass_number], axis=1)
     return np.unique(key, axis=0, return_inverse=True)[1].ravel()
 
 
 def _slow(conditions: Conditions, deflection: Floats, block: Block, scale: Floats) -> list[Floats]:
-    """Columns of what changes with time, temperature and from pass to pass.
+    """Return column arrays of changes with time, with temperature, and from pass to pass.
 
-    From pass to pass a voltmeter may be another one, and the block may have slipped.
+    From pass to pass the voltmeters may differ, and the block may have slipped.
     """
     time = conditions.elapsed_s - conditions.elapsed_s.min()
     relaxed = [np.exp(-time / tau) for tau in RELAXATION_S]
@@ -195,14 +204,14 @@ def _slow(conditions: Conditions, deflection: Floats, block: Block, scale: Float
 
 
 def _turned(deflection: Floats, block: Block) -> Iterator[Floats]:
-    """Yield what small turns of the block about each of its own axes do to signals, per rad, (n, 3, 1)."""
+    """Yield the derivatives of the signals by a rotation of the block about x, y and z, per rad, (n, 3, 1) each."""
     force = deflection @ np.linalg.inv(block.K).T
     for axis in np.eye(3):
         yield (np.cross(force, axis) @ block.K.T)[:, :, None]
 
 
 def _per_channel(columns: Floats | NDArray[np.bool_], size: Floats) -> Floats:
-    """Return columns (n, k) for each channel apart, (n, 3, 3k), of that size (3,)."""
+    """Return columns (n, k), scaled by `size` (3,), for each channel separately: (n, 3, 3k)."""
     n, k = columns.shape
     return np.asarray(
         np.einsum("nk,ij->nikj", columns.astype(np.float64), np.diag(size)).reshape(n, 3, 3 * k)
@@ -211,11 +220,11 @@ def _per_channel(columns: Floats | NDArray[np.bool_], size: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class Precision:
-    """Whitened readings y (3n,) and the inverse P = I - B B^T of their covariance by its `basis` B (3n, k).
+    """Whitened readings y (3n,) and the inverse of their covariance, P = I - B B^T with its `basis` B (3n, k).
 
-    `pull` = P y. Of a reading that is left out rows and columns of P are zero. The block of P of a reading,
-    inverted, is the covariance of its difference from what all the others let expect, which is that inverse times
-    its pull.
+    `pull` (3n,) is P y. For a reading that is left out, its rows and columns of P are zero. Let P_i be the 3×3
+    block of P of reading i and p_i its part of P y. The difference of the reading from its prediction by all
+    others is then P_i^(-1) p_i, with covariance P_i^(-1).
     """
 
     whitened: Floats
@@ -223,7 +232,7 @@ class Precision:
     pull: Floats
 
     def without(self, rows: Sequence[int]) -> Precision:
-        """Leave readings out."""
+        """Return the precision with the readings `rows` left out."""
         basis, pull = self.basis, self.pull
         for row in rows:
             own = slice(3 * row, 3 * row + 3)
@@ -240,7 +249,7 @@ class Precision:
 
     @property
     def blocks(self) -> Floats:
-        """The blocks of P of each reading, (n, 3, 3)."""
+        """The diagonal 3×3 blocks of P, one for each reading, (n, 3, 3)."""
         of_reading = self.basis.reshape(len(self.pull) // 3, 3, -1)
         return np.asarray(np.eye(3) - of_reading @ np.swapaxes(of_reading, 1, 2))
 
@@ -251,15 +260,16 @@ class Precision:
 
     @property
     def chi2(self) -> float:
-        """Misfit of the readings, the priors' part included."""
+        """Chi-square of the readings, y^T P y; it includes the priors' part."""
         return float(self.whitened @ self.pull)
 
 
 @dataclass(frozen=True)
 class Examination:
-    """Readings held against a description: the noise, all readings, and those `strange` ones that do not belong.
+    """The test of readings against a description: the noise, all readings, and the rows that are `strange`.
 
-    `dof` are the degrees of freedom of the noise along du/dphi and across it.
+    A reading is strange if the other readings make it improbable. `dof` are the degrees of freedom of the noise
+    along du/dphi and perpendicular to it.
     """
 
     noise: Noise
@@ -271,7 +281,7 @@ class Examination:
 def expected_chi2(
     precision: Precision, description: Description, situation: Situation, noise: Noise
 ) -> float:
-    """Return the expectation of the misfit where stand errors, but none of the free values, are there."""
+    """Return the expectation of chi-square if the stand errors are present and all other free values are zero."""
     basis = precision.basis
     stand = whiten(description.stand, situation.slope, noise).reshape(len(basis), -1)
     trace = len(basis) - float(np.sum(basis**2))
@@ -279,7 +289,7 @@ def expected_chi2(
 
 
 def examine(description: Description, situation: Situation, start: Noise | None, most: int) -> Examination:
-    """Hold readings against a description: leave out those that do not belong (`most` + 1 at most).
+    """Test readings against a description, leaving out those that the others make improbable (`most` + 1 at most).
 
     The noise is estimated by medians first, then from all readings that are not left out.
     """
@@ -309,7 +319,7 @@ def _first_noise(situation: Situation) -> Noise:
 
 
 def weigh(description: Description, situation: Situation, noise: Noise) -> Precision:
-    """Whiten readings and description with a noise."""
+    """Return readings and description whitened with a noise, as a precision."""
     columns = whiten(description.columns, situation.slope, noise)
     y = whiten(situation.left[:, :, None], situation.slope, noise).ravel()
     size, p = len(y), columns.shape[2]
@@ -319,7 +329,7 @@ def weigh(description: Description, situation: Situation, noise: Noise) -> Preci
 
 
 def _strange(precision: Precision, most: int) -> tuple[int, ...]:
-    """Return readings that do not belong to the others, one after another, the strangest first."""
+    """Return the rows that the other readings make improbable, one after another, the largest chi-square first."""
     found: list[int] = []
     while len(found) < most:
         blocks = precision.blocks
@@ -337,7 +347,7 @@ def _strange(precision: Precision, most: int) -> tuple[int, ...]:
 def _noise(
     precision: Precision, noise: Noise, situation: Situation, by_medians: bool
 ) -> tuple[Noise, tuple[float, float]]:
-    """Return the noise estimated anew and its degrees of freedom along du/dphi and across it."""
+    """Return a new estimate of the noise, and its degrees of freedom along du/dphi and perpendicular to it."""
     unit = situation.unit
     blocks, pulls = precision.blocks, precision.pulls
     along_part = np.einsum("ni,nij,nj->n", unit, blocks, unit)

@@ -22,9 +22,12 @@ from bench.diagnosis.mistakes.reinterpretation import (
 from bench.model.geometry import STAND_ANGLES, Block, Installation, specific_force_on_platform
 
 SIZES: Final = 10
-"""Sizes of each of the two errors that are tried, evenly in their logarithm,"""
+"""Number of sizes that are tried for each of the two errors, with equal ratios."""
 LARGEST_G: Final = 0.1
-"""up to this, six degrees: a larger one would take a block that contradicts its data sheet for a tilted one."""
+"""The largest of these sizes, g: six degrees.
+
+With more, a block that contradicts its data sheet would pass as tilted.
+"""
 
 
 @dataclass(frozen=True)
@@ -38,10 +41,10 @@ class CoefficientPrior:
 def log_evidence(
     table: OrientedRows, columns: Floats, unit: float, prior: CoefficientPrior, least_g: float, left_out: int
 ) -> float:
-    """Return ln of the probability of the readings: errors of `least_g` or more, coefficients of a prior.
+    """Return ln of the probability density of the readings, coefficients and errors integrated out.
 
-    `columns` (n, 4) are specific forces and ones, `unit` what 1 g is in the signals; `left_out` readings of the
-    record are not in the table.
+    The errors are at least `least_g`. `columns` (n, 4) are specific forces, g, and ones; `unit` is the signal
+    for 1 g. `left_out` is the number of readings of the record that are not in the table.
     """
     signal = table.signal / unit
     sizes = np.geomspace(least_g, max(LARGEST_G, least_g), SIZES) ** 2
@@ -93,31 +96,36 @@ def _split(table: OrientedRows, columns: Floats) -> tuple[Floats, dict[int, tupl
 
 
 GROSS_G: Final = 5e-4
-"""What a reading may be off without a mistake, 1 sigma: 100 arcsec, or a large effect of the block; more on a bench
-whose own limits are wider."""
+"""Error of a reading without a mistake, 1 sigma in g: 100 arcsec, or a large effect of the block.
+
+It is larger for a bench with wider limits.
+"""
 ODDS: Final = 1e6
-"""Odds, for one look, at which a mistake is believed whatever the errors of the bench are."""
+"""Least odds, divided by the number of looks, of a mistake, whatever the errors of the bench."""
 SCALE_U: Final = 0.10
 CROSS_AXIS_U: Final = 0.05
 BIAS_U_G: Final = 0.5
-"""Prior 1 sigma of the coefficients: parts of the nominal scale factor, and g."""
+"""Prior 1 sigma of the coefficients: fractions of the nominal scale factor, and g."""
 
 LEAST_COST: Final = 0.5 * SCALE_U**-2
-"""A channel in another unit costs 0.8 / SCALE_U^2 at least: where all cost less, nothing is looked for."""
+"""Least cost of the recorded readings for a search. A channel in another unit costs at least 0.8 / SCALE_U^2."""
 LEFT_OF_UNIT: Final = 0.1
-"""Signals in another unit explain the misfit but for this part: one ten times too large is 99 % of it."""
+"""Most of the misfit that remains when a wrong unit is corrected: a factor of ten is 99 % of it."""
 LEAST_FALL: Final = 150.0
-"""A mistake lowers the cost by as much at least; a wrong sign of a scale factor costs 400."""
+"""Least decrease of the cost by a mistake; a wrong sign of a scale factor costs 400."""
 FITS: Final = 4.0
-"""Readings fit where no more than `LEAST_FALL` is left, or so much a signal but the data sheet agrees."""
+"""Readings fit if the misfit is at most `LEAST_FALL` plus this per signal, the sheet's part `LEAST_FALL`."""
 LARGE_FALL: Final = 0.8
-"""Where no mistake, nor two, make them fit, one is believed that lowers the cost by such a part (or brings the
-block nearer to its data sheet, if all that is wrong is against it)."""
+"""Least relative decrease of the cost by a mistake if neither one nor two mistakes make the readings fit.
+
+A smaller decrease suffices for a mistake that brings the block nearer to its data sheet, if only that
+disagrees.
+"""
 
 LEAST_OF_TWO: Final = 0.25
-"""Two mistakes leave as much at least, g^2 over all readings; positions that tilt by a degree a tenth of it."""
+"""Least misfit of two mistakes, g^2 over all readings; positions tilted by a degree give a tenth of it."""
 RAISED: Final = 2.0
-"""The first of two mistakes, put right by itself, may raise the cost, but by no more than so many times."""
+"""Most factor by which correcting only the first of two mistakes may increase the cost."""
 
 LEAST_P: Final = sys.float_info.min
 """Lower limit of p-values, so that none is 0."""
@@ -126,18 +134,19 @@ MOST_LEFT_OUT: Final = 4
 LEFT_OUT: Final = 50.0
 """Cost of a reading that is left out."""
 STRANGE: Final = 400.0
-"""A reading is left out where that lowers the cost by as much: it is 10 mg off."""
+"""Least decrease of the cost for which a reading is left out: it is wrong by 10 mg."""
 
 EQUAL: Final = 12.0
-"""Suppositions whose costs differ by less explain the readings equally."""
+"""Suppositions whose costs differ by less than this explain the readings equally."""
 
 
 @dataclass(frozen=True)
 class SuppositionScores:
-    """Cost (-2 ln posterior) and coefficients (H, 4, 3) of each supposition, a column a channel's K_i and U0_i.
+    """Cost (-2 ln posterior; lower is better) and coefficients (H, 4, 3) of each of H suppositions.
 
-    `misfit` is the cost without the Jacobian of the map from the recorded to the supposed signals. `sheet` is the
-    data sheet's part of the cost: how far the coefficients lie from it, as a chi-square.
+    A column of the coefficients has K_ix, K_iy, K_iz and U0_i of a channel. `misfit` (H,) is the cost without
+    the Jacobian of the map from the recorded to the supposed signals. `sheet` (H,) is the data sheet's part of
+    the cost: the distance of the coefficients from it, as a chi-square.
     """
 
     cost: Floats
@@ -148,9 +157,9 @@ class SuppositionScores:
 
 @dataclass(frozen=True)
 class GrossMistake:
-    """The supposition that explains the readings, those that explain them equally, the global p.
+    """The supposition that explains the readings best, and those that explain them equally.
 
-    `p` is one over the odds for each look: chance reaches odds of B with a probability below 1/B.
+    `p` is the number of looks divided by the odds: chance reaches odds of B with a probability below 1/B.
     """
 
     supposition: Reinterpretation
@@ -160,9 +169,10 @@ class GrossMistake:
 
 @dataclass(frozen=True)
 class GrossSearch:
-    """Looks for gross mistakes in tables of one bench; `nominal` (3,) are scale factors with their signs.
+    """A search for gross mistakes in tables of one bench.
 
-    `stand_rad` is what the bench's own limits move a reading by, 1 sigma in g.
+    `nominal` (3,) are the scale factors of the data sheet with their signs, in signal units per g, or None.
+    `stand_rad` is the standard deviation of a reading's error by the bench's limits, rad (as much in g).
     """
 
     installations: Mapping[str, Installation]
@@ -175,11 +185,11 @@ class GrossSearch:
         return max(GROSS_G, self.stand_rad)
 
     def find(self, table: OrientedRows) -> tuple[GrossMistake | None, int]:
-        """Return the likeliest mistake, or None where there is none, and the number of looks that it took.
+        """Return the most probable mistake, or None, and the number of looks.
 
-        Where only two mistakes together explain the readings, the first of them. Whatever it is, the odds for
-        it must be good without any belief in the bench's limits; if those for the likeliest are not, the one
-        with the best odds is taken that lowers the cost.
+        If only two mistakes together explain the readings, it is the first of them. Its odds must exceed `ODDS`
+        whatever the bench's limits are; if those of the mistake with the lowest cost do not, the mistake with
+        the best odds is returned among those that lower the cost by `LEAST_FALL`.
         """
         supposed = suppositions(table, units=self.nominal is not None)
         looks = len(supposed)
@@ -217,22 +227,22 @@ class GrossSearch:
     def p_of_units(
         self, recorded: OrientedRows, right: OrientedRows, log_scaling: float, log_looks: float
     ) -> float:
-        """Return the p of a copy with signals in their right unit: one over the odds for each look, 1 at most.
+        """Return the p-value of a copy with corrected units: the number of looks divided by the odds, 1 at most.
 
-        What is known of the block is known in the right unit. `log_scaling` is ln of the factor by which the copy
-        makes a volume of signals larger: densities of what was recorded are compared.
+        The priors of the block hold in the corrected unit. `log_scaling` is ln of the factor by which the
+        correction enlarges a volume of signals, so that densities of the recorded signals are compared.
         """
         odds = self._log_evidence(right, right) + log_scaling - self._log_evidence(recorded, right)
         return max(math.exp(min(log_looks - odds, 0.0)), LEAST_P)
 
     def first_guess(self, table: OrientedRows) -> tuple[Block, float]:
-        """Return the block as the readings are recorded, and its distance from the data sheet, a chi-square."""
+        """Return the block fitted to the readings as recorded, and its chi-square distance from the data sheet."""
         scores = self.score(table, [nothing(table)])
         found = scores.coefficients[0]
         return Block(found[:3].T.copy(), found[3].copy()), float(scores.sheet[0])
 
     def score(self, table: OrientedRows, supposed: Sequence[Reinterpretation]) -> SuppositionScores:
-        """Return the cost of each supposition; unit-free, in `gross_g`."""
+        """Return the cost of each supposition (lower is better), with errors in units of `gross_g`."""
         scale = self._scale(table)
         signal = np.stack([s.signal(table) for s in supposed]) / (self.gross_g * scale)
         columns = self._columns(table, supposed)
@@ -280,7 +290,7 @@ class GrossSearch:
         return mean, np.asarray((_sheet_u() / self.gross_g) ** -2)
 
     def _log_evidence(self, table: OrientedRows, recorded: OrientedRows) -> float:
-        """Return ln of the probability of a table, put right or not, of what was recorded, whatever the errors."""
+        """Return ln of the probability density of the `recorded` signals for a table, errors integrated out."""
         unit = float(np.max(self._scale(recorded)))
         mean = np.zeros((4, 3))
         if self.nominal is None:

@@ -1,7 +1,7 @@
-"""The same readings, supposed to have been taken otherwise than the table says: one class of supposition.
+"""Suppositions that the readings were taken otherwise than the table says.
 
-A supposition changes the sense of what was recorded (which wire is which, which way the head counts, which
-installation it was, which stop a reading belongs to) in the whole run, one mounting or one pass of it.
+A supposition changes the meaning of what was recorded (which wire is which, which way the head counts, which
+installation it was, which stop a reading belongs to) in the whole run, in one mounting or in one pass of it.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from bench.readings.table import REFERENCE, SHORTED, Readings
 
 SAME_STOP: Final = np.radians(0.5)
 LEAST_ROWS: Final = 4
-"""Fewer readings determine no coefficients: no supposition leaves less."""
+"""Least number of readings that determine coefficients; a supposition that leaves fewer is omitted."""
 TENS: Final = (3, -3, 1, -1, 2, -2, 6, -6)
 """Powers of ten by which signals in another unit, range or decimal point are too large."""
 ALL_SETS: Final = tuple(chosen for size in (3, 1, 2) for chosen in combinations(range(3), size))
-"""Channels, by number, that may be in another unit together: one voltmeter's, two's, all."""
+"""Groups of channels (0, 1, 2) that may be in another unit together: those of one voltmeter, of two, or all."""
 
 
 @dataclass(frozen=True)
 class OrientedRows:
-    """The rows of a table that have an orientation: `rows` (n,) are their places in it."""
+    """The rows of a table that have an orientation; `rows` (n,) are their indices in the table."""
 
     rows: Ints
     mounts: tuple[Mounting, ...]
@@ -80,7 +80,10 @@ class OrientedRows:
 
 @dataclass(frozen=True)
 class Scope:
-    """Where a supposition holds: `mask` (n,); no mount named is the whole run, no pass all of them."""
+    """Where a supposition applies: `mask` (n,) marks its rows.
+
+    No mounting means the whole run; no pass means all passes.
+    """
 
     mask: Mask
     mounts: tuple[Mounting, ...] = ()
@@ -102,11 +105,11 @@ class Scope:
 
 @dataclass(frozen=True)
 class Reinterpretation:
-    """A supposed mistake in the record. A field left at its default keeps what was recorded.
+    """A supposed mistake in the record; a field with its default keeps what was recorded.
 
-    `label` (n,) are the true installations, `angle_rad` (n,) the true angles; `source` (n,) gives for each row
-    the index of the row that holds its signals, -1 for none; `turns` are the rotations of the block in each
-    installation; `factor` (3,) brings the signals to the unit of the file.
+    `label` (n,) are the true installations and `angle_rad` (n,) the true angles. `source` (n,) has for each row
+    the index of the row that contains its signals, -1 for none. `turns` are the rotations of the block in each
+    installation. `factor` (3,) converts the signals to the unit of the file.
     """
 
     name: str
@@ -128,13 +131,13 @@ class Reinterpretation:
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """The channels that show a wrong signal, sign or size."""
+        """The names of the channels whose signal, sign or size is wrong."""
         if self.factor is None:
             return self.wiring.channels
         return tuple(c for c, factor in zip(CHANNELS, self.factor, strict=True) if factor != 1.0)
 
     def signal(self, table: OrientedRows) -> Floats:
-        """Return the signals (n, 3) that belong to the rows; where there is none, those recorded."""
+        """Return the signals (n, 3) that belong to the rows; the recorded ones if no row contains them."""
         moved = table.signal if self.source is None else table.signal[np.maximum(self.source, 0)]
         right = moved @ self.wiring.matrix.T
         return np.where(
@@ -142,10 +145,10 @@ class Reinterpretation:
         )
 
     def correct(self, readings: Readings, table: OrientedRows) -> Readings:
-        """Return a copy of the whole table (from which `table` was taken) put right.
+        """Return a corrected copy of the whole table, from which `table` was taken.
 
-        Wires and the head's sense in the whole run are those of verification points and free positions, too.
-        A reference keeps its sign: it is known. A row that is left without signals is left out.
+        In a supposition on the whole run, the wires and the head's sense are also corrected in verification
+        points and free positions. A reference keeps its sign, which is known. A row without signals is omitted.
         """
         signal, spread, samples = readings.signal.copy(), readings.signal_sd.copy(), readings.samples.copy()
         angle, target = readings.angle_rad.copy(), readings.target_rad.copy()
@@ -190,7 +193,7 @@ class Reinterpretation:
         return corrected.select(~np.isin(np.arange(len(readings)), table.rows[self.source < 0]))
 
     def _also_scaled(self, readings: Readings, table: OrientedRows) -> Ints:
-        """Return the verification and free rows in the same unit as a part of a run, by the size of their signals.
+        """Return the verification and free rows that were in the same wrong unit as a part of a run.
 
         They are those whose modulus is nearer to the usual one with the factor than without.
         """
@@ -205,7 +208,7 @@ class Reinterpretation:
 
 
 def suppositions(table: OrientedRows, *, units: bool = False) -> list[Reinterpretation]:
-    """Return every supposition about a table, the plainer ones first; the first supposes nothing.
+    """Return every supposition about a table, the simpler ones first; the first is that all is as recorded.
 
     With `units` they include signals in another unit, range or decimal point.
     """
@@ -271,7 +274,7 @@ def _reversed_rotation(table: OrientedRows, scope: Scope) -> Iterator[Reinterpre
 
 
 def _other_label(table: OrientedRows, scope: Scope) -> Iterator[Reinterpretation]:
-    """One mounting, or a pass of it, in another of the run's installations than stated."""
+    """Yield suppositions that a mounting, or a pass of it, was in another of the run's installations."""
     if scope.whole:
         return
     own = scope.mounts[0].installation
@@ -283,7 +286,7 @@ def _other_label(table: OrientedRows, scope: Scope) -> Iterator[Reinterpretation
 
 
 def _swapped_installations(table: OrientedRows) -> list[Reinterpretation]:
-    """Two installations exchanged, in the whole run or in the passes of one number."""
+    """Yield suppositions that two installations were exchanged, in the whole run or in the passes of one number."""
     found = []
     passes = np.unique(table.pass_number).tolist()
     for one, other in combinations(table.labels, 2):
@@ -301,7 +304,10 @@ def _swapped_installations(table: OrientedRows) -> list[Reinterpretation]:
 
 
 def _shifted(table: OrientedRows, scope: Scope) -> Iterator[Reinterpretation]:
-    """Readings a row late or early, pass by pass or through a whole mounting; the head a stop behind or ahead."""
+    """Yield suppositions that the readings are one row late or early, or the head was a stop behind or ahead.
+
+    They apply to a pass, or to a whole mounting.
+    """
     by_pass = [table.mount * (table.pass_number.max() + 1) + table.pass_number]
     through = [] if scope.pass_number is not None else [table.mount]
     for runs in by_pass + through:
@@ -323,7 +329,7 @@ def _shifted(table: OrientedRows, scope: Scope) -> Iterator[Reinterpretation]:
 
 
 def _rows_aside(runs: Ints, mask: Mask, step: int) -> Ints:
-    """Return for each row the one `step` later in the same run of rows, -1 where there is none."""
+    """Return for each row the index of the row `step` later in the same run of rows, -1 if there is none."""
     source = np.arange(len(runs))
     for run in np.unique(runs[mask]):
         places = np.flatnonzero((runs == run) & mask)
@@ -337,7 +343,7 @@ def _rows_aside(runs: Ints, mask: Mask, step: int) -> Ints:
 
 
 def _stop_rad(table: OrientedRows, mask: Mask) -> Floats | None:
-    """Return the signed angle (n,) from stop to stop of each row's pass, where all stops are equally wide."""
+    """Return the signed angle from stop to stop in each row's pass (n,), rad, where all stops are equally wide."""
     stops = np.zeros(len(table))
     widths: list[float] = []
     for mount, number in dict.fromkeys(zip(table.mount[mask], table.pass_number[mask], strict=True)):
@@ -356,7 +362,7 @@ def _stop_rad(table: OrientedRows, mask: Mask) -> Floats | None:
 
 
 def other_mountings(table: OrientedRows) -> list[Reinterpretation]:
-    """Return, for each installation, the 23 ways in which the block may sit otherwise."""
+    """Return, for each installation, the 23 other orientations in which the block may be mounted."""
     found = []
     for label in table.labels:
         mask = table.label == label
@@ -367,7 +373,7 @@ def other_mountings(table: OrientedRows) -> list[Reinterpretation]:
 
 
 def _rotations() -> list[Floats]:
-    """The 23 turns of a cube other than none."""
+    """Return the 23 rotations of a cube other than the identity."""
     signs = list(product((1.0, -1.0), repeat=3))
     turns = [np.diag(sign) @ wiring.matrix for wiring in (RIGHT, *EXCHANGED) for sign in signs]
     return [turn for turn in turns if np.linalg.det(turn) > 0 and not np.allclose(turn, np.eye(3))]

@@ -37,9 +37,9 @@ from bench.readings.corrected import MistakeName
 from bench.readings.table import Readings
 
 FALSE_MISTAKE: Final = 1e-4
-"""Level: the probability of calling any single reading of a table wrong where none is."""
+"""Probability of reporting any single reading of a table as wrong if none is."""
 MOST: Final = 5
-"""Mistakes of each of the two kinds that are put right one after another."""
+"""Most mistakes of each of the two kinds that are corrected one after another."""
 
 
 @dataclass(frozen=True)
@@ -52,13 +52,13 @@ class Evidence:
 
 @dataclass(frozen=True)
 class Mistake:
-    """A mistake, where it was made, and how the copy has it put right.
+    """A mistake, its place, and its correction in the copy.
 
     `name` is one of swapped_channels, reversed_polarity, reversed_rotation, swapped_installations,
     shifted_points, wrong_setting, outlier, wrong_unit, another_block, stuck_channel. `installations` are
-    written as `str(Mount)`; none means the whole run. `words` is a sentence; `p` counts all looks.
-    `cannot_tell_from` are names of what looks alike in these readings ("other_mounting": the
-    block sat on the platform otherwise).
+    written as `str(Mount)`; none means the whole run. `words` is a sentence; `p` is corrected for all looks.
+    `cannot_tell_from` are names of mistakes and effects that explain these readings equally ("other_mounting":
+    the block was mounted in another orientation).
     """
 
     name: str
@@ -74,9 +74,9 @@ class Mistake:
 
 @dataclass(frozen=True)
 class MistakeSearch:
-    """The mistakes in the order in which they were put right, the corrected copy, and the number of looks.
+    """The mistakes in the order of their correction, the corrected copy, and the number of looks.
 
-    In the copy a reading with an outlier is left out whole, named in `skipped`.
+    The copy omits each reading with an outlier and lists it in `skipped`.
     """
 
     mistakes: tuple[Mistake, ...]
@@ -153,7 +153,7 @@ def find_mistakes(
 
 @dataclass(frozen=True)
 class _FirstGuess:
-    """The oriented rows of a table before the fit; `block` is a first guess that wrong readings do not spoil."""
+    """The oriented rows of a table before the fit; `block` is a first guess that wrong readings do not affect."""
 
     table: OrientedRows
     problem: Problem
@@ -219,7 +219,7 @@ def _pass_mistake(view: _FirstGuess, of_pass: PassMistake) -> Mistake:
 
 
 def _pass_put_right(readings: Readings, view: _FirstGuess, of_pass: PassMistake) -> Readings:
-    """Return a copy with the angles of a pass put right, or without the pass."""
+    """Return a copy with the angles of a pass corrected, or without the pass."""
     rows = view.table.rows[of_pass.rows]
     if of_pass.off_rad is None:
         said = _pass_mistake(view, of_pass).words.split(":")
@@ -231,7 +231,10 @@ def _pass_put_right(readings: Readings, view: _FirstGuess, of_pass: PassMistake)
 
 
 def _p_of_unit(gross: GrossSearch, unit: WrongUnit, recorded: Readings, right: Readings) -> float:
-    """Return the p of signals in another unit; a look is each prefix of each channel in each part of the table."""
+    """Return the p-value of signals in another unit.
+
+    The looks are all prefixes of all channels in all parts of the table.
+    """
     table = OrientedRows.of(recorded)
     parts = 1 + len(np.unique(table.pass_number)) + len(np.unique(table.label))
     log_scaling = -PREFIX * np.log(10.0) * float(np.sum(unit.power[table.rows]))
@@ -311,7 +314,7 @@ def _single_words(view: _FirstGuess, single: SingleMistake) -> str:
 
 
 def _put_right(readings: Readings, view: _FirstGuess, singles: Sequence[SingleMistake]) -> Readings:
-    """Return a copy with the angles of wrong settings put right, and without the readings with an outlier."""
+    """Return a copy with the angles of wrong settings corrected, and without the readings with an outlier."""
     angle, kept = readings.angle_rad.copy(), np.ones(len(readings), dtype=bool)
     skipped = list(readings.skipped)
     for single in singles:
@@ -327,7 +330,10 @@ def _put_right(readings: Readings, view: _FirstGuess, singles: Sequence[SingleMi
 def _with_evidence(
     stage: _Stage, found: Sequence[Mistake], copies: Sequence[Readings]
 ) -> tuple[Mistake, ...]:
-    """Say of each mistake how far readings and data sheet were from the model before and after, in noise."""
+    """Return the mistakes, each with the misfit of readings and data sheet before and after its correction.
+
+    The misfit is a root mean square in units of the noise.
+    """
     if not found:
         return ()
     views = [stage.view(copy) for copy in copies]

@@ -33,29 +33,31 @@ from bench.readings.corrected import SLIPS_RAD as SLIP_SIZES_RAD
 from bench.readings.corrected import reflected_rad
 
 HEAVY_DOF: Final = 4.0
-"""Tails are held against those of Student's t with as many degrees of freedom."""
+"""Degrees of freedom of the Student t distribution that stands for noise with heavy tails."""
 SCALES: Final = np.geomspace(0.3, 2.0, 40)
-"""Scales that are tried, in root mean squares."""
+"""Scales of the t distribution that are tried, in units of the values' root mean square."""
 LEAST_VALUES: Final = 12
 NONE: Final = np.zeros(0)
 
 
 BEYOND_TAILS: Final = 17.0
-"""Where the noise has heavy tails an outlier is so many times the noise off: a nearer one may be noise.
+"""Least size of an outlier, in units of the noise of a reading, if the noise has heavy tails.
 
-Student's t of 4 degrees of freedom, whose size is taken a fifth too small for its tails, goes there in 7 of 1,000
-runs of the paper's length; and one of 20 times is beyond it though the noise be taken 15 % too large."""
+A smaller one may be noise. Student's t of 4 degrees of freedom, with a scale a fifth too small for its tails,
+exceeds this size in 7 of 1,000 runs of the paper's length. An outlier of 20 times the noise still exceeds it if
+the noise is estimated 15 % too large.
+"""
 OUTLIER_RATE: Final = 1e-3
-"""So many of the values of a record are outliers, before it is looked at,"""
+"""Prior fraction of a record's values that are outliers."""
 OUTLIER_DECADES: Final = 4.0
-"""of any size over so many powers of ten."""
+"""Powers of ten over which the size of an outlier is equally probable."""
 
 
 def odds_of_tails(values: Floats, outliers: Floats = NONE) -> float:
-    """Return ln of how much likelier all are as noise with heavy tails than as normal noise with outliers in it.
+    """Return ln of the likelihood of heavy-tailed noise, divided by that of normal noise with outliers.
 
-    `values` (n,) are those that may be normal noise, `outliers` (m,) those that cannot, in the same unit; the scale
-    of either noise is its best. Below 0 for a normal noise; 0 where there are too few values to tell.
+    `values` (n,) may be normal noise, `outliers` (m,) cannot; both are in the same unit. Each kind of noise has
+    its best scale. Below 0, normal noise is likelier; 0 if there are fewer than `LEAST_VALUES` values.
     """
     if len(values) < LEAST_VALUES:
         return 0.0
@@ -77,44 +79,47 @@ SLIPS_RAD: Final = tuple(
     if slip < np.radians(NEAR_DEG)  # further off, nothing is known to be a repeat of it
     for sign in (1, -1)
 )
-"""A setting off by 1°, 10′ or 1′; beside them the angle counted backwards, 360° - φ."""
+"""Errors of a setting by 1°, 10′ or 1′. An angle counted backwards, 360° - φ, is tried separately."""
 REFLECTED_RAD: Final = float(np.radians(0.5))
 """Least change of the head angle that counts as a reflection."""
 SLIP_PART: Final = 0.01
-"""How well the shift by a wrong setting is known, as a part of it: effects not in the model change it a little,"""
+"""Relative uncertainty of the shift by a wrong setting, because effects outside the model change it a little."""
 SLIP_G: Final = 5e-4
-"""but by no more than this, in g."""
+"""Upper limit of this uncertainty, g."""
 
 MOST_STRANGE: Final = 6
-"""So many readings, or an eighth of them, may be mistakes; more are not single ones."""
+"""Most readings that may be single mistakes; an eighth of the readings, if that is more."""
 ADEQUATE: Final = 0.05
-"""A description is too plain where a freer one is better with a p below this."""
+"""A description with more unknowns is adopted if its improvement has a p-value below this."""
 INADEQUATE: Final = 1e-4
-"""It is too plain for certain where that p is below this."""
+"""The model alone is certainly inadequate if the p-value of the improvement is below this."""
 LEAST_OF_TURN: Final = 6
-"""Readings of a pass of which a slip and another voltmeter, nine numbers, explain but half."""
+"""Least number of readings in a pass for a slip: in six, nine numbers (slip and voltmeter) explain only half."""
 SEVERAL: Final = 3
-"""Strange readings of a pass that may be a slip: it shows in most of them, if not as clearly."""
+"""Strange readings in a pass that suggest a slip of the block: it shifts most of them, if not as clearly."""
 STANDS_OUT: Final = 3.5
-"""Least size, in standard deviations, of a mistake beside the descriptions that are freer than needed."""
+"""Least size of a mistake, in standard deviations, also in the descriptions that have more unknowns than needed."""
 EXPLAINED: Final = 1e-4
-"""A kind of mistake explains a reading if what it leaves has a p above this."""
+"""A kind of mistake explains a reading if the p-value of the remaining difference is above this."""
 TAILS_ODDS: Final = -2.5
-"""Nearer outliers are tails where ln of the odds for them is more (12 to 1 against): taken for noise they are
-weighed down and do little harm, taken for mistakes they are left out and alleged."""
+"""Outliers below `BEYOND_TAILS` count as noise if `odds_of_tails` exceeds this (12 to 1 against heavy tails).
+
+Outliers taken for noise get a low weight and do little harm; outliers taken for mistakes are left out and
+reported.
+"""
 OF_READING: Final = 0.5
-"""A channel tells of the noise of readings where no more of its scatter is along du/dphi."""
+"""A channel of a reading shows the noise of readings if at most this part of its variance lies along du/dphi."""
 DIRECTIONS: Final = 4
-"""Looks at a reading: its three channels, and along du/dphi."""
+"""Tests of each reading: its three channels, and the direction of du/dphi."""
 
 
 @dataclass(frozen=True)
 class SingleMistake:
-    """A reading (row of the problem) that is wrong: its head stood `off_rad` from where it says, or an outlier.
+    """A wrong reading, `row` of the problem: a wrong setting of the head by `off_rad`, or an outlier.
 
-    `off_rad` is None for an outlier of `channels`; `as_outlier` marks a wrong setting that an outlier of one
-    channel explains as well; `shift` (3,) is by how much the signals are off, unit of the signal; `p` counts
-    all looks; `sigma` is the size in standard deviations.
+    `off_rad` is the true angle minus the recorded one, None for an outlier of `channels`. `as_outlier` marks a
+    wrong setting that an outlier of one channel explains as well. `shift` (3,) is the error of the signals, in
+    the unit of the signal; `p` is corrected for all looks; `sigma` is the size in standard deviations.
     """
 
     row: int
@@ -129,10 +134,10 @@ class SingleMistake:
 def find_single(
     problem: Problem, block: Block, situation: Situation, looks: int, significance: float
 ) -> tuple[list[SingleMistake], int]:
-    """Return the readings that are wrong, the largest first, and the number of looks, `looks` before included.
+    """Return the wrong readings, the largest first, and the number of looks, including the earlier `looks`.
 
-    `block` is a first guess that wrong readings did not spoil, `situation` the readings about it,
-    `significance` the probability of naming any reading where none is wrong.
+    `block` is a first guess that wrong readings do not affect, and `situation` the readings minus its
+    prediction. `significance` is the probability of reporting any reading if none is wrong.
     """
     described = descriptions(problem, block)
     looks += DIRECTIONS * len(situation.left)
@@ -165,7 +170,7 @@ def _in_readings(mistake: SingleMistake, noise: Noise) -> float:
 
 
 def _tailed(situation: Situation, judged: Examination, near: Sequence[SingleMistake]) -> bool:
-    """Whether outliers that are near are as well the tails of the noise, by the readings that are none."""
+    """Return whether the outliers `near` may be tails of the noise, judged with the other readings."""
     rest = judged.precision.without(judged.strange)
     good = np.setdiff1d(np.arange(len(situation.left)), judged.strange).tolist()
     blocks, pulls = rest.blocks, rest.pulls
@@ -183,10 +188,10 @@ def _ways_of(block: Floats, pull: Floats, ways: Floats) -> Floats:
 
 
 def _alone(found: Sequence[SingleMistake], *, turned: bool) -> list[SingleMistake]:
-    """Leave out outliers that go on from one reading to the next: those of a change, not of a mistake.
+    """Return the mistakes without outliers of one channel in adjacent readings, which a change of the bench causes.
 
-    Beside the freest description (`turned`), which has a slip in each pass, whatever their sign: the block may have
-    slipped within one.
+    Such outliers have the same sign. With the freest description (`turned`), which has a slip in each pass,
+    their signs do not matter: the block may have slipped within a pass.
     """
 
     def goes_on(one: SingleMistake, other: SingleMistake) -> bool:
@@ -198,7 +203,7 @@ def _alone(found: Sequence[SingleMistake], *, turned: bool) -> list[SingleMistak
 
 
 class _Ladder:
-    """Descriptions from the plainest to the freest; readings are held against each when asked for."""
+    """The descriptions from the fewest unknowns to the most; readings are tested against each when first needed."""
 
     def __init__(self, situation: Situation, described: Descriptions, most: int) -> None:
         self.most = most
@@ -207,7 +212,7 @@ class _Ladder:
         self._examined: dict[int, Examination] = {}
 
     def examined(self, level: int) -> Examination:
-        """Return the examination against a description of the ladder."""
+        """Return the test of the readings against the description at `level`, from 0."""
         if level not in self._examined:
             start = self._examined[max(self._examined)].noise if self._examined else None
             description = self._described.ladder[level]
@@ -215,12 +220,13 @@ class _Ladder:
         return self._examined[level]
 
     def adequate(self, turn: Ints) -> int:
-        """Return the plainest description that the next one does not better by more than noise.
+        """Return the level of the first description that the next one does not improve significantly.
 
-        Only as far as there is anything strange to be explained. Several strange readings of one `turn` (n,), a
-        pass in a mounting, may be what a slip of the block made of them: where the freest description, which has
-        that, explains some of them and makes no others of the pass strange it is the adequate one, as what was
-        left out tells nothing for it. Two outliers it would explain too often, and of a few readings anything.
+        Levels are compared only while there are strange readings. `turn` (n,) numbers the passes. Several
+        strange readings in one pass may come from a slip of the block, which only the last description
+        contains: if it explains some of them and makes no other reading of the pass strange, the last level is
+        returned. Passes of fewer than `LEAST_OF_TURN` readings or `SEVERAL` strange ones are not examined for a
+        slip, which could explain them by chance.
         """
         level = self._plainest()
         strange = np.array(self.examined(level).strange, dtype=np.int64)
@@ -251,12 +257,13 @@ class _Ladder:
         return level
 
     def freer(self, level: int, mistake: SingleMistake, first: bool) -> Sequence[Description]:
-        """Return the descriptions beside which a mistake must stand out, too: of what may pass for one.
+        """Return the other descriptions in which a mistake must be significant, as they contain what looks like it.
 
-        Readings that drift may, and hysteresis in the first readings of a mounting. One that is small passes for
-        stand angles in all but the very first reading (`first`), and is held against it as the catalogue has it;
-        one that is large shows in the others, too: where the plainest description does not do, any of the first
-        readings may be off. It hardly passes for a wrong setting, which shifts the signals by known amounts.
+        These are descriptions with slow changes and, for outliers, with hysteresis. Where the model alone is
+        inadequate, any of the first readings of a mounting may be shifted (`beginning`); else hysteresis of the
+        catalogue is allowed if the reading is the `first` of a mounting, because small hysteresis looks like
+        stand angles in all others. A wrong setting shifts the signals by known amounts, which hysteresis hardly
+        imitates.
         """
         described, examined = self._described, self.examined(level)
         ladder = described.ladder[level + 1 :]
@@ -271,13 +278,16 @@ class _Ladder:
         return [*(ladder[:-1] if steady else ladder), *hysteresis]
 
     def _plainly_not(self, level: int) -> bool:
-        """Return whether the plainest description is significantly inadequate."""
+        """Return whether the model alone is certainly inadequate (p below `INADEQUATE`)."""
         free = self.examined(level)
         strange = tuple(dict.fromkeys((*self.examined(0).strange, *free.strange)))
         return self._p(0, self._described.ladder[level], free.noise, strange) < INADEQUATE
 
     def _p(self, level: int, free: Description, noise: Noise, strange: Sequence[int]) -> float:
-        """Return the p-value (F test) of the improvement by a freer description, without strange readings."""
+        """Return the p-value (F test) of the improvement by the description `free` over that at `level`.
+
+        The rows `strange` are left out of both.
+        """
         chi2, dof = [], []
         for description in (self._described.ladder[level], free):
             precision = weigh(description, self._situation, noise).without(strange)
@@ -291,7 +301,10 @@ class _Ladder:
 def _significant(
     situation: Situation, description: Description, examined: Examination, limit: float
 ) -> Examination:
-    """Take back, one after another, readings whose p is not below the limit once the others are left out."""
+    """Return the test without the strange readings whose p-value, given the others, is not below `limit`.
+
+    The reading with the largest p-value is accepted first, and the rest is tested again.
+    """
     judged = examined
     while judged.strange:
         p = [_p(situation, judged, row)[0] for row in judged.strange]
@@ -304,9 +317,9 @@ def _significant(
 
 
 def _p(situation: Situation, judged: Examination, row: int) -> tuple[float, float]:
-    """Return the p of a strange reading in the direction in which it stands out most, and its size in sigma.
+    """Return the smallest p-value of a strange reading over the four directions, and its size there in sigma.
 
-    A channel that scatters more than the others is held against its own scatter.
+    In a direction that scatters more than the noise, the scatter of the other readings replaces the noise.
     """
     others = [r for r in judged.strange if r != row]
     size = _studentised(judged.precision.without(others), situation, judged.noise, row)
@@ -322,26 +335,26 @@ def _p(situation: Situation, judged: Examination, row: int) -> tuple[float, floa
 
 
 def _ways(situation: Situation, noise: Noise, row: int) -> Floats:
-    """Unit shifts of x, y, z and along du/dphi, whitened, (3, 4)."""
+    """Return whitened unit shifts of x, y, z and along du/dphi, (3, 4)."""
     raw = np.column_stack([np.eye(3), situation.unit[row]])
     return np.asarray(whiten(raw[None], situation.slope[row : row + 1], noise)[0])
 
 
 def _along_parts(situation: Situation, noise: Noise, row: int) -> Floats:
-    """How much of the test in each direction rests on the noise along du/dphi, (4,)."""
+    """Return for each of the four directions the part of its whitened shift along du/dphi, 0 to 1, (4,)."""
     ways = _ways(situation, noise, row)
     return np.asarray((situation.unit[row] @ ways) ** 2 / np.sum(ways**2, axis=0))
 
 
 def _studentised(precision: Precision, situation: Situation, noise: Noise, row: int) -> Floats:
-    """Return a reading's difference from the others in the four directions, in standard deviations, (4,)."""
+    """Return a reading's absolute difference from the others in four directions, in standard deviations, (4,)."""
     return np.abs(_ways_of(precision.blocks[row], precision.pulls[row], _ways(situation, noise, row)))
 
 
 def _slips(problem: Problem, block: Block) -> list[tuple[Floats, Floats]]:
-    """Return for each kind of wrong setting the error of the head (n,) and of the signals (n, 3).
+    """Return for each kind of wrong setting the error of the angle (n,), rad, and of the signals (n, 3).
 
-    The kinds are the slips of the scale, an angle counted backwards, and the stop before or after in the pass.
+    The kinds are the slips `SLIPS_RAD`, an angle counted backwards, and the stop before or after in the pass.
     """
     angle, turn = problem.conditions.angle_rad, turns(problem.conditions)
     offs = [np.full(len(angle), off) for off in SLIPS_RAD]
@@ -360,7 +373,7 @@ def _slips(problem: Problem, block: Block) -> list[tuple[Floats, Floats]]:
 def _classify(
     situation: Situation, judged: Examination, row: int, slips: Sequence[tuple[Floats, Floats]], looks: int
 ) -> SingleMistake:
-    """Tell a wrong setting, which moves the three signals as the model says, from an outlier."""
+    """Return a strange reading as a wrong setting if one explains the three signals, else as an outlier."""
     others = [r for r in judged.strange if r != row]
     precision = judged.precision.without(others)
     covariance = np.linalg.inv(precision.blocks[row])
@@ -392,7 +405,7 @@ def _classify(
 
 
 def _outlier(shift: Floats, precision: Floats, ways: Floats) -> tuple[tuple[str, ...], float]:
-    """Return the fewest channels whose readings alone may be off, with the p of what that leaves."""
+    """Return the fewest channels whose errors explain a reading, and the p-value of the remaining difference."""
     pull = precision @ shift
     whole = float(shift @ pull)
     for number in (1, 2):

@@ -1,7 +1,7 @@
-"""One pass that is off as a whole: angles read wrong by a mark of the scale, a stuck channel, another block.
+"""Mistakes of a whole pass: angles misread by a mark of the scale, a stuck channel, another block.
 
-Each description of the pass gives the signals of its rows columns with normal priors. The descriptions are compared
-by one evidence. A mistake must be likelier than all effects that may act in one pass together.
+Each description of the pass adds columns with normal priors to the signals of its rows. All descriptions are
+compared by their evidence. A mistake must be more probable than all effects that may act in one pass together.
 """
 
 from __future__ import annotations
@@ -33,31 +33,31 @@ from bench.model import CATALOGUE, Block
 from bench.readings.corrected import SLIPS_RAD
 
 LIKELIER: Final = 0.5
-"""Level: the least probability of a mistake beside the effects that may explain the pass. Below it they stand."""
+"""Least posterior probability of a mistake against the effects that may explain the pass."""
 TIED: Final = 0.05
-"""Level: an effect of at least this probability is tied with the mistake."""
+"""Posterior probability from which an effect is tied with the mistake."""
 ZERO_SHIFT_RAD: Final = CATALOGUE["head_zero_shift"].parameters[0].plausible
 ZERO_SHIFTS_RAD: Final = tuple(size * ZERO_SHIFT_RAD for size in (1.0, 4.0, 20.0))
-"""Prior 1 sigma of another zero of the head's scale, alike likely: a plausible size is a guess."""
+"""Prior 1 sigma of a shift of the head's zero, rad, equally probable, since a plausible size is only a guess."""
 MARKS_RAD: Final = tuple(
     sign * slip for slip in SLIPS_RAD.values() if slip > ZERO_SHIFTS_RAD[1] for sign in (1.0, -1.0)
 )
-"""Errors of an angle read wrong by a mark, 10′ or 1°. An error of 1′ is a plausible shift of the zero."""
+"""Errors of an angle misread by a mark, 10′ or 1°, rad. An error of 1′ is a plausible shift of the zero."""
 SEVERAL: Final = 2
-"""A pass is looked at where as many of its readings do not belong to the others,"""
+"""Number of strange readings from which a pass is examined for a mistake."""
 LOOK: Final = 1e-4
-"""Level: or where another zero of the head in it explains as much with less than this probability by chance."""
+"""A pass is also examined if a shift of the head's zero improves chi-square with a p-value below this."""
 STEPS: Final = 3
-"""Numerical: steps of Gauss and Newton to a turn of the block. Each leaves a hundredth of a turn of 1°."""
+"""Gauss-Newton steps for a rotation of the block. Each step leaves a hundredth of a rotation of 1°."""
 
 
 @dataclass(frozen=True)
 class PassMistake:
-    """A mistake that holds for the `rows` (n,) of a pass.
+    """A mistake in all readings of a pass, the rows `rows` (n,).
 
-    The angle is off by `off_rad`, or the `channel` (0, 1, 2) is stuck, or both are None: another block. `p` is one
-    over the odds against readings without a mistake, for each look. `ties` are effects that may explain the pass as
-    well.
+    It is an angle wrong by `off_rad`, a stuck `channel` (0, 1, 2), or, if both are None, another block. `p` is
+    the number of looks divided by the odds against readings without a mistake. `ties` are names of effects that
+    may explain the pass as well.
     """
 
     rows: Mask
@@ -69,7 +69,10 @@ class PassMistake:
 
 @dataclass(frozen=True)
 class _Pass:
-    """The readings about a block that was fitted without the pass; `rows` (n,) are those of the pass."""
+    """Readings minus the prediction of a block that was fitted without a pass; `rows` (n,) are those of the pass.
+
+    `kept` (n,) are the rows that are used; `noise` is that of the other passes.
+    """
 
     problem: Problem
     block: Block
@@ -86,9 +89,9 @@ class _Pass:
         return np.asarray((predicted - self.block.U0) @ np.linalg.inv(self.block.K).T)
 
     def evidence(self, columns: Floats, beyond: Floats | float = 0.0) -> float:
-        """Return ln of the evidence of columns (n, 3, p) with unit priors in the pass, its noise integrated over.
+        """Return ln of the evidence of `columns` (n, 3, p) with priors N(0, 1) in the pass.
 
-        `beyond` (n, 3) is what the description adds to the signals besides.
+        The noise is integrated out. `beyond` (n, 3) is added to the predicted signals of the pass.
         """
         described, left = self._with(columns), self.about.left - self._inside(beyond)
         y = whiten(left[:, :, None], self.about.slope, self.noise)[self.kept].ravel()
@@ -100,7 +103,7 @@ class _Pass:
         return -log_det - 0.5 * (len(y) - FIXED) * float(np.log(y @ rest))
 
     def fitted(self, columns: Floats, beyond: Floats) -> Floats:
-        """Return the sizes (p,) of columns in the pass."""
+        """Return the estimated factors (p,) of `columns` (n, 3, p) in the pass; `beyond` as in `evidence`."""
         described = self._with(columns)
         about = replace(self.about, left=self.about.left - self._inside(beyond))
         pull = weigh(described, about, self.noise).without(np.flatnonzero(~self.kept).tolist()).pull
@@ -118,9 +121,10 @@ class _Pass:
 def find_in_pass(
     problem: Problem, signal: Floats, floor: float, fit: Callable[[Mask], Block]
 ) -> tuple[PassMistake | None, int]:
-    """Return the likeliest mistake of a whole pass, None where effects are likelier, and the number of looks.
+    """Return the mistake of a whole pass with the highest odds, and the number of looks.
 
-    `fit` returns the block fitted to some rows (n,). `floor` is the least noise of the `signal` (n, 3).
+    The mistake is None if effects or chance are likelier. `fit` returns the block fitted to some rows (n,).
+    `floor` is the least noise of the `signal` (n, 3).
     """
     turn = turns(problem.conditions)
     passes = _strange_passes(problem, signal, floor, turn, fit)
@@ -148,7 +152,7 @@ def find_in_pass(
 def _strange_passes(
     problem: Problem, signal: Floats, floor: float, turn: Ints, fit: Callable[[Mask], Block]
 ) -> list[int]:
-    """Return the passes of which several readings, or all together, do not belong to the others."""
+    """Return the numbers of the passes with several strange readings, or with a shift of the head's zero."""
     everything = np.ones(len(turn), dtype=bool)
     if len(np.unique(turn)) < 2:
         return []
@@ -165,7 +169,7 @@ def _strange_passes(
 
 
 def _make(problem: Problem, signal: Floats, floor: float, rows: Mask, fit: Callable[[Mask], Block]) -> _Pass:
-    """Return a pass with the noise of the other readings; of those, the ones that do not belong are left out."""
+    """Return the pass `rows` with the noise of the other readings; strange ones among the others are not `kept`."""
     block = fit(~rows)
     about, model = situation(problem, block, signal, floor), descriptions(problem, block).ladder[0]
     free = np.einsum("nk,ij->nikj", np.eye(len(rows))[:, rows], np.eye(3)).reshape(len(rows), 3, -1)
@@ -178,10 +182,10 @@ def _make(problem: Problem, signal: Floats, floor: float, rows: Mask, fit: Calla
 
 
 def _of_effects(one: _Pass) -> Iterator[tuple[str, float]]:
-    """Yield each effect that may act in one pass, the plainest first, and ln of its evidence.
+    """Yield the name of each effect that may act in one pass, with ln of its evidence.
 
-    Another zero of the head, other voltmeters, a slip of the block, these together, some accelerometers with other
-    coefficients, and one channel that is anything.
+    In order: another zero of the head, other voltmeters, a slip of the block, a slip with other voltmeters, one
+    or two accelerometers with other coefficients, and one channel with arbitrary signals.
     """
     force = one.force
     scale = np.linalg.norm(one.block.K, axis=1)
@@ -202,7 +206,10 @@ def _of_effects(one: _Pass) -> Iterator[tuple[str, float]]:
 
 
 def _bent(one: _Pass, columns: Floats) -> Floats:
-    """Return what a turn of the block, the first three of `columns`, adds to the signals beyond them, (n, 3)."""
+    """Return the nonlinear part (n, 3) of the signals' change by a rotation of the block.
+
+    The first three of `columns` are the derivatives by the rotation; its size is fitted to the pass.
+    """
     bent = np.zeros_like(one.about.left)
     for _ in range(STEPS):
         angle = one.fitted(columns, bent)[:3] * CROSS_AXIS_U
@@ -213,7 +220,7 @@ def _bent(one: _Pass, columns: Floats) -> Floats:
 
 
 def _turned(force: Floats, angle: Floats) -> Floats:
-    """Return vectors (n, 3) turned by a rotation vector (3,), rad (Rodrigues)."""
+    """Return vectors (n, 3) rotated by a rotation vector (3,), rad (Rodrigues)."""
     size = float(np.linalg.norm(angle))
     if not size > 0.0:
         return force
@@ -223,7 +230,7 @@ def _turned(force: Floats, angle: Floats) -> Floats:
 
 
 def _of_mark(one: _Pass, off_rad: float) -> float:
-    """Return ln of the evidence of an angle that is off by exactly so much, one of `MARKS_RAD`."""
+    """Return ln of the evidence of a pass with an angle that is wrong by `off_rad`, one of `MARKS_RAD`."""
     angle = one.problem.conditions.angle_rad + off_rad
     there = replace(one.problem, conditions=replace(one.problem.conditions, angle_rad=angle))
     mean = one.problem.prior_mean
@@ -232,7 +239,7 @@ def _of_mark(one: _Pass, off_rad: float) -> float:
 
 
 def _stuck(one: _Pass, channel: int) -> float:
-    """Return ln of the evidence of a channel that reads the same, whatever it is, throughout the pass."""
+    """Return ln of the evidence of a `channel` (0, 1, 2) with the same unknown reading throughout the pass."""
     deaf = np.outer(one.rows, np.eye(3)[channel]) == 1.0
     model = np.where(deaf[:, :, None], 0.0, one.model.columns)
     about = replace(one.about, slope=np.where(deaf, 0.0, one.about.slope))
@@ -243,7 +250,7 @@ def _stuck(one: _Pass, channel: int) -> float:
 
 
 def _another_block(one: _Pass) -> Floats:
-    """Return columns (n, 3, 12) of other coefficients of each channel, as large as the data sheet lets them be."""
+    """Return columns (n, 3, 12) of changed coefficients by channel, with the data sheet's tolerances as 1 sigma."""
     columns = np.concatenate([one.force, np.ones((len(one.force), 1))], axis=1)
     size = np.vstack([np.where(np.eye(3) == 1, SCALE_U, CROSS_AXIS_U), np.full(3, BIAS_U_G)])
     scale = np.linalg.norm(one.block.K, axis=1)

@@ -248,7 +248,7 @@ PART: Final = "part"
 
 @dataclass(frozen=True)
 class InPart(Effect):
-    """One open part of the shape of effect `of`: a scaled sum of effects with fixed values, `parts`."""
+    """A part of the shape of effect `of`, of uncertain size: a scaled sum of effects with fixed values, `parts`."""
 
     name: str
     of: str
@@ -283,6 +283,6 @@ class InPart(Effect):
 
 
 def in_part(of: str, number: int, parts: tuple[AppliedEffect, ...], value: float, u: float) -> AppliedEffect:
-    """Return one open part of an effect's shape as an applied effect, with its size and standard uncertainty."""
+    """Return one part of an effect's shape as an applied effect, with its size and standard uncertainty."""
     effect = InPart(f"{of}_shape_{number}", of, parts)
     return AppliedEffect(effect, {PART: np.asarray(value)}, u={PART: np.asarray(u)})

@@ -24,7 +24,7 @@ ON_A_PAGE: Final = 50
 FILTERS: Final = ("state", "verdict", "instruments", "unit", "bench", "operator")
 LONGEST_SEARCH: Final = 200
 MOST_OFFERED: Final = 200
-"""Largest number of choices offered for a column; further values can be found by the search."""
+"""Largest number of choices offered for a column; other values can be found by the search."""
 
 
 def runs(request: Request) -> Response:

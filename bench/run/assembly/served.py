@@ -63,8 +63,8 @@ _DONE: Final = frozenset(
 class LivingOperator:
     """A `drivers.interfaces.WatchingPerson`: `person` answers while a scripted operator acts in the world.
 
-    The simulated head moves to the angle that the person reports. Values shown by a display or by a level's
-    bubble are stated in the prompt. In the simulated world, a task takes the scripted operator's time.
+    The simulated head moves to the angle that the person reports. The prompt contains the value that a display or a
+    level's bubble shows. In the simulated world, a task takes the scripted operator's time.
     """
 
     def __init__(self, person: WatchingPerson, hands: ScriptedOperator) -> None:
@@ -81,7 +81,12 @@ class LivingOperator:
         self._person.meanwhile = self._hands.meanwhile = look
 
     def ask(self, prompt: Prompt) -> Answer:
-        """Ask the person, and carry out the task in the world. Raises the errors of the person's `ask`."""
+        """Ask the person and carry out the task in the world; return the person's answer.
+
+        If the task is to read a display, the operator looks first, and the prompt contains what it shows. If the
+        task is to turn a head with an encoder, the operator's answer is returned. After an invalid or refusing
+        answer the task is not carried out. Raises the errors of the person's `ask`.
+        """
         action = prompt.action
         if action["do"] in _LOOKED_AT:
             seen = self._hands.ask(prompt).text

@@ -274,7 +274,7 @@ class CommissioningSession:
     ) -> Finding:
         """Carry out one check of one instrument; store and return its finding, even after an exception.
 
-        `look` performs the check. `also` are further instruments involved. `by_answers` also judges the response
+        `look` performs the check. `also` are other instruments involved. `by_answers` also judges the response
         times of single commands, `by_wire` other faults on the wires. With `opened` False, the instruments are
         not opened first. Raises only `SessionEnded` and `KeyboardInterrupt`.
         """
