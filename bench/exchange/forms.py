@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
@@ -173,6 +173,23 @@ def workbook(result: BlockResult) -> bytes:
     _conversion(book.create_sheet("a from U"), result)
     if result.simulated:
         for sheet in book.worksheets:
+            sheet.oddHeader.center.text = "SIMULATED"
+    out = io.BytesIO()
+    book.save(out)
+    return out.getvalue()
+
+
+def tables_workbook(tables: Mapping[str, Sequence[Sequence[Any]]], *, simulated: bool = False) -> bytes:
+    """Return an .xlsx file with a sheet for each table; a text stays a text, even if it looks like a formula."""
+    from openpyxl import Workbook
+
+    book = Workbook()
+    book.remove(book.active)
+    for title, rows in tables.items():
+        sheet = book.create_sheet(title)
+        _write(sheet, rows)
+        sheet.freeze_panes = "A2"
+        if simulated:
             sheet.oddHeader.center.text = "SIMULATED"
     out = io.BytesIO()
     book.save(out)

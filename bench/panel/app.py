@@ -31,7 +31,7 @@ from bench.config.shipped import find_bench
 from bench.panel.access import PORT, STATE, Access, Gate, Refusal, Settings, is_loopback, private_folder
 from bench.panel.launching import Started, wait_until
 from bench.panel.launching import start as start_program
-from bench.panel.pages import catalogue, run, runs, sign_in, start, verdict
+from bench.panel.pages import catalogue, plots, run, runs, sign_in, start, verdict
 from bench.panel.shared import Panel, by_framework, by_record, by_refusal, load, refused, send_asset
 from bench.readings.csv import ReadingsError
 from bench.run.events import RecordError
@@ -70,6 +70,10 @@ ROUTES = [
     Route("/runs/{name}/diagnosis", verdict.diagnosis),
     Route("/runs/{name}/diagnose", verdict.diagnose, methods=["POST"]),
     Route("/runs/{name}/figures/{figure}", verdict.figure),
+    Route("/runs/{name}/plots", plots.plots),
+    Route("/runs/{name}/plots/data", plots.data),
+    Route("/runs/{name}/plots/previous", plots.previous),
+    Route("/runs/{name}/plots/{table}.{form}", plots.table),
     Route("/runs/{name}/certificate/{file}", verdict.certificate),
     Route("/runs/{name}/state", run.state),
     Route("/runs/{name}/stream", run.stream),
@@ -104,6 +108,7 @@ LATE: Final = (
     "bench.services.execution",
     "bench.results.control_chart",
     "bench.results.verification",
+    "bench.results.residuals",
 )
 LATE_OF_CATALOGUE: Final = (
     "bench.catalogue.questions",

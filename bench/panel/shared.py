@@ -114,6 +114,10 @@ ASSETS: Final = {
     "panel.js": "text/javascript; charset=utf-8",
     "waiting.js": "text/javascript; charset=utf-8",
     "plots.js": "text/javascript; charset=utf-8",
+    "plots-chart.js": "text/javascript; charset=utf-8",
+    "plots-export.js": "text/javascript; charset=utf-8",
+    "plots-page.js": "text/javascript; charset=utf-8",
+    "plots.css": "text/css; charset=utf-8",
     "icon.svg": "image/svg+xml",
 }
 """The files that pages load, with their media types. Pages load nothing else."""

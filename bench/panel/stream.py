@@ -300,6 +300,11 @@ class SharedFollower:
         """The open question, None if there is none or no program waits for the answer."""
         return None if self._follower is None else self._follower.prompt
 
+    @property
+    def judging(self) -> bool:
+        """Whether readings are still to be compared with their predictions."""
+        return self._follower is not None and self._follower.waiting
+
     async def ready(self) -> None:
         """Wait until there is a first snapshot or an error."""
         await self._ready.wait()
@@ -330,8 +335,7 @@ class SharedFollower:
             self._ready.set()
             if self.trouble:
                 return
-            judging = self._follower is not None and self._follower.waiting
-            await asyncio.sleep(0.0 if judging else LOOK_S)
+            await asyncio.sleep(0.0 if self.judging else LOOK_S)
 
     def _look(self) -> bool:
         """Read new events; return whether there is an update to send."""
@@ -376,6 +380,16 @@ class Followers:
         shared = await self._of(folder)
         try:
             return shared.prompt
+        finally:
+            self._leave(folder, shared)
+
+    async def points(self, folder: Path) -> tuple[dict[str, Any], ...]:
+        """Return the points of a run once all its readings are judged. Raises `RecordError`."""
+        shared = await self._of(folder)
+        try:
+            while shared.judging and not shared.trouble:
+                await shared.wait(shared.version)
+            return shared.points.points
         finally:
             self._leave(folder, shared)
 

@@ -39,6 +39,7 @@ from bench.results.diagnosis_parts import (
 )
 from bench.results.diagnosis_words import Files
 from bench.results.parts import BenchPart, CorrectionPart
+from bench.results.residuals import ResidualsPart, compared_residuals
 
 
 class OrientationPart(ResultModel):
@@ -214,6 +215,9 @@ class DiagnoseResult(FoundResult):
         description="the copy with mistakes put right, on which all but the mistakes rests; null where there is "
         "none"
     )
+    residuals: ResidualsPart | None = Field(
+        default=None, description="of each fitted reading, of the first block where they are of several"
+    )
     blocks: list[BlockPart] = Field(
         default=[],
         description="each block where the readings are of several; `coefficients` and `simulation` are then the "
@@ -282,6 +286,7 @@ def diagnose_result(
         if mistakes.mistakes
         else None,
         **({"blocks": blocks} if blocks else {}),
+        **({"residuals": compared_residuals(shown)} if len(shown.before.calibration.fitted) else {}),
     )
 
 

@@ -11,13 +11,14 @@ from bench.run.events import EVENTS, MANIFEST
 from bench.run.record import Record
 from drivers.clock import utc_now
 from tests.browser.conftest import RECORDS
+from tests.support.plotted_runs import make_plotted
 
 RULES = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa", "best-practice"]
 SCRIPT = "<script>document.title='caught'</script>"
 HOSTILE = f"{SCRIPT}<img src=x onerror=document.title='caught'>\x1b[31m\u202egnp.exe ünïcode 日本"
 PAGES = (
     "/", "/start", "/check", "/runs/done/", "/runs/asked/", "/runs/mounting/", "/runs/done/verdict",
-    "/runs/done/view/report", "/runs/none/",
+    "/runs/done/view/report", "/runs/none/", "/runs/done/plots", "/runs/later/plots", "/runs/later/verdict",
 )  # fmt: skip
 
 
@@ -57,8 +58,20 @@ def asked(panel):
         record.close()
 
 
+@pytest.fixture(scope="module")
+def plotted(tmp_path_factory):
+    return make_plotted(tmp_path_factory.mktemp("plotted"))
+
+
+@pytest.fixture
+def plots(panel, plotted):
+    """Two runs of one unit; the later one has every plot."""
+    for name in ("earlier", "later"):
+        shutil.copytree(plotted / name, panel.runs / name)
+
+
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_no_page_keeps_people_out_or_scrolls_sideways(visit, panel, asked, scheme):
+def test_no_page_keeps_people_out_or_scrolls_sideways(visit, panel, asked, plots, scheme):
     from axe_playwright_python.sync_playwright import Axe
 
     page = visit("/", color_scheme=scheme, viewport={"width": 1280, "height": 900})
@@ -67,6 +80,10 @@ def test_no_page_keeps_people_out_or_scrolls_sideways(visit, panel, asked, schem
         page.goto(panel.url + path)
         if path in {"/runs/done/", "/runs/asked/", "/runs/mounting/"}:
             page.wait_for_selector("#plots[data-newest]")
+        if path == "/runs/later/plots":
+            page.wait_for_selector("[data-shown]")
+            page.locator("text=previous run earlier").first.click()
+            page.locator("svg.plot").first.focus()
         told = Axe().run(page, options={"runOnly": {"type": "tag", "values": RULES}}).response
         assert len(told["passes"]) > 8
         found[path] = [
