@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from bench.base.computing import quiet
-from bench.config.shipped import PROCEDURES, shipped_folder
+from bench.config.shipped import CONFIG, PROCEDURES, shipped_folder
 from bench.services.requests.shared import name_to_type
 
 if TYPE_CHECKING:
@@ -20,11 +20,13 @@ _MOST_SENTENCES: Final = 2
 
 
 def ending(found: Conclusion) -> list[str]:
-    """Return the end of a run in lines: the verdict first, then its basis, the files, and what to do next."""
-    lines = [_verdict(found), *_basis(found)]
-    if found.chart is not None:
-        lines.append(f"check block: {found.chart.sentence()}")
-    elif found.no_chart:
+    """Return the end of a run in lines: the verdict first, then its basis, the files, and what to do next.
+
+    The verdict on the check block, if the run is of that, comes before all.
+    """
+    chart = [] if found.chart is None else [found.chart.sentence()]
+    lines = [*chart, _verdict(found), *_basis(found)]
+    if found.no_chart:
         lines.append(f"check block: no control chart: {found.no_chart}")
     lines += _shortened(
         [f"look: {look}" for look in found.looks], f"bench diagnose {name_to_type(found.run.folder)}"
@@ -39,11 +41,7 @@ def _verdict(found: Conclusion) -> str:
     if found.calibration is None:
         return f"{name}: MEASURED; no calibration from it: {found.no_calibration}"
     if not found.calibration.accepted:
-        return f"{name}: THE MODEL DOES NOT FIT the readings" + (
-            ""
-            if found.verification is None
-            else f"; {found.verification.statement} at the verification points"
-        )
+        return f"{name}: NOT ACCEPTED: the model does not fit the readings"
     if found.verification is not None:
         return outcome_in_words(name, found.verification.verification)
     return f"{name}: CALIBRATED; no verdict, as the procedure has no verification points"
@@ -51,7 +49,7 @@ def _verdict(found: Conclusion) -> str:
 
 def _basis(found: Conclusion) -> Iterator[str]:
     from bench.results.calibration import fit_in_a_line
-    from bench.results.verification import basis_in_words
+    from bench.results.verification import basis_in_words, outcome_in_words
 
     if found.short:
         goals = ", ".join(found.run.manifest.get("until", ()))
@@ -60,6 +58,8 @@ def _basis(found: Conclusion) -> Iterator[str]:
         yield fit_in_a_line(found.calibration.calibration)
     if found.verification is None:
         return
+    if found.calibration is not None and not found.calibration.accepted:
+        yield outcome_in_words("verification points", found.verification.verification)
     yield basis_in_words(found.verification.verification)
     if not found.verification.passed:
         yield from found.verification.sentences[:_MOST_SENTENCES]
@@ -87,24 +87,31 @@ def _files(found: Conclusion) -> Iterator[str]:
 def _next(found: Conclusion) -> Iterator[str]:
     run, name = found.run, name_to_type(found.run.folder)
     again = _run_again(run)
-    fails = found.verification is not None and not found.verification.passed
+    verification = found.verification
     if found.calibration is None:
         yield f"next: bench show {name}"
-    elif fails or not found.calibration.accepted:
+    elif not found.calibration.accepted or (verification is not None and verification.statement == "fail"):
         yield f"next: bench diagnose {name}"
+    elif verification is not None and not verification.passed:
+        yield f"next: {again.replace('bench run', 'bench budget', 1)}, which shows what makes U large"
     elif found.chart is not None and not found.chart.accepted:
         yield f"next: find the cause, then repeat the run: {again}"
     elif run.simulated:
-        yield f"next: on real instruments: {again} --bench FILE"
+        yield f"next: on real instruments: {again}{'' if ' --bench ' in again else ' --bench FILE'}"
     else:
-        if found.verification is not None and found.chart is None:
+        if verification is not None and found.chart is None:
             yield f"next: bench certificate {name}"
         yield f"next unit: {again} --unit SERIAL"
 
 
 def _run_again(run: Run) -> str:
     """Return the command that carries out the procedure of a run on another block."""
-    procedure = Path(str(run.manifest.get("procedure", "PROCEDURE")))
-    shipped = procedure.parent == shipped_folder(PROCEDURES)
-    bench = "" if run.simulated or run.manifest.get("bench_why") != "as asked for" else run.manifest["bench"]
-    return f"bench run {procedure.stem if shipped else procedure}" + (f" --bench {bench}" if bench else "")
+    procedure = _typed(str(run.manifest.get("procedure", "PROCEDURE")), PROCEDURES)
+    asked = run.manifest.get("bench_why") == "as asked for"
+    return f"bench run {procedure}" + (f" --bench {_typed(run.manifest['bench'], CONFIG)}" if asked else "")
+
+
+def _typed(file: str, kind: str) -> str:
+    """Return a file as it may be typed: a shipped one by its name."""
+    path = Path(file)
+    return path.stem if path.parent == shipped_folder(kind) else file

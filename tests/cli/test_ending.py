@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 import bench as face
+from bench.calibration.conformity import Statement
 from bench.run.folder import Run
 from bench.services.conclusion import conclude
 from bench.services.ending import MOST_LINES, ending
@@ -47,11 +48,30 @@ def test_after_a_real_run_the_certificate_and_the_next_unit_follow(concluded):
 
 
 def test_where_the_verification_fails_the_diagnosis_is_next(concluded):
-    found = replace(concluded, verification=face.verify("finished", limit=1e-9))
+    verdict = concluded.verification.verification
+    points = tuple(replace(point, statement=Statement.FAIL, accepted_up_to=0.0) for point in verdict.points)
+    failed = replace(concluded.verification, verification=replace(verdict, points=points))
+    found = replace(concluded, verification=failed)
     lines = ending(found)
     assert lines[0].startswith("finished (SIMULATED): FAILED: ")
     assert len(lines) <= MOST_LINES
     assert not found.verification.passed
+    assert lines[-1] == "next: bench diagnose finished"
+
+
+def test_where_u_is_too_large_the_budget_is_next(concluded):
+    lines = ending(replace(concluded, verification=face.verify("finished", limit=1e-9)))
+    assert lines[0].startswith("finished (SIMULATED): INCONCLUSIVE: ")
+    assert len(lines) <= MOST_LINES
+    assert lines[-1].startswith("next: bench budget ")
+
+
+def test_where_the_model_does_not_fit_that_is_the_verdict(concluded):
+    own = concluded.calibration.calibration
+    bad = replace(own, lack_of_fit=replace(own.lack_of_fit, p=1e-9))
+    lines = ending(replace(concluded, calibration=replace(concluded.calibration, calibration=bad)))
+    assert lines[0] == "finished (SIMULATED): NOT ACCEPTED: the model does not fit the readings"
+    assert any(line.startswith("verification points: ") for line in lines)
     assert lines[-1] == "next: bench diagnose finished"
 
 
