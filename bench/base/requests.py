@@ -32,6 +32,8 @@ class Option:
     `flags` default to "--name", or "--name/--no-name" for a flag that is on; an `argument` has none. `completes`
     names the shell completion ("bench_files", …; `bench.cli.completing`), `least` and `most` limit a number.
     `typed` is the type on the command line, if the field also accepts objects (a table, a loaded bench file).
+    The short help shows arguments and `common` options only. An argument may have an older spelling as an option
+    (`also`), which is still accepted.
     """
 
     help: str
@@ -43,6 +45,8 @@ class Option:
     least: float | None = None
     most: float | None = None
     typed: Any = None
+    common: bool = False
+    also: str = ""
 
 
 @dataclass(frozen=True)

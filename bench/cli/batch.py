@@ -9,6 +9,7 @@ import typer
 
 from bench.base.computing import one_thread
 from bench.cli import printing
+from bench.cli.helping import CommandGroup
 from bench.cli.options import JsonOption, WithEstimators, requested
 from bench.services.requests.documents import Batch, BatchCalibrate, BatchDiagnose, BatchReport
 
@@ -17,10 +18,11 @@ if TYPE_CHECKING:
 
 GROUP: Final = typer.Typer(
     name="batch",
+    cls=CommandGroup,
     no_args_is_help=True,
     rich_markup_mode=None,
     epilog="Example: bench batch calibrate --over 'runs/*' --estimator robust --out recomputed",
-    help="Compute many runs anew: what changes, which verdicts would be different; goes on where it stopped.",
+    help="Recompute many runs; list the results and verdicts that change.",
 )
 
 
@@ -30,21 +32,21 @@ GROUP: Final = typer.Typer(
 )
 @requested
 def calibrate(request: BatchCalibrate, json: JsonOption = None) -> int:
-    """Coefficients and verdicts of many runs anew; exit status 1 where a verdict differs or a run failed."""
+    """Recompute coefficients and verdicts; exit status 1 if a verdict changes or a run fails."""
     return 0 if _carried_out(request, json).accepted(strict=request.strict) else 1
 
 
 @GROUP.command(epilog="Example: bench batch diagnose --over 'runs/2026-*' --out diagnosed")
 @requested
 def diagnose(request: BatchDiagnose, json: JsonOption = None) -> int:
-    """Diagnoses of many runs anew; exit status 1 where a verdict differs or a run failed."""
+    """Recompute diagnoses; exit status 1 if a verdict changes or a run fails."""
     return 0 if _carried_out(request, json).accepted(strict=request.strict) else 1
 
 
 @GROUP.command(epilog="Example: bench batch report --over 'runs/*' --rule guarded --out pages")
 @requested
 def report(request: BatchReport, json: JsonOption = None) -> int:
-    """Pages of many runs, in the folder of the batch; exit status 1 where a verdict differs or a run failed."""
+    """Write reports into the folder of the batch; exit status 1 if a verdict changes or a run fails."""
     return 0 if _carried_out(request, json).accepted() else 1
 
 
@@ -53,7 +55,7 @@ def show(
     folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder of a batch.")],
     json: JsonOption = None,
 ) -> int:
-    """What has come of a batch, as far as it is done; exit status as of the command that made it."""
+    """Show the results of a batch so far; exit status as for the command that made it."""
     from bench.batch.outcome import outcome_in
 
     return 0 if _told(outcome_in(folder), folder, json).accepted() else 1

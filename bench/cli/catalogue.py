@@ -7,22 +7,24 @@ from typing import Final
 import typer
 
 from bench.cli import printing
+from bench.cli.helping import CommandGroup
 from bench.cli.options import JsonOption, requested
 from bench.services.requests.documents import Ask, DueUnits, Sync, Unit
 
 GROUP: Final = typer.Typer(
     name="catalogue",
+    cls=CommandGroup,
     no_args_is_help=True,
     rich_markup_mode=None,
     epilog="Example: bench catalogue sync runs && bench catalogue ask meter=MY53200001 after=2026-05-03 --of units",
-    help="Many run folders in a database: what was measured with what, a unit's history, when it is due.",
+    help="Search many runs in a database; list the history and due date of units.",
 )
 
 
 @GROUP.command(epilog="Example: bench catalogue sync runs /data/bench-2/runs")
 @requested
 def sync(request: Sync, json: JsonOption = None) -> int:
-    """Take what is new or changed in run folders into the catalogue; mark what is gone."""
+    """Add new and changed runs to the catalogue; mark deleted ones."""
     from bench.catalogue.store import open_catalogue
     from bench.catalogue.sync import sync as synced
     from bench.catalogue.unit import due_units
@@ -44,7 +46,7 @@ def sync(request: Sync, json: JsonOption = None) -> int:
 )
 @requested
 def ask(request: Ask, json: JsonOption = None) -> int:
-    """Which runs, units, benches, instruments or certificates a question names."""
+    """List the runs, units, benches, instruments or certificates that meet conditions."""
     from bench.catalogue.questions import answer
     from bench.catalogue.store import open_catalogue
 
@@ -66,7 +68,7 @@ def ask(request: Ask, json: JsonOption = None) -> int:
 @GROUP.command(epilog="Example: bench catalogue unit 17-042 --page unit.html")
 @requested
 def unit(request: Unit, json: JsonOption = None) -> int:
-    """One unit: its coefficients over time, its runs, when it is due."""
+    """Show the coefficients of a unit over time, its runs and its due date."""
     from bench.base.files import write_whole
     from bench.catalogue.store import open_catalogue
     from bench.catalogue.unit import unit_history
@@ -87,7 +89,7 @@ def unit(request: Unit, json: JsonOption = None) -> int:
 @GROUP.command(epilog="Example: bench catalogue due bench=stand-2 --before 2027-01-01")
 @requested
 def due(request: DueUnits, json: JsonOption = None) -> int:
-    """When units are due, by their drift; the first first."""
+    """List the dates when units are due for calibration, earliest first."""
     from bench.catalogue.store import open_catalogue
     from bench.catalogue.unit import due_units, until_day
 
@@ -104,7 +106,7 @@ def due(request: DueUnits, json: JsonOption = None) -> int:
 
 @GROUP.command(epilog="Example: bench catalogue keys")
 def keys() -> int:
-    """List the keys of questions and what they mean."""
+    """List the keys of conditions and their meaning."""
     from bench.catalogue.questions import KEYS
 
     table = printing.table("key", "what it asks for")

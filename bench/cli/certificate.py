@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Final
 
 import typer
-from typer.core import TyperGroup
 
 from bench.cli import printing
+from bench.cli.helping import HELP_FLAGS, CommandGroup
 from bench.cli.options import JsonOption, requested
 from bench.services.requests.documents import (
     AmendCertificate,
@@ -24,13 +24,13 @@ if TYPE_CHECKING:
     from bench.certificate.life import Desk
 
 
-class IssueByDefault(TyperGroup):
+class IssueByDefault(CommandGroup):
     """The commands on certificates; `issue` is the default if the first word is none of them."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse the arguments, with `issue` inserted if the first word is not a command."""
         first = next(iter(args), "--help")
-        if first not in self.commands and first not in {"--help", "-h"}:
+        if first not in self.commands and first not in HELP_FLAGS:
             args = ["issue", *args]
         return list(super().parse_args(ctx, args))
 
@@ -42,7 +42,7 @@ GROUP: Final = typer.Typer(
     rich_markup_mode=None,
     epilog="Example: bench certificate unit-17 --laboratory laboratory.yaml --order order.yaml "
     "--authorised-by 'A. Example'",
-    help="Certificates, on paper and for machines: issue, verify, amend, revoke, read.",
+    help="Issue, verify, amend, revoke or read certificates.",
 )
 
 
@@ -52,7 +52,7 @@ GROUP: Final = typer.Typer(
 )
 @requested
 def issue(request: IssueCertificates, json: JsonOption = None) -> int:
-    """Issue the certificate of a run, once: NUMBER.pdf and NUMBER.xml in the folder of the register."""
+    """Issue the certificate of a run: NUMBER.pdf and NUMBER.xml in the register's folder."""
     from bench.certificate.life import drafts, issue_all
     from bench.results.certificate import CertificateResult
 
@@ -84,7 +84,7 @@ def _say_unsigned(request: Issuing) -> None:
 )
 @requested
 def amend(request: AmendCertificate, json: JsonOption = None) -> int:
-    """Issue a certificate in place of one that holds; it has a number of its own, and names the one before."""
+    """Issue a certificate with a new number that replaces a valid one."""
     from bench.certificate import life
     from bench.results.certificate import CertificateResult
 
@@ -102,7 +102,7 @@ def amend(request: AmendCertificate, json: JsonOption = None) -> int:
 )
 @requested
 def revoke(request: RevokeCertificate) -> int:
-    """Write down that a certificate holds no more. Its files stay."""
+    """Revoke a certificate; its files remain."""
     from bench.certificate import life
 
     life.revoke(request)
@@ -113,7 +113,7 @@ def revoke(request: RevokeCertificate) -> int:
 @GROUP.command(epilog="Example: bench certificate register 2026-0007 --out to-the-customer")
 @requested
 def register(request: CheckRegister, json: JsonOption = None) -> int:
-    """What was issued: chain and files are checked; exit status 1 where one is not what it was."""
+    """List and check issued certificates; exit status 1 if a record or file was changed."""
     from bench.certificate.life import checked
 
     result, files = checked(request)
@@ -130,7 +130,7 @@ def register(request: CheckRegister, json: JsonOption = None) -> int:
 @GROUP.command(epilog="Example: bench certificate verify 2026-0007.pdf --trust laboratory.pem.crt")
 @requested
 def verify(request: VerifyCertificate, json: JsonOption = None) -> int:
-    """Whether a certificate is intact, who signed it and whether it still holds; exit status 1 where not."""
+    """Check integrity, signature and validity of a certificate; exit status 1 if any fails."""
     from bench.certificate.laboratory import load_laboratory
     from bench.certificate.verify import verify_certificate
 
@@ -145,7 +145,7 @@ def verify(request: VerifyCertificate, json: JsonOption = None) -> int:
 @GROUP.command(epilog="Example: bench certificate read 2026-0007.xml --out coefficients.json")
 @requested
 def read(request: ReadCertificate, json: JsonOption = None) -> int:
-    """Take coefficients with covariance out of a certificate; of an instrument's, print it for the bench file."""
+    """Read coefficients with covariance, or an instrument's entry for the bench file, from a certificate."""
     from bench.base.files import to_text, write_whole
     from bench.certificate.dcc.reading import coefficients_in, document_in, has_coefficients, section_of
     from bench.results.certificate import print_coefficients

@@ -10,51 +10,48 @@ from typing import Any, Final
 from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command_from_info, get_group
 
+from bench.cli.helping import BenchCommand, CommandGroup, is_whole_help
+
 COMMANDS: Final = {
-    "run": "Run a procedure on the bench, or dry on simulated instruments; then calibrate, verify, report.",
-    "resume": "Go on with an interrupted run at the first point without a reading; make the results that it lacks.",
+    "run": "Run a procedure, then calibrate, verify and report.",
+    "resume": "Resume an interrupted run at the first point without a reading.",
     "abort": "End an interrupted run for good; its record is kept.",
-    "control": "Ask something of a run that another program is carrying out;"
-    " typed at a prompt it is :pause, :redo, …",
-    "init": "Write copies of the shipped procedures and bench files, to edit.",
-    "check": "Validate a procedure against a bench and print steps, time and operator actions;"
-    " touch no instrument.",
-    "instruments": "Open every instrument of a bench at once:"
-    " identity, self-test, a reading, and all that is wrong.",
-    "panel": "Serve the operator's panel in a browser over a folder of runs; make the tokens of who may come in.",
-    "simulate": "Serve the simulated instruments of a bench file until Ctrl-C,"
-    " or command a bench that is served.",
-    "runs": "List the runs, what became of them, and how to go on.",
-    "show": "Show what a run holds: inputs, events, readings.",
-    "seal": "Seal a run that has ended: note the head of its chain, signed with a key, stamped with the time.",
-    "key": "Make the laboratory's key (Ed25519, PEM), with which 'bench seal' signs;"
-    " or one that signs certificates.",
+    "control": "Pause, continue, skip or stop a run that another program carries out.",
+    "init": "Copy the shipped procedures and bench files, to edit them.",
+    "check": "Check a procedure against a bench; list its steps and time.",
+    "instruments": "Test all instruments of a bench: identity, self-test, reading.",
+    "panel": "Serve the operator's panel in a browser.",
+    "simulate": "Serve the simulated instruments of a bench file until Ctrl-C.",
+    "runs": "List the runs, their states and how to continue.",
+    "show": "Show the inputs, events and readings of a run.",
+    "seal": "Seal a run that has ended: sign its record and stamp the time.",
+    "key": "Make the key of the laboratory that signs seals, or one that signs certificates.",
     "export": "Write the readings of a run as a readings file.",
-    "import": "Make a run of a readings file that was measured elsewhere.",
-    "catalogue": "Many run folders in a database: what was measured with what, a unit's history, when it is due.",
-    "calibrate": "Coefficients with uncertainty from runs or readings files; exit status 1 where they do not fit.",
-    "coefficients": "Write N = K⁻¹ and misalignments for other software: JSON, CSV, C, Excel,"
-    " Kalibr, PX4, ArduPilot.",
-    "certificate": "Certificates, on paper and for machines: issue, verify, amend, revoke, read.",
-    "verify": "Δg at the verification points against the limit; exit status 1 unless all are accepted.",
-    "report": "Write the report of a run: one HTML page.",
-    "diagnose": "Where readings and model disagree: name the missing effect, add it, show the gap shrink.",
-    "confirm": "New readings with and without a model: how far it closes the gap; exit status 1 unless confirmed.",
-    "accept": "Give terms without a name, which a diagnosis found, a name and a sentence.",
-    "compensate": "Coefficients as polynomials in temperature; tables (C, CSV, JSON) for a computer on board.",
-    "tumble": "Each axis of a multi-point tumble by IEEE 1293:"
+    "import": "Import a readings file that was measured elsewhere as a run.",
+    "catalogue": "Search many runs in a database; list the history and due date of units.",
+    "calibrate": "Compute coefficients and their uncertainty from readings.",
+    "coefficients": "Write coefficients for other software: JSON, CSV, C, Excel, Kalibr, PX4, ArduPilot.",
+    "certificate": "Issue, verify, amend, revoke or read certificates.",
+    "verify": "Compare Δg at the verification points with the limit.",
+    "report": "Write the report of a run as one HTML page.",
+    "diagnose": "Find the effect that explains why readings and model disagree.",
+    "confirm": "Test a diagnosed model on new readings.",
+    "accept": "Name and describe the unnamed terms that a diagnosis found.",
+    "compensate": "Fit coefficients as polynomials in temperature; write tables for an onboard computer.",
+    "tumble": "Fit each axis of a multi-point tumble by IEEE 1293:"
     " bias, scale factor, misalignments, K2, K3, Koq.",
-    "stability": "Allan deviation and noise terms of a block at rest, and the averaging that a reading deserves.",
-    "chart": "Control charts of the check block (Shewhart, EWMA); exit status 1 unless its last run is in control.",
-    "batch": "Compute many runs anew: what changes, which verdicts would be different; goes on where it stopped.",
-    "compare": "What changed between calibrations of one block: E_n, a joint test, drift.",
-    "learn": "What many runs tell of one bench: its stand, noise, head; as a file that its bench file takes.",
-    "fleet": "Many units on many benches: is it the bench or the block? Equivalence, priors, drift, CMC.",
-    "budget": "What each error of the bench contributes to the coefficients and to any measured acceleration.",
-    "require": "How large each error of the bench may be for an accuracy; exit status 1 when it is not kept now.",
-    "plan-points": "Test points that reach an uncertainty in the least bench time, or the most in a given time.",
+    "stability": "Compute the Allan deviation and noise terms of a block at rest, and the averaging to use.",
+    "chart": "Draw the control charts of the check block (Shewhart, EWMA).",
+    "batch": "Recompute many runs; list the results and verdicts that change.",
+    "compare": "Compare calibrations of one block: E_n, a joint test, drift.",
+    "learn": "Estimate the errors of a bench from many runs, for its bench file.",
+    "fleet": "Compare many units on many benches: equivalence, priors, drift, CMC.",
+    "budget": "Compute what each error of the bench contributes to coefficients and accelerations.",
+    "require": "Compute how large each error of the bench may be for a required accuracy.",
+    "plan-points": "Find test points that reach an uncertainty in the least bench time.",
+    "help": "Show the commands, or the help of one.",
 }  # fmt: skip
-"""Every command with the first line of its help, in the order in which the help lists them."""
+"""Every command with the first line of its help, in the order in which the whole help lists them."""
 
 MODULES: Final[Mapping[str, str]] = {
     **dict.fromkeys(("calibrate", "verify", "report", "coefficients", "compensate", "tumble"), "evaluate"),
@@ -73,16 +70,25 @@ HEADINGS: Final = {
     "runs": "Records",
     "calibrate": "Evaluate",
     "budget": "Plan",
-}  # fmt: skip
-"""Headings in the help, by the first command below each."""
+    "help": "Help",
+}
+"""Headings in the whole help, by the first command below each."""
 
+COMMON: Final[Mapping[str, tuple[str, ...]]] = {
+    "Prepare": ("init", "instruments", "check", "panel"),
+    "Measure": ("run", "resume", "abort", "runs", "show"),
+    "Evaluate": ("calibrate", "verify", "report", "diagnose", "confirm", "certificate"),
+}
+"""The commands that `bench --help` lists, by heading."""
+
+_WIDTH: Final = max(len(name) for names in COMMON.values() for name in names)
 
 COMPLETED_BY: Final[list[Callable[[Any], Any]]] = []
 """Holds the function that adds the shared options to a command. `bench.cli.options` appends it when it is
 imported, because importing it here would be circular."""
 
 
-class Commands(TyperGroup):
+class Commands(CommandGroup):
     """The group of all commands; the module of a command is imported when the command is used."""
 
     def __init__(self, **settings: Any) -> None:
@@ -93,8 +99,21 @@ class Commands(TyperGroup):
         """Return the command of this name after importing its module; None if there is no such command."""
         return load_command(cmd_name) if cmd_name in COMMANDS else None
 
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        """Write the common commands on one screen; all commands and options if the whole help is asked for."""
+        if is_whole_help(ctx):
+            super().format_help(ctx, formatter)
+            return
+        formatter.write("Usage: bench COMMAND [OPTIONS]\n")
+        formatter.write(f"{self.help}\n\n")
+        for heading, names in COMMON.items():
+            formatter.write(f"{heading}:\n")
+            with formatter.indentation():
+                formatter.write_dl([(name.ljust(_WIDTH), COMMANDS[name]) for name in names])
+        formatter.write("\nmore: bench help --all\none command: bench help COMMAND\n")
+
     def format_commands(self, ctx: Any, formatter: Any) -> None:
-        """Write the commands with their full summaries under headings, without importing their modules."""
+        """Write all commands with their summaries under headings, without importing their modules."""
         sections: list[tuple[str, list[tuple[str, str]]]] = []
         for name, line in COMMANDS.items():
             if name in HEADINGS or not sections:
@@ -116,11 +135,20 @@ def load_command(name: str) -> Any:
     word = name.replace("-", "_") + "_" * iskeyword(name)
     module = import_module(f"bench.cli.{MODULES.get(name, word)}")
     if hasattr(module, "GROUP"):
+        for info in module.GROUP.registered_commands:
+            _with_help(info)
         group = get_group(module.GROUP)
         for command in group.commands.values():
             COMPLETED_BY[0](command)
         return group
     mine = {one.callback: one for one in module.app.registered_commands}
-    info = mine[getattr(module, word)]
+    info = _with_help(mine[getattr(module, word)])
     command = get_command_from_info(info, pretty_exceptions_short=True, rich_markup_mode=None)
     return COMPLETED_BY[0](command)
+
+
+def _with_help(info: Any) -> Any:
+    """Return what the library knows of a command, with a class that has the common options first in its help."""
+    if not issubclass(info.cls, BenchCommand):
+        info.cls = BenchCommand
+    return info

@@ -39,7 +39,10 @@ def calibrate(
     out: OutOption = None,
     strict: StrictFitOption = False,
 ) -> int:
-    """Coefficients with uncertainty from runs or readings files; exit status 1 where they do not fit."""
+    """Compute coefficients and their uncertainty from readings.
+
+    Exit status 1 if readings and model do not fit.
+    """
     from bench.calibration.estimators import find_estimator
     from bench.services.calibration import calibrated
     from bench.services.source import done, each, load_each, reading
@@ -66,7 +69,10 @@ def calibrate(
 @app.command(epilog="Example: bench verify unit-17 --coefficients last-year.json")
 @requested
 def verify(requests: list[Verify], json: JsonOption = None, out: OutOption = None) -> int:
-    """Δg at the verification points against the limit; exit status 1 unless all are accepted."""
+    """Compare Δg at the verification points with the limit.
+
+    Exit status 1 unless all points are accepted.
+    """
     from bench.services.calibration import verified
     from bench.services.source import done, each, load_each, reading
     from bench.services.verification import VerdictOptions
@@ -95,7 +101,10 @@ def verify(requests: list[Verify], json: JsonOption = None, out: OutOption = Non
 @app.command(epilog="Example: bench report unit-17")
 @requested
 def report(request: Report, json: JsonOption = None, out: OutOption = None) -> int:
-    """Write the report of a run: one HTML page."""
+    """Write the report of a run as one HTML page.
+
+    Exit status 1 if the fit or the verification is not accepted.
+    """
     from bench.results.verification import ReportResult
     from bench.services.calibration import calibration_of
     from bench.services.source import load_sources, reading
@@ -127,7 +136,7 @@ def report(request: Report, json: JsonOption = None, out: OutOption = None) -> i
 @app.command(epilog="Example: bench coefficients unit-17 --as c --as px4")
 @requested
 def coefficients(request: Coefficients, json: JsonOption = None, out: OutOption = None) -> int:
-    """Write N = K⁻¹ and misalignments for other software: JSON, CSV, C, Excel, Kalibr, PX4, ArduPilot."""
+    """Write coefficients for other software: JSON, CSV, C, Excel, Kalibr, PX4, ArduPilot."""
     from bench.exchange.forms import print_coefficients
     from bench.services.coefficients import forms_of, nominal_of
     from bench.services.compensation import results_of
@@ -157,7 +166,7 @@ def coefficients(request: Coefficients, json: JsonOption = None, out: OutOption 
 def compensate(
     request: Compensate, json: JsonOption = None, out: OutOption = None, strict: StrictFitOption = False
 ) -> int:
-    """Coefficients as polynomials in temperature; tables (C, CSV, JSON) for a computer on board."""
+    """Fit coefficients as polynomials in temperature; write tables for an onboard computer."""
     from bench.results.compensation import print_checks, print_compensation
     from bench.services.compensation import compensated
     from bench.services.source import load_sources, reading
@@ -185,7 +194,7 @@ def compensate(
 def tumble(
     request: Tumble, json: JsonOption = None, out: OutOption = None, strict: StrictFitOption = False
 ) -> int:
-    """Each axis of a multi-point tumble by IEEE 1293: bias, scale factor, misalignments, K2, K3, Koq."""
+    """Fit each axis of a multi-point tumble by IEEE 1293: bias, scale factor, misalignments, K2, K3, Koq."""
     from bench.results.tumble import print_tumble
     from bench.services.compensation import tumbled
     from bench.services.source import load_sources, reading
@@ -218,7 +227,10 @@ def diagnose(
     json: JsonOption = None,
     strict: Annotated[bool, typer.Option("--strict", help="A discrepancy found is not accepted.")] = False,
 ) -> int:
-    """Where readings and model disagree: name the missing effect, add it, show the gap shrink."""
+    """Find the effect that explains why readings and model disagree.
+
+    Name the missing effect, add it to the model, and show how the gap shrinks.
+    """
     results = carried_out(request, json, together=together)
     if printing.failed(results):
         return 2
@@ -247,7 +259,10 @@ def carried_out(request: Diagnose, target: str | None, *, together: bool) -> lis
 @app.command(epilog="Example: bench confirm unit-18 --model runs/unit-17/diagnose-model.yaml")
 @requested
 def confirm(request: Confirm, json: JsonOption = None) -> int:
-    """New readings with and without a model: how far it closes the gap; exit status 1 unless confirmed."""
+    """Test a diagnosed model on new readings.
+
+    The result shows how far the model closes the gap. Exit status 1 unless it is confirmed.
+    """
     one_thread()
     from bench.services.confirmation import confirmation_of
     from bench.services.source import load_sources, reading
@@ -266,7 +281,7 @@ def confirm(request: Confirm, json: JsonOption = None) -> int:
 )
 @requested
 def accept(request: Accept) -> int:
-    """Give terms without a name, which a diagnosis found, a name and a sentence."""
+    """Name and describe the unnamed terms that a diagnosis found."""
     from bench.services.own_effects import accept_terms
 
     effects, model = accept_terms(request)

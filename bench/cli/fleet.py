@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Final, TypeVar
 import typer
 
 from bench.cli import printing
+from bench.cli.helping import CommandGroup
 from bench.cli.options import JsonOption, OutOption, requested
 from bench.services.errors import Refused
 from bench.services.requests.history import Capability, CompareBenches, DriftOfUnit, OfFleet
@@ -24,17 +25,18 @@ if TYPE_CHECKING:
 
 GROUP: Final = typer.Typer(
     name="fleet",
+    cls=CommandGroup,
     no_args_is_help=True,
     rich_markup_mode=None,
     epilog="Example: bench fleet effects type='block A' simulated=no",
-    help="Many units on many benches: is it the bench or the block? Equivalence, priors, drift, CMC.",
+    help="Compare many units on many benches: equivalence, priors, drift, CMC.",
 )
 
 
 @GROUP.command(epilog="Example: bench fleet effects type='block A' simulated=no --json effects.json")
 @requested
 def effects(request: OfFleet, json: JsonOption = None) -> int:
-    """Is it the bench or the block: sizes of what units, benches and time bring, and who stands out."""
+    """Estimate how much units, benches and time vary; name outliers."""
     from bench.history.bench_or_block import bench_or_block
     from bench.results.fleet import effects_result, print_effects
 
@@ -50,7 +52,7 @@ def compare(
     out: OutOption = None,
     strict: Annotated[bool, typer.Option("--strict", help="A bench beyond U (k=2) is not accepted.")] = False,
 ) -> int:
-    """Benches against one another on common units: degrees of equivalence, E_n, Birge ratio."""
+    """Compare benches on common units: degrees of equivalence, E_n, Birge ratio."""
     from bench.base.files import to_text
     from bench.catalogue.values import compared
     from bench.results.compare import benches_result, equivalence_figure, print_benches
@@ -78,7 +80,7 @@ def prior(
     ] = None,
     json: JsonOption = None,
 ) -> int:
-    """Estimate a prior for a new unit from calibrated units of its type, for 'bench calibrate --prior'."""
+    """Estimate a prior for a new unit from units of its type, for 'bench calibrate --prior'."""
     from bench.history.prior import prior_of
     from bench.results.fleet import print_prior, prior_result
 
@@ -101,7 +103,7 @@ def prior(
 @GROUP.command(epilog="Example: bench fleet drift unit='block A 17' --at 2027-06-01")
 @requested
 def drift(request: DriftOfUnit, json: JsonOption = None) -> int:
-    """What a unit's history tells of its drift, and what its coefficients will be."""
+    """Estimate the drift of a unit from its history; predict its coefficients."""
     from bench.history.drift import drift_of_unit
     from bench.results.fleet import drift_result, print_drift
 
@@ -112,7 +114,7 @@ def drift(request: DriftOfUnit, json: JsonOption = None) -> int:
 @GROUP.command(epilog="Example: bench fleet cmc procedure='*paper.yaml' state=finished simulated=no")
 @requested
 def cmc(request: Capability, json: JsonOption = None) -> int:
-    """The laboratory's calibration and measurement capability, from its history (ILAC-P14)."""
+    """Estimate the laboratory's calibration and measurement capability from its history (ILAC-P14)."""
     from bench.history.capability import capability
     from bench.results.fleet import capability_result, print_capability
 

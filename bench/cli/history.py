@@ -22,7 +22,10 @@ def chart(
         Path | None, typer.Option("--page", metavar="FILE", help="Write the charts as one HTML page.")
     ] = None,
 ) -> int:
-    """Control charts of the check block (Shewhart, EWMA); exit status 1 unless its last run is in control."""
+    """Draw the control charts of the check block (Shewhart, EWMA).
+
+    Exit status 1 unless the last run is in control.
+    """
     from bench.services.check_block import charted
 
     found = charted(request)
@@ -48,7 +51,7 @@ def compare(
         bool, typer.Option("--strict", help="A change beyond the uncertainty is not accepted.")
     ] = False,
 ) -> int:
-    """What changed between calibrations of one block: E_n, a joint test, drift."""
+    """Compare calibrations of one block: E_n, a joint test, drift."""
     from bench.results.compare import print_compare
     from bench.services.history import compared
 
@@ -76,7 +79,7 @@ def learn(
         bool, typer.Option("--strict", help="A run that contradicts the others is not accepted.")
     ] = False,
 ) -> int:
-    """What many runs tell of one bench: its stand, noise, head; as a file that its bench file takes."""
+    """Estimate the errors of a bench from many runs, for its bench file."""
     from bench.services.history import learning_of
     from bench.services.source import load_sources, reading
 
@@ -103,7 +106,10 @@ def learn(
 @app.command(epilog="Example: bench stability static.csv --size 20e-6 --bench my-bench.yaml")
 @requested
 def stability(request: Stability, json: JsonOption = None, out: OutOption = None) -> int:
-    """Allan deviation and noise terms of a block at rest, and the averaging that a reading deserves."""
+    """Compute the Allan deviation and noise terms of a block at rest, and the averaging to use.
+
+    Exit status 1 if no averaging reaches the allowed noise.
+    """
     from bench.results.stability import print_stability
     from bench.services.history import at_rest
 

@@ -34,7 +34,7 @@ _CONTROL_TIMEOUT_S: Final = 10.0
 @app.command(epilog="Example: bench instruments --bench my-bench.yaml")
 @requested
 def instruments(request: InstrumentsRequest, json: JsonOption = None) -> int:
-    """Open every instrument of a bench at once: identity, self-test, a reading, and all that is wrong."""
+    """Test all instruments of a bench: identity, self-test, reading."""
     if request.commission:
         if request.discover or request.wire_log is not None:
             raise Refused("--commission goes without --discover and --wire-log: its folder holds a wire log")
@@ -149,7 +149,10 @@ def _commission(request: InstrumentsRequest, target: str | None) -> int:
 @app.command(epilog="Example: bench simulate --bench my-bench.yaml --port 5025 --ready-file ready.json")
 @requested
 def simulate(request: SimulateRequest) -> int:
-    """Serve the simulated instruments of a bench file until Ctrl-C, or command a bench that is served."""
+    """Serve the simulated instruments of a bench file until Ctrl-C.
+
+    With --control, send a command to a served bench.
+    """
     if request.control is not None or request.command is not None:
         return _command(request.control, request.command)
     return _serve(request)

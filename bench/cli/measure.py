@@ -22,14 +22,16 @@ if TYPE_CHECKING:
     from bench.diagnosis.next_measurement import Proposal
     from bench.run.folder import Run
     from bench.run.interrupts import Interrupts
-    from bench.services.conclusion import Conclusion
     from bench.services.execution import NewRun
 
 
 @app.command(epilog="Example: bench run calibration --bench my-bench.yaml --name unit-17")
 @requested
 def run(request: RunRequest, json: JsonOption = None) -> int:
-    """Run a procedure on the bench, or dry on simulated instruments; then calibrate, verify, report."""
+    """Run a procedure, then calibrate, verify and report.
+
+    With --dry-run, instruments and clock are simulated.
+    """
     if request.follow and json is not None:
         raise Refused(
             "--follow makes two runs, and --json is the result of one; the folders of both hold theirs"
@@ -63,7 +65,10 @@ def _measured(request: RunRequest, json: str | None) -> tuple[Run, int]:
 @app.command(epilog="Example: bench resume unit-17")
 @requested
 def resume(request: ResumeRequest, json: JsonOption = None) -> int:
-    """Go on with an interrupted run at the first point without a reading; make the results that it lacks."""
+    """Resume an interrupted run at the first point without a reading.
+
+    A finished run without results gets its results.
+    """
     from bench.services.execution import resumed
 
     out = printing.console(json=json)
@@ -85,40 +90,19 @@ def _print_link(run: Path, out: Console) -> None:
 def _results(run: Run, interrupts: Interrupts, json: str | None, out: Console) -> int:
     """Make and print the results of a finished run; return the exit status."""
     from bench.services.conclusion import make_results
+    from bench.services.ending import ending
 
     found = make_results(run, interrupts)
-    for line in found.looks:
-        out.print(f"look: {line}")
-    if found.calibration is None:
-        out.print(f"the run is finished; no calibration from it: {found.no_calibration}")
-    else:
-        printing.calibration(found.calibration, found.source.output("calibrate", ".json"), out)
-        if found.report is not None:
-            printing.written("report", found.report, out)
-        if found.verification is None:
-            out.print("no verification points in this procedure: no verdict")
-        else:
-            printing.verification(found.verification, found.source.output("verify", ".json"), out)
-        if found.short:
-            goals = ", ".join(found.run.manifest.get("until", ()))
-            out.print(f"NOT REACHED: {goals}; the procedure has no more that would help")
-    printing.write_json([found.to_dict()], json)
-    _print_chart(found, out)
-    return 0 if found.accepted else 1
-
-
-def _print_chart(found: Conclusion, out: Console) -> None:
-    """Print the control chart of a run of the check block; print nothing for any other run."""
-    if found.no_chart:
-        out.print(f"the run is finished; no control chart: {found.no_chart}")
-    if found.chart is None:
-        return
-    found.chart.print_on(out)
-    folder = found.run.folder
+    verdict, *others = ending(found)
+    out.print(verdict, style="bold")
+    for line in others:
+        out.print(line)
     if found.chart_unwritten:
-        printing.notes_aside([f"{found.chart_unwritten} is not written; use --out DIR"])
-    else:
-        out.print(f"chart: {folder / 'chart.json'} (bench chart {folder.parent} --page FILE draws it)")
+        printing.notes_aside(
+            [f"{found.chart_unwritten} is not written; 'bench chart --page FILE' draws the chart"]
+        )
+    printing.write_json([found.to_dict()], json)
+    return 0 if found.accepted else 1
 
 
 @app.command(epilog="Example: bench abort unit-17")
@@ -140,7 +124,10 @@ def abort(request: AbortRun) -> int:
 @app.command(epilog='Example: bench control unit-17 skip "the cable came loose"')
 @requested
 def control(request: ControlRun) -> int:
-    """Ask something of a run that another program is carrying out; typed at a prompt it is :pause, :redo, …"""
+    """Pause, continue, skip or stop a run that another program carries out.
+
+    At a prompt of the run itself, type :pause, :redo, …
+    """
     from bench.run.events import Wish
     from bench.run.folder import find_run
     from bench.run.person import SIGN, at_the_shell, leave_wish, parse_wish

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 import typer
-from typer.core import TyperCommand, TyperOption
+from typer.core import TyperOption
 
 from bench.base.requests import (
     ESTIMATORS_IN_A_BUDGET,
@@ -24,6 +24,7 @@ from bench.base.requests import (
 )
 from bench.cli import completing
 from bench.cli.commands import COMPLETED_BY, Commands
+from bench.cli.helping import MORE, BenchCommand
 from bench.config.devices import FOLDERS
 from bench.services.errors import Refused
 
@@ -35,17 +36,19 @@ def with_own_parts(command: Any) -> Any:
     """Return a command with `--devices` if it uses a bench file, and `--effects` if it uses that or a model."""
     takes = {parameter.name for parameter in command.params}
     if command.name == "resume" or "bench" in takes:
-        words = "Folder with instruments of your own; it is run (default: BENCH_DEVICES)."
+        words = "Folder with your own instrument drivers; its code is run (default: BENCH_DEVICES)."
         command.params.append(_folder_or_file("devices", "DIR", words, _use_devices))
     if takes & {"bench", "model"}:
-        words = "File with effects of your own, as formulas (default: BENCH_EFFECTS)."
+        words = "File with your own effects, as formulas (default: BENCH_EFFECTS)."
         command.params.append(_folder_or_file("effects", "FILE", words, _use_effects))
     return command
 
 
 def _folder_or_file(name: str, metavar: str, words: str, use: Callable[..., None]) -> Any:
     """Return a repeatable option, which the library makes from the parameter of a temporary function."""
-    told = typer.Option(f"--{name}", metavar=metavar, help=words, expose_value=False, callback=use)
+    told = typer.Option(
+        f"--{name}", metavar=metavar, help=words, expose_value=False, callback=use, rich_help_panel=MORE
+    )
     kind = inspect.Parameter.KEYWORD_ONLY
     parameter = inspect.Parameter(name, kind, default=None, annotation=Annotated[list[str] | None, told])
 
@@ -122,7 +125,7 @@ app = typer.Typer(
 )
 
 
-class WithEstimators(TyperCommand):
+class WithEstimators(BenchCommand):
     """A command whose help names the estimators; they are searched only for the help, as that takes a second."""
 
     def get_help(self, ctx: Any) -> str:
@@ -145,15 +148,13 @@ def _writable(target: str | None) -> str | None:
 JsonOption = Annotated[
     str | None,
     typer.Option(
-        "--json", metavar="FILE", help="Write the result as JSON; - is standard output.", callback=_writable
+        "--json", metavar="FILE", help="Write the result as JSON; - for standard output.", callback=_writable
     ),
 ]
-OutOption = Annotated[
-    Path | None, typer.Option("--out", metavar="DIR", help="Where to write what is derived from a file.")
-]
+OutOption = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Folder for the result files.")]
 StrictFitOption = Annotated[
     bool,
-    typer.Option("--strict", help="A lack of fit of p < 0.01 is not accepted, either (without it: 1e-4)."),
+    typer.Option("--strict", help="Accept no lack of fit with p < 0.01 (without: 1e-4)."),
 ]
 
 
@@ -169,19 +170,23 @@ def requested(command: Callable[..., int]) -> Callable[..., int]:
     place = [parameter.name for parameter in parameters].index(name)
     first = next((field for field in fields if field.option.argument), fields[0])
     made = [_parameter(field, several=several and place == 0 and field is first) for field in fields]
+    older = {field.name: _older(field) for field in fields if field.option.also}
     named = inspect.Parameter.KEYWORD_ONLY
     others = [one.replace(annotation=hints[one.name], kind=named) for one in parameters if one.name != name]
 
     @wraps(command)
     def call(**given: Any) -> int:
         mine = {field.name: given.pop(field.name) for field in fields}
+        for field in fields:
+            if field.name in older:
+                mine[field.name] = _in_either_way(field, mine[field.name], given.pop(older[field.name].name))
         if not several:
             return command(**{name: request(**mine)}, **given)
         every = mine.pop(first.name)
         return command(**{name: [request(**{first.name: one, **mine}) for one in every]}, **given)
 
     # parameters without a default come first, as Python requires
-    signature = sorted([*made, *others], key=lambda one: one.default is not NOT_GIVEN)
+    signature = sorted([*made, *older.values(), *others], key=lambda one: one.default is not NOT_GIVEN)
     call.__signature__ = inspect.Signature(signature, return_annotation=int)  # type: ignore[attr-defined]
     call.__annotations__ = {one.name: one.annotation for one in signature} | {"return": int}
     del call.__wrapped__
@@ -205,6 +210,8 @@ def _parameter(field: RequestField, *, several: bool) -> inspect.Parameter:
         common["min"] = option.least
     if option.most is not None:
         common["max"] = option.most
+    if not (option.argument or option.common):
+        common["rich_help_panel"] = MORE
     info: Any = typer.Argument if option.argument else partial(typer.Option, *(option.flags or _flags(field)))
     return inspect.Parameter(
         field.name,
@@ -212,6 +219,29 @@ def _parameter(field: RequestField, *, several: bool) -> inspect.Parameter:
         default=field.default,
         annotation=Annotated[list[kind] if several else kind, info(**common)],
     )
+
+
+def _older(field: RequestField) -> inspect.Parameter:
+    """Return the option that is an older spelling of an argument."""
+    option = field.option
+    words = f"The same as the argument {option.metavar or field.name.upper()}."
+    info: Any = typer.Option(option.also, help=words, metavar="FILE", rich_help_panel=MORE)
+    if option.completes is not None:
+        info.autocompletion = getattr(completing, option.completes)
+    name = f"{field.name}_as_option"
+    kind = inspect.Parameter.KEYWORD_ONLY
+    return inspect.Parameter(name, kind, default=None, annotation=Annotated[str | None, info])
+
+
+def _in_either_way(field: RequestField, argument: Any, option: Any) -> Any:
+    """Return the value of an argument that may also be given as an option. Raises `Refused` for two values."""
+    if option is None:
+        return argument
+    if argument not in {field.default, option}:
+        raise Refused(
+            f"{field.option.also} {option}: the {field.name} is {argument} already; give one of them"
+        )
+    return option
 
 
 def _flags(field: RequestField) -> tuple[str, ...]:

@@ -14,7 +14,10 @@ from bench.services.requests.shared import runs_folder
 @app.command(epilog="Example: bench panel, or: bench panel token anna --role operator")
 @requested
 def panel(request: ServePanel) -> int:
-    """Serve the operator's panel in a browser over a folder of runs; make the tokens of who may come in."""
+    """Serve the operator's panel in a browser.
+
+    'bench panel token' makes the tokens of those who may sign in.
+    """
     refuse_without_packages()
     from bench.panel.access import Settings
     from bench.panel.app import serve

@@ -31,7 +31,10 @@ def check(
         bool, typer.Option("--instruments", help="Then open the bench's instruments, too.")
     ] = False,
 ) -> int:
-    """Validate a procedure against a bench and print steps, time and operator actions; touch no instrument."""
+    """Check a procedure against a bench; list its steps and time.
+
+    Touch no instrument.
+    """
     from bench.results.check import print_findings
     from bench.services.until import look_ahead
 
@@ -59,7 +62,7 @@ def _offer_dry_run(found: Findings, request: Check) -> None:
 @app.command(epilog="Example: bench init my-lab")
 @requested
 def init(request: Init) -> int:
-    """Write copies of the shipped procedures and bench files, to edit."""
+    """Copy the shipped procedures and bench files, to edit them."""
     from bench.config.shipped import copy_shipped
 
     folder = request.folder
@@ -77,13 +80,13 @@ def init(request: Init) -> int:
 
 @app.command(
     cls=WithEstimators,
-    epilog="Example: bench budget --bench my-bench.yaml --procedure paper --estimator closed-form",
+    epilog="Example: bench budget paper --bench my-bench.yaml --estimator closed-form",
 )
 @requested
 def budget(request: Budget, json: JsonOption = None, out: OutOption = None) -> int:
-    """What each error of the bench contributes to the coefficients and to any measured acceleration.
+    """Compute what each error of the bench contributes to coefficients and accelerations.
 
-    With --rule the exit status is 1 when the check at the verification points cannot be passed with 95 %.
+    With --rule, exit status 1 if the verification passes with less than 95 % probability.
     """
     with printing.progress():
         from bench.services.planning import budget_of
@@ -113,11 +116,14 @@ def _write_page(folder: Path, found: BudgetResult, out: Console) -> None:
 
 @app.command(
     cls=WithEstimators,
-    epilog="Example: bench require --accuracy 3e-4 --estimator closed-form --procedure paper",
+    epilog="Example: bench require paper --accuracy 3e-4 --estimator closed-form",
 )
 @requested
 def require(request: Require, json: JsonOption = None) -> int:
-    """How large each error of the bench may be for an accuracy; exit status 1 when it is not kept now."""
+    """Compute how large each error of the bench may be for a required accuracy.
+
+    Exit status 1 if the bench does not keep the limits now.
+    """
     with printing.progress():
         from bench.services.planning import requirements
 
@@ -131,7 +137,10 @@ def require(request: Require, json: JsonOption = None) -> int:
 @app.command("plan-points", epilog="Example: bench plan-points --u all=1.2e-4 --out procedures/short.yaml")
 @requested
 def plan_points(request: PlanPoints, json: JsonOption = None) -> int:
-    """Test points that reach an uncertainty in the least bench time, or the most in a given time."""
+    """Find test points that reach an uncertainty in the least bench time.
+
+    With --time, find the lowest uncertainty in that time.
+    """
     with printing.progress():
         from bench.services.planning import planned
 

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 @app.command(epilog="Example: bench runs")
 @requested
 def runs(request: ListRuns, json: JsonOption = None) -> int:
-    """List the runs, what became of them, and how to go on."""
+    """List the runs, their states and how to continue."""
     from bench.services.records import run_summaries
 
     folder = runs_folder(request.runs)
@@ -39,7 +39,7 @@ def runs(request: ListRuns, json: JsonOption = None) -> int:
 @app.command(epilog="Example: bench show unit-17 --verify")
 @requested
 def show(request: ShowRun, json: JsonOption = None) -> int:
-    """Show what a run holds: inputs, events, readings."""
+    """Show the inputs, events and readings of a run."""
     from bench.run.folder import find_run
     from bench.services.records import show_run, supply_in_words
 
@@ -54,7 +54,7 @@ def show(request: ShowRun, json: JsonOption = None) -> int:
 @app.command(epilog="Example: bench seal unit-17 --key ~/.bench-keys/laboratory.pem")
 @requested
 def seal(request: SealRun, json: JsonOption = None) -> int:
-    """Seal a run that has ended: note the head of its chain, signed with a key, stamped with the time."""
+    """Seal a run that has ended: sign its record and stamp the time."""
     from bench.services.records import seal_run
 
     sealed = seal_run(request, lambda: printing.passphrase("Passphrase of the key: "))
@@ -74,7 +74,7 @@ def seal(request: SealRun, json: JsonOption = None) -> int:
 @app.command(epilog="Example: bench key ~/.bench-keys/laboratory.pem")
 @requested
 def key(request: MakeKey) -> int:
-    """Make the laboratory's key (Ed25519, PEM), with which 'bench seal' signs; or one that signs certificates."""
+    """Make the key of the laboratory that signs seals, or one that signs certificates."""
     from bench.run.seal import new_key
     from drivers.clock import utc_now
 
@@ -94,26 +94,26 @@ def key(request: MakeKey) -> int:
     return 0
 
 
-@app.command(epilog="Example: bench export unit-17 --csv readings.csv")
+@app.command(epilog="Example: bench export unit-17")
 @requested
 def export(request: ExportReadings) -> int:
     """Write the readings of a run as a readings file."""
     from bench.services.conclusion import export_readings
 
     found = export_readings(request)
-    if request.csv == "-":
+    if found.file is None:
         sys.stdout.write(found.text)
         return 0
-    printing.console().print(f"{found.readings} readings written to {request.csv}")
+    printing.console().print(f"{found.readings} readings written to {found.file}")
     if found.beside is not None:
-        printing.written("where they come from", found.beside)
+        printing.written("origin of the readings", found.beside)
     return 0
 
 
 @app.command("import", epilog="Example: bench import readings.csv --name unit-17-by-hand")
 @requested
 def import_(request: ImportReadings) -> int:
-    """Make a run of a readings file that was measured elsewhere."""
+    """Import a readings file that was measured elsewhere as a run."""
     from bench.services.conclusion import import_readings
 
     out = printing.console()

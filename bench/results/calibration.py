@@ -393,7 +393,7 @@ def print_calibration(name: str, found: Calibration, notes: Sequence[str], out: 
     if found.sources:
         out.print(sources_table(found))
     out.print(_noise_in_words(found))
-    out.print(_fit_in_words(found))
+    out.print(fit_in_a_line(found))
     for effect, value in found.effects.items():
         unit = "times" if value.unit == "1" else value.unit
         out.print(f"effect {effect} = {value.value:.4g} ± {value.u:.2g} {unit}")
@@ -423,7 +423,8 @@ def _noise_in_words(found: Calibration) -> str:
     return said
 
 
-def _fit_in_words(found: Calibration) -> str:
+def fit_in_a_line(found: Calibration) -> str:
+    """Return whether the model fits the readings, with the figures of the test."""
     how = "; u holds what repeats share" if found.shared else ""
     how = f"; u is {found.birge:.2g} times that of the noise" if found.birge > 1 else how
     return fit_in_words(found.lack_of_fit, f"THE MODEL DOES NOT FIT the readings{how}")

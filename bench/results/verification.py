@@ -241,16 +241,23 @@ def risk_in_words(result: Verification) -> str:
 
 def verdict_line(name: str, result: Verification) -> str:
     """Return the verdict on a source called `name` in one line."""
+    missing = f"{result.missing} verification points are missing" if result.missing else ""
+    return ", ".join(filter(None, (outcome_in_words(name, result), basis_in_words(result), missing)))
+
+
+def outcome_in_words(name: str, result: Verification) -> str:
+    """Return the verdict on a source called `name`, with its worst point and the limit."""
     worst = result.worst
-    facts = [
-        f"worst |Δg| = {abs(worst.delta_g) * 1e6:.1f} µg ± {worst.U * 1e6:.1f} µg (U, k = {worst.k:.3g})",
-        f"limit {result.limit_g * 1e6:.4g} µg",
-        f"rule: {result.decision.words}",
-        f"TUR {result.tur:.2g}",
-        risk_in_words(result),
-        f"{result.missing} verification points are missing" if result.missing else "",
-    ]
-    return f"{name}: {headline(result, upper=True)}: {', '.join(fact for fact in facts if fact)}"
+    return (
+        f"{name}: {headline(result, upper=True)}: worst |Δg| = {abs(worst.delta_g) * 1e6:.1f} µg "
+        f"± {worst.U * 1e6:.1f} µg (U, k = {worst.k:.3g}), limit {result.limit_g * 1e6:.4g} µg"
+    )
+
+
+def basis_in_words(result: Verification) -> str:
+    """Return the rule of a verdict, its test uncertainty ratio and the risk of the decision."""
+    facts = (f"rule: {result.decision.words}", f"TUR {result.tur:.2g}", risk_in_words(result))
+    return ", ".join(filter(None, facts))
 
 
 def advice(result: Verification) -> tuple[str, ...]:

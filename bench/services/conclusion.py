@@ -170,28 +170,35 @@ def charted(run: Run) -> dict[str, Any]:
 
 
 class Exported(NamedTuple):
-    """An exported readings file: its text, its number of readings, and its origin file (None without one)."""
+    """An exported readings file: its text and number of readings; the file and its origin file, or None."""
 
     text: str
     readings: int
-    beside: Path | None
+    file: Path | None = None
+    beside: Path | None = None
 
 
 def export_readings(request: asked.ExportReadings) -> Exported:
-    """Return the readings of a run as a readings file, and write it unless the file is "-". Raises `Refused`."""
+    """Return the readings of a run as a readings file, and write it unless the file is "-".
+
+    Without a name, the file is RUN.csv in the working directory, which is only overwritten if it was exported.
+    Raises `Refused`.
+    """
     (source,) = load_sources(Request([request.run], runs_folder(request.runs)))
     text = format_csv(source.as_read)
-    beside = Path(f"{request.csv}{SUFFIX}")
     if request.csv == "-":
-        return Exported(text, len(source.readings), None)
+        return Exported(text, len(source.readings))
+    csv = Path(request.csv or f"{Path(request.run).resolve().name}.csv")
+    beside = Path(f"{csv}{SUFFIX}")
     if beside.exists() and not is_told(beside):
-        raise Refused(f"{beside}: is a file of something else; export under another name")
-    csv = Path(request.csv)
+        raise Refused(f"{beside}: another program wrote this file; export to another file with --csv FILE")
+    if request.csv is None and csv.exists() and not beside.exists():
+        raise Refused(f"{csv}: exists already; name the file to write with --csv FILE")
     write_whole(csv, text)
     if source.origin is None:
-        return Exported(text, len(source.readings), None)
+        return Exported(text, len(source.readings), csv)
     write_whole(beside, source.origin.text_beside(csv, text.encode()))
-    return Exported(text, len(source.readings), beside)
+    return Exported(text, len(source.readings), csv, beside)
 
 
 def import_readings(

@@ -62,7 +62,7 @@ from bench.services.bench_selection import bench_for_record, bench_path, why_tak
 from bench.services.errors import Refused
 from bench.services.own_effects import effects_for_record, knowing_effects_on_record, simulated_truth
 from bench.services.requests.measuring import ResumeRequest, RunRequest
-from bench.services.requests.shared import runs_folder
+from bench.services.requests.shared import name_to_type, runs_folder
 from bench.services.traceability import remarks
 from bench.services.verification import NOTHING_ASKED, VerdictOptions, judgement_of
 from drivers.clock import Haste, utc_now
@@ -506,7 +506,7 @@ def _recorded(record: Record) -> str:
 
 def _kept(record: Record) -> str:
     place = record.whereabouts() or record.folder
-    return f"{_recorded(record)}; go on with 'bench resume {place.name}'"
+    return f"{_recorded(record)}; resume with 'bench resume {name_to_type(place)}'"
 
 
 # --- runs that another program has left -------------------------------------------------------------
@@ -529,7 +529,7 @@ def unfinished_run(name: str | None, runs: Path, *, results_too: bool = False) -
         return waiting[-1]
     found = find_run(name, runs)
     if found.imported:
-        raise Refused(f"{found.name}: was imported from a readings file; there is nothing to go on with")
+        raise Refused(f"{found.name}: was imported from a readings file; it cannot be resumed")
     return found
 
 
@@ -573,8 +573,8 @@ def refuse_missing_devices(run: Run) -> None:
     ]
     if missing:
         raise Refused(
-            f"{run.name} goes on only with {' and '.join(missing)}, which is not here; name the folder that it is "
-            "in with --devices or BENCH_DEVICES, or install its distribution"
+            f"{run.name} needs {' and '.join(missing)}, which is missing here; name its folder with "
+            "--devices or BENCH_DEVICES, or install its distribution"
         )
 
 
@@ -591,5 +591,5 @@ def give_up(run: Run, who: WishAuthor = NOBODY_KNOWN) -> tuple[str, ...]:
     finally:
         record.close()
     if history.progress.power in {"on", "found on", "fault"}:
-        return ("the block was on when the run stopped, and nobody has switched it off since",)
+        return ("the supply of the block was on when the run stopped; switch it off",)
     return ()

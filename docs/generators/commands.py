@@ -14,14 +14,17 @@ from docs.generators.markdown import code, table
 _INTRODUCTION: Final = """\
 # Commands
 
-`bench COMMAND --help` (or `-h`) says the same. Exit status of every command: 0 done and accepted, 1 done and
-not accepted, 2 could not be done, with one clear line on standard error. A result as JSON (`--json FILE`, `-` for
-standard output) has the form that [results](results.md) describes.
+This page lists all commands and options. `bench --help` lists the common commands, `bench help --all` all of them.
+`bench help COMMAND` (or `bench COMMAND --help`, `-h`) shows the common options of a command, `bench help COMMAND
+--all` (or `bench COMMAND --help-all`) all options.
 
-Before a command or after it may stand `--debug`, which shows the traceback of an error, and `--quiet`, which
-leaves out progress and notes: results, questions and errors stay. What takes long shows on a terminal how far it is
-and the time left. `bench --install-completion` makes your shell complete commands, options, runs and procedures (it
-writes into the shell's own files); `bench --show-completion` prints the script for it and writes nothing.
+Exit status of every command: 0 done and accepted, 1 done and not accepted, 2 could not be done, with one line on
+standard error. A result as JSON (`--json FILE`, `-` for standard output) has the form in [results](results.md).
+
+Two options work before or after every command: `--debug` shows the traceback of an error, `--quiet` hides progress
+and notes. On a terminal, long computations show their progress and the time left. `bench --install-completion`
+makes your shell complete commands, options, runs and procedures (it writes into the shell's own files);
+`bench --show-completion` only prints the script.
 """
 
 
@@ -56,7 +59,7 @@ def _section(name: str, command: Any) -> str:
     parts = [f"## {name}", command.help or "", f"```text\n{usage}\n```"]
     rows = [row for option in command.params for row in _rows(option)]
     if rows:
-        parts.append(table(("argument or option", "what it is", "left out"), rows))
+        parts.append(table(("argument or option", "meaning", "default"), rows))
     if command.epilog and command.epilog.startswith("Example: "):
         parts.append(f"Example: {code(command.epilog.removeprefix('Example: '))}")
     return "\n\n".join(part for part in parts if part)
@@ -71,14 +74,14 @@ def _rows(option: Any) -> Iterator[tuple[str, str, str]]:
         yield (
             code(option.metavar or option.name.upper()),
             help_text,
-            "" if not option.required else "must stand",
+            "" if not option.required else "required",
         )
         return
     names = ", ".join(code(name) for name in (*option.opts, *option.secondary_opts))
     value = "" if option.is_flag else f" {code(option.metavar or _kind(option))}"
     shown = "" if default is None or option.is_flag or callable(default) or default == () else code(default)
     environment = f"; also {code(option.envvar)}" if option.envvar else ""
-    yield f"{names}{value}", f"{help_text}{environment}", "must stand" if option.required else shown
+    yield f"{names}{value}", f"{help_text}{environment}", "required" if option.required else shown
 
 
 def _kind(option: Any) -> str:

@@ -107,7 +107,7 @@ def test_a_run_that_was_stopped_in_the_panel_goes_on_with_a_living_person(points
     run, (status, out, err) = points("one", *RUN, "--name", "one", "--answers", "folder", hands=hands)
     assert status == 2
     assert "stopped in the panel by Eve" in out
-    assert "go on with 'bench resume one'" in err
+    assert "resume with 'bench resume one'" in err
     assert run.history.events[-1].data == {"reason": "tea", "by": "Eve", "role": "viewer", "where": "panel"}
     run, (status, _, _) = points("one", "resume", "one", "--answers", "folder")
     assert status == 0

@@ -138,7 +138,7 @@ def test_a_process_hit_by_a_signal_keeps_a_whole_record(tmp_path, number):
     else:
         assert process.returncode == 2
         assert history.state == "interrupted"
-        assert "readings are kept in runs/hit; go on with 'bench resume hit'" in err
+        assert "readings are kept in runs/hit; resume with 'bench resume hit'" in err
         assert "Traceback" not in err
 
 

@@ -26,14 +26,14 @@ from bench.services.requests.shared import (
 CatalogueField = Annotated[
     str | None,
     Option(
-        "The catalogue: a file, or postgresql://USER@HOST/NAME (default: in the user's cache folder).",
+        "Catalogue: a file, or postgresql://USER@HOST/NAME (default: in your cache folder).",
         metavar="FILE|URL",
         environment="TRIAXIAL_BENCH_CATALOGUE",
     ),
 ]
 QueryField = Annotated[
     list[str] | None,
-    Option("What has to hold; 'bench catalogue keys' lists the keys.", metavar="[KEY=VALUE…]", argument=True),
+    Option("Conditions; 'bench catalogue keys' lists the keys.", metavar="[KEY=VALUE…]", argument=True),
 ]
 
 
@@ -42,15 +42,15 @@ class Sync:
     """The synchronisation of the catalogue with run folders."""
 
     folders: Annotated[
-        list[Path], Option("Folders with run folders, at any depth.", metavar="DIR…", argument=True)
+        list[Path], Option("Folders that contain run folders, at any depth.", metavar="DIR…", argument=True)
     ]
     _: KW_ONLY
-    verify: Annotated[bool, Option("Read every event of each record, not only the hashes of its lines.")] = (
-        False
-    )
+    verify: Annotated[
+        bool, Option("Check each event of each record, not only the line hashes.", common=True)
+    ] = False
     due: Annotated[
         bool,
-        Option("Then reckon when the units of what changed are due, so that 'due' answers at once."),
+        Option("Compute the due dates of changed units now, so that 'due' answers at once.", common=True),
     ] = False
     catalogue: CatalogueField = None
 
@@ -66,10 +66,15 @@ class Ask:
         Option(
             "runs, coefficients, units, benches, operators, instruments, certificates, issued or folders.",
             metavar="WHAT",
+            common=True,
         ),
     ] = "runs"
-    csv: Annotated[Path | None, Option("Write all columns and rows as CSV.", metavar="FILE")] = None
-    parquet: Annotated[Path | None, Option("Write them as Parquet.", metavar="FILE")] = None
+    csv: Annotated[Path | None, Option("Write all rows and columns as CSV.", metavar="FILE", common=True)] = (
+        None
+    )
+    parquet: Annotated[
+        Path | None, Option("Write all rows and columns as Parquet.", metavar="FILE", common=True)
+    ] = None
     catalogue: CatalogueField = None
 
 
@@ -77,10 +82,11 @@ class Ask:
 class _Dated:
     limit: Annotated[
         float | None,
-        Option("Error allowed, in g at 1 g (default: its last verification's).", metavar="G"),
+        Option("Allowed error, in g at 1 g (default: of the last verification).", metavar="G", common=True),
     ] = None
     interval: Annotated[
-        float | None, Option("Counts where a history is too short (default: 365).", metavar="DAYS")
+        float | None,
+        Option("Interval for units with a short history (default: 365).", metavar="DAYS", common=True),
     ] = None
     catalogue: CatalogueField = None
 
@@ -91,7 +97,7 @@ class Unit(_Dated):
 
     name: Annotated[str, Option("Serial number, or type and serial number.", metavar="UNIT", argument=True)]
     _: KW_ONLY
-    page: Annotated[Path | None, Option("Write its page (HTML).", metavar="FILE")] = None
+    page: Annotated[Path | None, Option("Write an HTML page.", metavar="FILE", common=True)] = None
 
 
 @dataclass(frozen=True)
@@ -100,7 +106,9 @@ class DueUnits(_Dated):
 
     query: QueryField = None
     _: KW_ONLY
-    before: Annotated[str | None, Option("Those that are due before that day.", metavar="YYYY-MM-DD")] = None
+    before: Annotated[
+        str | None, Option("List only units due before this day.", metavar="YYYY-MM-DD", common=True)
+    ] = None
 
 
 # --- batches: the same work over many runs ------------------------------------------------------------
@@ -113,20 +121,22 @@ class Batch(OnReadings):
     over: Annotated[
         list[str],
         Option(
-            "Which runs: a pattern of paths ('runs/*'), or words of a query of the catalogue ('unit=Q-17'); may be "
-            "given several times.",
+            "Runs: a path pattern ('runs/*') or a catalogue query ('unit=Q-17'); repeatable.",
             metavar="QUERY|GLOB",
+            common=True,
         ),
     ]
-    out: Annotated[Path, Option("Folder of the batch; the same command goes on with it.", metavar="FOLDER")]
+    out: Annotated[
+        Path, Option("Folder of the batch; the same command resumes it.", metavar="FOLDER", common=True)
+    ]
     model: ModelField = None
     workers: Annotated[
-        int | None, Option("Processes on this machine (default: one a core).", metavar="N", least=1)
+        int | None, Option("Number of processes (default: one per core).", metavar="N", least=1, common=True)
     ] = None
     scheduler: Annotated[
         str | None,
         Option(
-            "Dask scheduler whose workers compute, in place of processes here: tcp://host:8786.",
+            "Dask scheduler (tcp://host:8786) to use instead of local processes.",
             metavar="ADDRESS",
         ),
     ] = None
@@ -144,14 +154,14 @@ class BatchCalibrate(Batch):
     limit: LimitField = None
     rule: RuleField = None
     guard_band: GuardBandField = None
-    strict: Annotated[bool, Option("A fit that is judged otherwise is not accepted, either.")] = False
+    strict: Annotated[bool, Option("Accept no changed judgement of a fit.", common=True)] = False
 
 
 @dataclass(frozen=True, kw_only=True)
 class BatchDiagnose(Batch):
     """Diagnoses of many runs, computed anew."""
 
-    strict: Annotated[bool, Option("Other names under the same verdict are not accepted, either.")] = False
+    strict: Annotated[bool, Option("Accept no changed effect under the same verdict.", common=True)] = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -168,13 +178,18 @@ class BatchReport(Batch):
 
 LaboratoryField = Annotated[
     Path | None,
-    Option("Laboratory file; 'bench init' has one.", metavar="FILE", environment="BENCH_LABORATORY"),
+    Option(
+        "Laboratory file; 'bench init' copies an example.",
+        metavar="FILE",
+        environment="BENCH_LABORATORY",
+        common=True,
+    ),
 ]
 AuthorisedField = Annotated[
-    str | None, Option("Who authorises, as the laboratory file has it.", metavar="NAME")
+    str | None, Option("Authorising person, as named in the laboratory file.", metavar="NAME", common=True)
 ]
-NumberField = Annotated[str, Option("Number of a certificate.", argument=True)]
-ReasonField = Annotated[str, Option("Why; it is written down.", metavar="TEXT")]
+NumberField = Annotated[str, Option("Number of the certificate.", argument=True)]
+ReasonField = Annotated[str, Option("Reason, for the register.", metavar="TEXT", common=True)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -182,17 +197,20 @@ class Issuing:
     """The laboratory, order, signatory and key with which certificates are issued."""
 
     laboratory: LaboratoryField = None
-    order: Annotated[Path | None, Option("Order file; 'bench init' has one.", metavar="FILE")] = None
+    order: Annotated[
+        Path | None, Option("Order file; 'bench init' copies an example.", metavar="FILE", common=True)
+    ] = None
     authorised_by: AuthorisedField = None
     key: Annotated[
-        str | None, Option("Key to sign with: a file (PEM), or pkcs11:… of one in a token.", metavar="KEY")
+        str | None,
+        Option("Key to sign with: a PEM file, or pkcs11:… for a token.", metavar="KEY", common=True),
     ] = None
     chain: Annotated[
-        Path | None, Option("Certificates of the key (PEM), where not beside it.", metavar="FILE")
+        Path | None, Option("Certificates of the key (PEM), if not beside it.", metavar="FILE")
     ] = None
     schema: Annotated[
         Path | None,
-        Option("The institute's schemas (DCC 3.3.0, D-SI 2.2.1): checked against.", metavar="DIR"),
+        Option("Folder of schemas (DCC 3.3.0, D-SI 2.2.1) to check against.", metavar="DIR"),
     ] = None
     runs: RunsField = None
 
@@ -205,8 +223,12 @@ class IssueCertificates(Issuing):
         list[str], Option("Runs, by name or path.", metavar="RUN…", argument=True, completes="runs")
     ]
     _: KW_ONLY
-    draft: Annotated[bool, Option("A draft with a water mark; needs neither laboratory nor order.")] = False
-    out: Annotated[Path | None, Option("Where drafts go (default: the run's folder).", metavar="DIR")] = None
+    draft: Annotated[
+        bool, Option("Write a draft with a watermark; needs no laboratory or order file.", common=True)
+    ] = False
+    out: Annotated[Path | None, Option("Folder for drafts (default: the run's folder).", metavar="DIR")] = (
+        None
+    )
 
 
 @dataclass(frozen=True)
@@ -217,7 +239,9 @@ class AmendCertificate(Issuing):
     run: RunField
     _: KW_ONLY
     reason: ReasonField
-    replace: Annotated[bool, Option("It replaces the other as a whole: another run, other results.")] = False
+    replace: Annotated[
+        bool, Option("Replace the whole certificate: another run, other results.", common=True)
+    ] = False
 
 
 @dataclass(frozen=True)
@@ -235,14 +259,15 @@ class RevokeCertificate:
 class CheckRegister:
     """A check of the register of issued certificates."""
 
-    number: Annotated[str | None, Option("One certificate; all if left out.", argument=True)] = None
+    number: Annotated[str | None, Option("Number of a certificate (default: all).", argument=True)] = None
     _: KW_ONLY
     laboratory: LaboratoryField = None
     out: Annotated[
-        Path | None, Option("Hand the files of NUMBER out again, into a folder.", metavar="DIR")
+        Path | None,
+        Option("Copy the files of certificate NUMBER into this folder.", metavar="DIR", common=True),
     ] = None
     again: Annotated[
-        bool, Option("Make the unsigned certificates from their records again, and compare.")
+        bool, Option("Regenerate the unsigned certificates from their records and compare.", common=True)
     ] = False
     runs: RunsField = None
 
@@ -251,17 +276,17 @@ class CheckRegister:
 class VerifyCertificate:
     """A check of a certificate: its integrity, its signature and whether it is still valid."""
 
-    file: Annotated[
-        Path, Option("Certificate, PDF or XML; the other form is found beside it.", argument=True)
-    ]
+    file: Annotated[Path, Option("Certificate, PDF or XML; the other form must be beside it.", argument=True)]
     _: KW_ONLY
     trust: Annotated[
         Path | None,
-        Option("Certificates (PEM) of signers or authorities that are believed.", metavar="FILE"),
+        Option("Trusted certificates of signers or authorities (PEM).", metavar="FILE", common=True),
     ] = None
     laboratory: Annotated[
         Path | None,
-        Option("Laboratory file: its register is asked (default: the one beside FILE).", metavar="FILE"),
+        Option(
+            "Laboratory file with the register (default: the one beside FILE).", metavar="FILE", common=True
+        ),
     ] = None
     runs: RunsField = None
 
@@ -272,18 +297,21 @@ class ReadCertificate:
 
     file: Annotated[
         Path,
-        Option("Digital calibration certificate, anybody's: XML, or the PDF that has it.", argument=True),
+        Option("Digital calibration certificate: XML, or PDF with the XML inside.", argument=True),
     ]
     _: KW_ONLY
     out: Annotated[
         Path | None,
-        Option("Where the coefficients go, for verify --coefficients and compare.", metavar="FILE"),
+        Option(
+            "File for the coefficients, for verify --coefficients and compare.", metavar="FILE", common=True
+        ),
     ] = None
     g: Annotated[
-        float | None, Option("Local gravity for which K of another's is stated.", metavar="M/S2")
+        float | None, Option("Local gravity of the stated K, for a foreign certificate.", metavar="M/S2")
     ] = None
     noise: Annotated[
-        str | None, Option("Noise of a reading, '50 uV', where the maker is another.", metavar="VOLTAGE")
+        str | None,
+        Option("Noise of a reading, such as '50 uV', for a foreign certificate.", metavar="VOLTAGE"),
     ] = None
 
 
@@ -306,24 +334,28 @@ class ServePanel:
     what: Annotated[
         PeopleCommand | None,
         Option(
-            "token NAME makes a person's token, tokens lists, revoke NAME takes it back; link makes a one-time "
-            "link. Left out: the panel itself.",
+            "token NAME makes a token, tokens lists tokens, revoke NAME revokes one, "
+            "link makes a one-time link (default: serve the panel).",
             argument=True,
         ),
     ] = None
-    name: Annotated[str | None, Option("Of which person.", argument=True)] = None
+    name: Annotated[str | None, Option("Name of the person.", argument=True)] = None
     _: KW_ONLY
-    role: Annotated[str, Option("viewer, operator or supervisor.")] = "operator"
-    host: Annotated[str, Option("Where to listen; beyond loopback only with tokens.")] = "127.0.0.1"
-    port: Annotated[int, Option("0 takes a free one.", least=0, most=65535)] = 8741
+    role: Annotated[str, Option("Role of the person: viewer, operator or supervisor.", common=True)] = (
+        "operator"
+    )
+    host: Annotated[str, Option("Address to listen on; other than loopback needs tokens.", common=True)] = (
+        "127.0.0.1"
+    )
+    port: Annotated[int, Option("Port to listen on; 0 for a free one.", least=0, most=65535, common=True)] = (
+        8741
+    )
     address: Annotated[
-        str, Option("Address of a proxy with TLS before it, such as https://bench.lab.", metavar="URL")
+        str, Option("Address of a TLS proxy in front, such as https://bench.lab.", metavar="URL")
     ] = ""
     laboratory: Annotated[
         Path | None,
-        Option("Laboratory file, whose register holds the certificates of the runs.", metavar="FILE"),
+        Option("Laboratory file with the register of certificates.", metavar="FILE"),
     ] = None
-    catalogue: Annotated[
-        str, Option("Catalogue, which its pages on units show; only read.", metavar="FILE|URL")
-    ] = ""
+    catalogue: Annotated[str, Option("Catalogue for the pages on units; read only.", metavar="FILE|URL")] = ""
     runs: RunsField = None

@@ -64,9 +64,7 @@ class Calibrate(OnReadings):
     join_verification: JoinVerificationField = False
     prior: Annotated[
         str | Path | None,
-        Option(
-            "What units of its type tell: a file of 'bench fleet prior'.", metavar="FILE", typed=Path | None
-        ),
+        Option("Prior for units of this type, from 'bench fleet prior'.", metavar="FILE", typed=Path | None),
     ] = None
 
     @property
@@ -95,7 +93,13 @@ class Verify(Judging):
     _: KW_ONLY
     effects: Effects = None
     coefficients: Annotated[
-        Given, Option("Result of 'calibrate --json' of another day.", metavar="FILE", typed=Path | None)
+        Given,
+        Option(
+            "Earlier result of 'calibrate --json' to verify with.",
+            metavar="FILE",
+            typed=Path | None,
+            common=True,
+        ),
     ] = None
 
 
@@ -124,16 +128,17 @@ class Coefficients(OnReadings):
     forms: Annotated[
         Sequence[str] | None,
         Option(
-            "json, csv, c, excel, kalibr, px4, ardupilot, or all; may be said several times (default: json).",
+            "json, csv, c, excel, kalibr, px4, ardupilot or all; repeatable (default: json).",
             ("--as",),
             metavar="FORM",
             typed=list[str] | None,
+            common=True,
         ),
     ] = None
     nominal: Annotated[
         str | None,
         Option(
-            "Scale factors, unit/g (9.80665 m/s²), by which kalibr, px4 and ardupilot have the signals in m/s² "
+            "Nominal scale factors, unit/g (9.80665 m/s²), for kalibr, px4 and ardupilot "
             "(default: the block's, rounded).",
             metavar="X,Y,Z",
         ),
@@ -146,15 +151,15 @@ class Compensate(OnReadings):
 
     sources: SourcesField
     _: KW_ONLY
-    reference: Annotated[float, Option("Temperature about which the polynomials stand.", metavar="DEGC")] = (
-        23.0
+    reference: Annotated[
+        float, Option("Reference temperature of the polynomials.", metavar="DEGC", common=True)
+    ] = 23.0
+    degree: Annotated[
+        str, Option("Degree of all polynomials, or chosen from the data.", metavar="auto|N", common=True)
+    ] = "auto"
+    step: Annotated[float | None, Option("Temperature step of the table (default: from u).", metavar="K")] = (
+        None
     )
-    degree: Annotated[str, Option("Degree for all, or each coefficient's by the data.", metavar="auto|N")] = (
-        "auto"
-    )
-    step: Annotated[
-        float | None, Option("Step of the table (default: as fine as u asks for).", metavar="K")
-    ] = None
 
 
 @dataclass(frozen=True)
@@ -164,7 +169,8 @@ class Tumble(OnReadings):
     sources: SourcesField
     _: KW_ONLY
     terms: Annotated[
-        str, Option("Nonlinear terms: of K2, K3, Koq, Kip, Kio, Kpo, Kpp, Koo.", metavar="TERM,…")
+        str,
+        Option("Nonlinear terms from K2, K3, Koq, Kip, Kio, Kpo, Kpp, Koo.", metavar="TERM,…", common=True),
     ] = "K2,K3,Koq"
 
 
@@ -185,7 +191,9 @@ class Confirm(OnReadings):
     _: KW_ONLY
     model: Annotated[
         str | Path,
-        Option("Model file of 'diagnose', found in other readings.", metavar="FOUND", typed=Path),
+        Option(
+            "Model file that 'diagnose' found in other readings.", metavar="FOUND", typed=Path, common=True
+        ),
     ]
 
 
@@ -201,21 +209,21 @@ class Diagnose(OnReadings):
     one_block: Annotated[
         bool | None,
         Option(
-            "With --together: whose runs they are (default: as names and readings say).",
+            "With --together: runs of one block, or of a block each (default: by names and readings).",
             ("--one-block/--a-block-each",),
         ),
     ] = None
     accept_first: Annotated[
-        bool, Option("Write the model also where the data cannot tell: with the likeliest effect.")
+        bool, Option("If the data cannot decide, write the model with the likeliest effect.", common=True)
     ] = False
     report: Annotated[
         bool | None,
-        Option("Write the page (default: for one source, not for several).", ("--report/--no-report",)),
+        Option("Write the HTML page (default: for a single source).", ("--report/--no-report",)),
     ] = None
     model: ModelField = None
     out: Annotated[
         str | Path | None,
-        Option("Where to write what is derived from a file.", metavar="DIR", typed=Path | None),
+        Option("Folder for the result files.", metavar="DIR", typed=Path | None, common=True),
     ] = None
     effects: Effects = None
     write: bool = False
@@ -232,17 +240,17 @@ class Accept:
 
     model: Annotated[
         Path,
-        Option("Model file with terms that have no name (unnamed_1, …).", metavar="MODEL", argument=True),
+        Option("Model file with unnamed terms (unnamed_1, …).", metavar="MODEL", argument=True),
     ]
     _: KW_ONLY
-    name: Annotated[str, Option("Name of the effect: small letters, digits, _.")]
-    sentence: Annotated[str, Option("What it is, for reports.")]
+    name: Annotated[str, Option("Name of the effect: lower-case letters, digits, _.", common=True)]
+    sentence: Annotated[str, Option("Description of the effect, for reports.", common=True)]
     term: Annotated[
         list[str] | None,
-        Option("A term that it is made of; several times (default: all that have no name)."),
+        Option("Term of the effect; repeatable (default: all unnamed terms).", common=True),
     ] = None
-    shown_by: Annotated[str | None, Option("Which measurement would show it.", metavar="TEXT")] = None
+    shown_by: Annotated[str | None, Option("Measurement that would show the effect.", metavar="TEXT")] = None
     out: Annotated[
         Path | None,
-        Option("Where the effect is written (default: NAME.yaml beside MODEL).", metavar="FILE"),
+        Option("File for the effect (default: NAME.yaml beside MODEL).", metavar="FILE", common=True),
     ] = None

@@ -19,7 +19,7 @@ class Chart:
     runs: Annotated[
         str | Path | Sequence[str | Path] | None,
         Option(
-            "Runs of the check block, or a folder of runs in which they are.",
+            "Runs of the check block, or a folder of runs.",
             metavar="RUN…|DIR",
             argument=True,
             typed=list[str] | None,
@@ -27,18 +27,18 @@ class Chart:
     ] = None
     _: KW_ONLY
     bench: BenchField = None
-    baseline: Annotated[int | None, Option("How many runs in control say what the block is.", least=1)] = None
+    baseline: Annotated[int | None, Option("Number of runs in control for the baseline.", least=1)] = None
     arl: Annotated[float | None, Option("Mean number of runs between false alarms.")] = None
-    smoothing: Annotated[float | None, Option("λ of the EWMA.")] = None
-    limits: Annotated[str | None, Option("What limits are from: stated, scaled or scatter.")] = None
+    smoothing: Annotated[float | None, Option("Smoothing factor λ of the EWMA.")] = None
+    limits: Annotated[str | None, Option("Origin of the limits: stated, scaled or scatter.")] = None
     real: Annotated[
         bool | None,
-        Option("Which runs of a folder, where it has both (default: the latest's).", ("--real/--simulated",)),
+        Option("Use only real or only simulated runs (default: as the latest).", ("--real/--simulated",)),
     ] = None
     folder: Annotated[
         str | Path | None,
         Option(
-            "Folder in which runs live (default: ./runs).",
+            "Folder of the runs (default: ./runs).",
             ("--runs",),
             metavar="DIR",
             environment="BENCH_RUNS",
@@ -64,9 +64,10 @@ class Compare(OnReadings):
     date: Annotated[
         Sequence[str] | None,
         Option(
-            "Date of each, in their order, where they do not say it.",
+            "Date of each source, in order, if it has none.",
             metavar="YYYY-MM-DD",
             typed=list[str] | None,
+            common=True,
         ),
     ] = None
 
@@ -87,11 +88,16 @@ class Learn(OnReadings):
     _: KW_ONLY
     model: ModelField = None
     by_installation: Annotated[
-        bool, Option("Each installation has mean angles of its own (brackets).", ("--by-installation",))
+        bool, Option("Estimate mean angles for each installation (brackets).", ("--by-installation",))
     ] = False
     expires: Annotated[
         date | str | None,
-        Option("Until when it counts (default: 365 days).", metavar="DATE|DAYS", typed=str | None),
+        Option(
+            "Date or days until the file expires (default: 365 days).",
+            metavar="DATE|DAYS",
+            typed=str | None,
+            common=True,
+        ),
     ] = None
 
 
@@ -110,11 +116,17 @@ class Stability:
     _: KW_ONLY
     size: Annotated[
         float | None,
-        Option("Noise that a reading may have, unit of the signals (default: where it flattens)."),
+        Option(
+            "Allowed noise of a reading, in the signals' unit (default: where it levels off).", common=True
+        ),
     ] = None
     integration: Annotated[
         float | None,
-        Option("How long the meter integrated for each sample (default: all the time).", metavar="S"),
+        Option(
+            "Integration time of the meter per sample (default: the whole interval).",
+            metavar="S",
+            common=True,
+        ),
     ] = None
     bench: BenchField = None
     runs: RunsField = None
@@ -127,7 +139,7 @@ class OfFleet:
     query: Annotated[
         Sequence[str] | None,
         Option(
-            "Which calibrations: KEY=VALUE, as of 'bench catalogue'; all if none.",
+            "Conditions KEY=VALUE, as in 'bench catalogue' (default: all).",
             metavar="QUERY…",
             argument=True,
             typed=list[str] | None,
@@ -136,7 +148,9 @@ class OfFleet:
     _: KW_ONLY
     catalogue: Annotated[
         str | None,
-        Option("Catalogue (default: TRIAXIAL_BENCH_CATALOGUE, or the own).", metavar="FILE|URL"),
+        Option(
+            "Catalogue (default: TRIAXIAL_BENCH_CATALOGUE, or your own).", metavar="FILE|URL", common=True
+        ),
     ] = None
 
 
@@ -147,8 +161,9 @@ class CompareBenches(OfFleet):
     reference: Annotated[
         str | None,
         Option(
-            "weighted-mean, mandel-paule or dersimonian-laird (default: the first where it holds, else the "
-            "second)."
+            "weighted-mean, mandel-paule or dersimonian-laird (default: the first if consistent, "
+            "else the second).",
+            common=True,
         ),
     ] = None
 
@@ -157,7 +172,9 @@ class CompareBenches(OfFleet):
 class DriftOfUnit(OfFleet):
     """The drift of a unit."""
 
-    at: Annotated[str | None, Option("Foretell the coefficients at this date.", metavar="YYYY-MM-DD")] = None
+    at: Annotated[
+        str | None, Option("Predict the coefficients at this date.", metavar="YYYY-MM-DD", common=True)
+    ] = None
 
 
 @dataclass(frozen=True)
@@ -165,5 +182,6 @@ class Capability(OfFleet):
     """The calibration and measurement capability of the laboratory."""
 
     quantile: Annotated[
-        float, Option("Share of everyday calibrations that reach it.", least=0.01, most=0.99)
+        float,
+        Option("Share of everyday calibrations that reach the CMC.", least=0.01, most=0.99, common=True),
     ] = 0.5

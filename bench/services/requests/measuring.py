@@ -20,24 +20,30 @@ from bench.services.requests.shared import (
 
 BenchNameField = Annotated[
     str | None,
-    Option("Bench file, by path or name (default: BENCH_FILE).", metavar="FILE", completes="bench_files"),
+    Option(
+        "Bench file, by path or name (default: BENCH_FILE).",
+        metavar="FILE",
+        completes="bench_files",
+        common=True,
+    ),
 ]
-SeedField = Annotated[int, Option("Random numbers of a dry run.", least=0)]
+SeedField = Annotated[int, Option("Seed of the random numbers of a dry run.", least=0)]
 WireLogField = Annotated[
-    Path | None, Option("Write every message to and from the instruments.", metavar="FILE")
+    Path | None, Option("Write all messages to and from the instruments.", metavar="FILE")
 ]
 AnswersField = Annotated[
     str | None,
     Option(
-        "Where a person answers the questions, also those of a dry run: terminal, or folder (the run's).",
+        "Where a person answers the questions, also in a dry run: terminal, or folder (of the run).",
         metavar="PLACE",
     ),
 ]
 PanelField = Annotated[
     bool,
     Option(
-        "Open the operator's panel for this run and print its link; a dry run's questions are asked, too.",
+        "Open the operator's panel for this run and print its link; a dry run then asks its questions.",
         ("--panel",),
+        common=True,
     ),
 ]
 
@@ -54,7 +60,7 @@ class DryRunRequest:
     _: KW_ONLY
     seed: SeedField = 1
     model: ModelField = None
-    name: Annotated[str | None, Option("Name of the run (default: procedure and time).")] = None
+    name: Annotated[str | None, Option("Name of the run (default: procedure and time).", common=True)] = None
     runs: RunsField = None
 
 
@@ -62,25 +68,29 @@ class DryRunRequest:
 class RunRequest(DryRunRequest):
     """A procedure to be run on a bench, or dry on simulated instruments."""
 
-    dry_run: Annotated[bool, Option("Simulated instruments, virtual clock.", ("--dry-run",))] = False
-    operator: Annotated[str, Option("Who stands at the bench, for the record.")] = ""
+    dry_run: Annotated[
+        bool, Option("Simulate instruments and clock; touch no hardware.", ("--dry-run",), common=True)
+    ] = False
+    operator: Annotated[str, Option("Name of the operator, for the record.", common=True)] = ""
     unit: Annotated[
-        str | None, Option("Serial number of the block, in place of the bench file's.", metavar="SERIAL")
+        str | None,
+        Option("Serial number of the block, instead of the bench file's.", metavar="SERIAL", common=True),
     ] = None
     limit: LimitField = None
     rule: RuleField = None
     guard_band: GuardBandField = None
     until: UntilField = None
     wire_log: WireLogField = None
-    check_block: Annotated[
-        bool, Option("Hold a dry run, too, to the check block of the bench file.", ("--check-block",))
-    ] = False
-    despite_check: Annotated[
-        str | None, Option("Begin whatever the check block says; the record keeps why.", metavar="REASON")
-    ] = None
-    follow: Annotated[bool, Option("Then diagnose, and run at once what would tell more.", ("--follow",))] = (
+    check_block: Annotated[bool, Option("Require the check block in a dry run, too.", ("--check-block",))] = (
         False
     )
+    despite_check: Annotated[
+        str | None,
+        Option("Start although the check block is out of control; REASON is recorded.", metavar="REASON"),
+    ] = None
+    follow: Annotated[
+        bool, Option("Diagnose the run, then run the procedure that the diagnosis proposes.", ("--follow",))
+    ] = False
     answers: AnswersField = None
     panel: PanelField = False
 
@@ -108,17 +118,18 @@ class InstrumentsRequest:
 
     bench: BenchNameField = None
     discover: Annotated[
-        bool, Option("List what the interfaces offer; address no instrument.", ("--discover",))
+        bool,
+        Option("List the resources of the interfaces; address no instrument.", ("--discover",), common=True),
     ] = False
     commission: Annotated[
-        bool, Option("Go through a first evening with the hardware, asked step by step.", ("--commission",))
+        bool, Option("Commission new hardware step by step.", ("--commission",), common=True)
     ] = False
     out: Annotated[
         Path | None,
-        Option("With --commission: folder for page and wire log (default: a new one).", metavar="DIR"),
+        Option("With --commission: folder for page and wire log (default: new).", metavar="DIR"),
     ] = None
     dry_run: Annotated[
-        bool, Option("With --commission: the simulated bench and a scripted person.", ("--dry-run",))
+        bool, Option("With --commission: use the simulated bench and a scripted operator.", ("--dry-run",))
     ] = False
     seed: SeedField = 1
     wire_log: WireLogField = None
@@ -130,19 +141,22 @@ class SimulateRequest:
 
     command: Annotated[
         str | None,
-        Option("With --control: what to do on a bench that is served, such as 'turn 45 deg'.", argument=True),
+        Option("With --control: command to the served bench, such as 'turn 45 deg'.", argument=True),
     ] = None
     _: KW_ONLY
     bench: BenchNameField = None
     model: ModelField = None
-    seed: Annotated[int, Option("Random numbers of the simulated bench.", least=0)] = 1
-    speed: Annotated[float, Option("How many times faster than real time it goes.")] = 1.0
-    host: Annotated[str, Option("Address to listen on; loopback keeps others out.")] = "127.0.0.1"
-    port: Annotated[int | None, Option("First TCP port, the others follow (default: free ones).")] = None
-    ready_file: Annotated[
-        Path | None, Option("JSON with all addresses, once everything listens.", metavar="FILE")
+    seed: Annotated[int, Option("Seed of the random numbers.", least=0)] = 1
+    speed: Annotated[float, Option("Speed of the clock, as a multiple of real time.", common=True)] = 1.0
+    host: Annotated[str, Option("Address to listen on; only loopback is closed to others.")] = "127.0.0.1"
+    port: Annotated[
+        int | None, Option("First TCP port; the others follow (default: free ports).", common=True)
     ] = None
-    no_pty: Annotated[bool, Option("TCP alone, no pseudo-terminals.", ("--no-pty",))] = False
-    control: Annotated[str | None, Option("Send COMMAND to a bench that is served.", metavar="HOST:PORT")] = (
-        None
-    )
+    ready_file: Annotated[
+        Path | None,
+        Option("Write all addresses as JSON when all instruments listen.", metavar="FILE", common=True),
+    ] = None
+    no_pty: Annotated[bool, Option("Serve TCP only, without pseudo-terminals.", ("--no-pty",))] = False
+    control: Annotated[
+        str | None, Option("Send COMMAND to a served bench.", metavar="HOST:PORT", common=True)
+    ] = None

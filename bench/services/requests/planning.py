@@ -19,7 +19,10 @@ from bench.services.requests.shared import (
 )
 
 ProcedureField = Annotated[
-    str, Option("Procedure, by path or shipped name.", metavar="FILE", completes="procedures")
+    str,
+    Option(
+        "Procedure file, by path or shipped name.", argument=True, completes="procedures", also="--procedure"
+    ),
 ]
 EstimatorField = Annotated[str, Option(ESTIMATORS_IN_A_BUDGET)]
 UpToField = Annotated[str | None, Option("Largest acceleration, such as 5g (default: the block's range).")]
@@ -42,7 +45,7 @@ class Check:
 class Init:
     """Copies of the shipped files."""
 
-    folder: Annotated[Path, Option("Folder to write into.", argument=True)] = Path()
+    folder: Annotated[Path, Option("Folder for the copies.", argument=True)] = Path()
 
 
 @dataclass(frozen=True)
@@ -57,17 +60,17 @@ class Budget:
     coefficients: Annotated[
         str | Path | None,
         Option(
-            "Block as 'calibrate --json' found it, not the bench file's.", metavar="FILE", typed=Path | None
+            "Coefficients from 'calibrate --json', instead of the bench file's.",
+            metavar="FILE",
+            typed=Path | None,
         ),
     ] = None
-    trials: Annotated[int, Option("Monte Carlo trials beside the linear result; 0 for none.", least=0)] = (
-        20_000
-    )
+    trials: Annotated[int, Option("Number of Monte Carlo trials; 0 for none.", least=0)] = 20_000
     rule: RuleField = None
     guard_band: GuardBandField = None
     limit: LimitField = None
     same_voltmeters: Annotated[
-        bool, Option("The block is used with the calibration's voltmeters.", ("--same-voltmeters",))
+        bool, Option("Assume that the block is used with the same voltmeters.", ("--same-voltmeters",))
     ] = False
     g: GravityField = None
 
@@ -76,27 +79,31 @@ class Budget:
 class Require:
     """Requirements on the errors of a bench for a given accuracy."""
 
-    accuracy: Annotated[str, Option("What k u must keep to: g (of a coefficient V/g or V).")]
+    accuracy: Annotated[
+        str, Option("Required accuracy k u, in g (of a coefficient in V/g or V).", common=True)
+    ]
     of: Annotated[
-        str, Option("delta-g, acceleration (its vector), modulus, or a coefficient such as Kyx.")
+        str,
+        Option(
+            "Quantity: delta-g, acceleration (vector), modulus, or a coefficient such as Kyx.", common=True
+        ),
     ] = "delta-g"
     up_to: UpToField = None
-    k: Annotated[float, Option("How many standard uncertainties the accuracy is.")] = 3.0
+    k: Annotated[float, Option("Number of standard uncertainties in the accuracy.", common=True)] = 3.0
     with_reading: Annotated[
         bool,
-        Option(
-            "The errors of the reading in use count, not the coefficients' alone.", flags=("--with-reading",)
-        ),
+        Option("Include the errors of the reading in use.", flags=("--with-reading",)),
     ] = False
     all_errors: Annotated[
         bool,
         Option(
-            "So do gain, gravity, temperature, nonlinearity, which no reading shows.", flags=("--all-errors",)
+            "Include gain, gravity, temperature and nonlinearity, which no reading shows.",
+            flags=("--all-errors",),
         ),
     ] = False
-    share: Annotated[str, Option("Limits together: equal parts of the variance, or cost.")] = "equal"
+    share: Annotated[str, Option("How errors share the variance: equal or cost.")] = "equal"
     cost: Annotated[
-        list[str] | None, Option("Cost of making an error small (default 1).", metavar="NAME=WEIGHT")
+        list[str] | None, Option("Cost of reducing an error (default 1).", metavar="NAME=WEIGHT")
     ] = None
     estimator: EstimatorField = "gls"
     procedure: ProcedureField = "calibration"
@@ -110,28 +117,38 @@ class PlanPoints:
     bench: BenchField = None
     u: Annotated[
         list[str] | None,
-        Option("Combined standard uncertainty asked for: Kyx=90e-6 (V/g), U0, K, all.", metavar="NAME=U"),
+        Option(
+            "Required combined standard uncertainty: Kyx=90e-6 (V/g), U0, K or all.",
+            metavar="NAME=U",
+            common=True,
+        ),
     ] = None
-    delta_g: Annotated[float | None, Option("u(Δg) asked for at the verification points, g.")] = None
-    modulus: Annotated[float | None, Option("u(|a|) asked for in every direction, g: see --up-to.")] = None
+    delta_g: Annotated[float | None, Option("Required u(Δg) at the verification points, g.", common=True)] = (
+        None
+    )
+    modulus: Annotated[
+        float | None, Option("Required u(|a|) in every direction, g; see --up-to.", common=True)
+    ] = None
     up_to: UpToField = None
     time: Annotated[
-        str | None, Option("The most uncertainty taken away in so much bench time, such as 4h.")
+        str | None, Option("Find the lowest uncertainty in this bench time, such as 4h.", common=True)
     ] = None
-    least: Annotated[str, Option("What is to be least: time or settings.")] = "time"
+    least: Annotated[str, Option("What to minimise: time or settings.")] = "time"
     installations: Annotated[
         str | None, Option("Installations to choose from, such as 1,2,1T90 (default: all).")
     ] = None
-    angles: Annotated[int, Option("Angles in a turn to choose from.")] = 24
+    angles: Annotated[int, Option("Number of angles in a turn to choose from.")] = 24
     visits: Annotated[int, Option("How often an installation may be mounted.", least=1, most=4)] = 1
-    most_mountings: Annotated[int, Option("Mountings of a plan at most.", least=1, most=6)] = 3
-    most_settings: Annotated[int, Option("Settings of a plan at most.", least=4)] = 300
+    most_mountings: Annotated[int, Option("Largest number of mountings.", least=1, most=6)] = 3
+    most_settings: Annotated[int, Option("Largest number of settings.", least=4)] = 300
     cost_setting: Annotated[str, Option("Time to set the head once.")] = "2min"
     cost_remount: Annotated[str, Option("Time to mount the block.")] = "20min"
-    cost_soak: Annotated[str, Option("Time in which the block settles after it.")] = "10min"
-    warm_up: Annotated[str, Option("Time before the first reading.")] = "1h"
-    verify: Annotated[bool, Option("Verification points at the end of the procedure.")] = True
-    out: Annotated[Path | None, Option("Procedure file to write; never overwritten.", metavar="FILE")] = None
+    cost_soak: Annotated[str, Option("Settling time after each mounting.")] = "10min"
+    warm_up: Annotated[str, Option("Warm-up time before the first reading.")] = "1h"
+    verify: Annotated[bool, Option("Add verification points at the end.")] = True
+    out: Annotated[
+        Path | None, Option("Procedure file to write; must not exist yet.", metavar="FILE", common=True)
+    ] = None
 
     @property
     def has_goals(self) -> bool:

@@ -23,11 +23,15 @@ class ShowRun:
 
     run: RunField
     _: KW_ONLY
-    verify: Annotated[bool, Option("Check the record for changed lines.", ("--verify",))] = False
-    head: Annotated[str | None, Option("Head of the chain, as noted elsewhere.", metavar="SHA256")] = None
-    key: Annotated[Path | None, Option("Public key that the seal must be signed with.", metavar="PUB")] = None
+    verify: Annotated[bool, Option("Check the record for changed lines.", ("--verify",), common=True)] = False
+    head: Annotated[
+        str | None, Option("Check that the chain ends with this head, noted elsewhere.", metavar="SHA256")
+    ] = None
+    key: Annotated[
+        Path | None, Option("Check the signature of the seal with this public key.", metavar="PUB")
+    ] = None
     authority: Annotated[
-        Path | None, Option("Certificate that its time stamp must stand on.", metavar="PEM")
+        Path | None, Option("Check the time stamp with this certificate.", metavar="PEM")
     ] = None
     runs: RunsField = None
 
@@ -44,9 +48,12 @@ class SealRun:
     run: RunField
     _: KW_ONLY
     key: Annotated[
-        Path | None, Option("Private key to sign with ('bench key' makes it).", metavar="FILE")
+        Path | None,
+        Option("Private key for the signature; 'bench key' makes one.", metavar="FILE", common=True),
     ] = None
-    timestamp: Annotated[str | None, Option("Server that stamps the time (RFC 3161).", metavar="URL")] = None
+    timestamp: Annotated[
+        str | None, Option("Server for the time stamp (RFC 3161).", metavar="URL", common=True)
+    ] = None
     runs: RunsField = None
 
 
@@ -55,18 +62,18 @@ class MakeKey:
     """A key of the laboratory: for seals, or for certificates."""
 
     file: Annotated[
-        Path, Option("Where the private key is written; the public one is FILE.pub.", argument=True)
+        Path, Option("File for the private key; the public key is written to FILE.pub.", argument=True)
     ]
     _: KW_ONLY
     passphrase: Annotated[
-        bool, Option("Ask for a passphrase that covers the private key.", ("--passphrase",))
+        bool, Option("Ask for a passphrase to encrypt the private key.", ("--passphrase",), common=True)
     ] = False
     certificate: Annotated[
         str | None,
         Option(
-            "Make one that signs certificates (P-256) in place of seals, and beside it FILE.crt: an X.509 "
-            "certificate in the laboratory's name, signed by itself.",
+            "Make a key for certificates (P-256) and FILE.crt, a self-signed X.509 certificate with this name.",
             metavar="NAME",
+            common=True,
         ),
     ] = None
 
@@ -77,7 +84,10 @@ class ExportReadings:
 
     run: RunField
     _: KW_ONLY
-    csv: Annotated[str, Option("File; - is standard output.", metavar="FILE")]
+    csv: Annotated[
+        str | None,
+        Option("Readings file (default: RUN.csv); - for standard output.", metavar="FILE", common=True),
+    ] = None
     runs: RunsField = None
 
 
@@ -87,7 +97,7 @@ class ImportReadings:
 
     file: Annotated[Path, Option("Readings file.", argument=True)]
     _: KW_ONLY
-    name: Annotated[str | None, Option("Name of the run (default: the file's).")] = None
+    name: Annotated[str | None, Option("Name of the run (default: the file's).", common=True)] = None
     bench: BenchField = None
     runs: RunsField = None
 
@@ -108,8 +118,8 @@ class ControlRun:
     run: RunField
     wish: Annotated[
         str,
-        Option("pause, continue, redo (the point), redo-pass, remount, skip, stop, abort.", argument=True),
+        Option("pause, continue, redo (the point), redo-pass, remount, skip, stop or abort.", argument=True),
     ]
-    reason: Annotated[str, Option("Why; a skip needs it.", argument=True)] = ""
+    reason: Annotated[str, Option("Reason, for the record; required for skip.", argument=True)] = ""
     _: KW_ONLY
     runs: RunsField = None

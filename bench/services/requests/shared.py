@@ -44,16 +44,17 @@ BenchField = Annotated[
         metavar="FILE",
         completes="bench_files",
         typed=str | None,
+        common=True,
     ),
 ]
 GravityField = Annotated[
-    float | None, Option("Local gravity, m/s², in place of the bench file's.", metavar="M/S2")
+    float | None, Option("Local gravity, m/s², instead of the bench file's.", metavar="M/S2")
 ]
-SkipField = Annotated[bool, Option("Leave out rows that cannot be read.", ("--skip-bad-rows",))]
+SkipField = Annotated[bool, Option("Skip rows that cannot be read.", ("--skip-bad-rows",))]
 RunsField = Annotated[
     str | Path | None,
     Option(
-        "Folder in which runs live (default: ./runs).",
+        "Folder of the runs (default: ./runs).",
         metavar="DIR",
         environment="BENCH_RUNS",
         typed=Path | None,
@@ -62,37 +63,37 @@ RunsField = Annotated[
 RunField = Annotated[str, Option("Run, by name or path.", argument=True, completes="runs")]
 LatestField = Annotated[
     str | None,
-    Option("Run, by name or path; the latest unfinished if left out.", argument=True, completes="runs"),
+    Option("Run, by name or path (default: the latest unfinished run).", argument=True, completes="runs"),
 ]
 ModelField = Annotated[
     str | Path | None,
-    Option("Model file: effects beside the paper's terms.", metavar="FILE", typed=Path | None),
+    Option("Model file with effects beside the paper's terms.", metavar="FILE", typed=Path | None),
 ]
-LimitField = Annotated[float | None, Option("Limit of |Δg| in g, in place of the bench file's.")]
+LimitField = Annotated[float | None, Option("Limit of |Δg| in g, instead of the bench file's.", common=True)]
 RuleField = Annotated[
     str | None,
     Option(
-        "simple: |Δg| within the limit; guarded: |Δg| + w within it, w = U; non-binary: with conditional "
-        "statements (default: the bench file's, or non-binary with w at 5 % false acceptance).",
+        "Decision rule: simple, guarded (w = U) or non-binary (default: the bench file's, "
+        "else non-binary with 5 % false acceptance).",
         metavar="RULE",
     ),
 ]
 GuardBandField = Annotated[
     float | None,
-    Option("Guard band of the rule: w = R U (default: the bench file's, or that of the rule).", metavar="R"),
+    Option("Guard band of the rule: w = R U (default: the bench file's, or the rule's).", metavar="R"),
 ]
 PopulationField = Annotated[
     tuple[float, float] | None,
-    Option("Mean and standard deviation of Δg over many blocks, g: they enter the risks.", metavar="MEAN SD"),
+    Option("Mean and standard deviation of Δg over many blocks, g, for the risks.", metavar="MEAN SD"),
 ]
-EstimatorField = Annotated[str, Option(ESTIMATORS_TOLD)]
-NominalField = Annotated[bool, Option("Target angles in place of those read back.")]
-JoinFreeField = Annotated[bool, Option("Free positions (F) join the fit by |a| = 1 g.")]
-JoinVerificationField = Annotated[bool, Option("So do verification points; they check nothing then.")]
+EstimatorField = Annotated[str, Option(ESTIMATORS_TOLD, common=True)]
+NominalField = Annotated[bool, Option("Use the target angles instead of those read back.")]
+JoinFreeField = Annotated[bool, Option("Fit the free positions (F), too, by |a| = 1 g.")]
+JoinVerificationField = Annotated[bool, Option("Fit the verification points, too; they then verify nothing.")]
 UntilField = Annotated[
     list[str] | None,
     Option(
-        "End when it is good enough: all=5e-5, combined:Kxx=1e-4, delta-g=1e-4, vector=7e-5, time=4h.",
+        "End the run when a goal is reached: all=5e-5, combined:Kxx=1e-4, delta-g=1e-4, vector=7e-5 or time=4h.",
         metavar="GOALS",
     ),
 ]
@@ -101,6 +102,11 @@ UntilField = Annotated[
 def runs_folder(runs: str | Path | None) -> Path:
     """Return the folder of runs: the one given, else that of BENCH_RUNS, else `runs` in the working directory."""
     return Path(runs or os.environ.get("BENCH_RUNS") or "runs")
+
+
+def name_to_type(run: Path) -> str:
+    """Return the folder of a run as commands find it: its name in the default folder of runs, else its path."""
+    return run.name if run.parent.absolute() == runs_folder(None).absolute() else str(run)
 
 
 @dataclass(frozen=True, kw_only=True)

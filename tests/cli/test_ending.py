@@ -1,0 +1,112 @@
+"""The end of a run in the terminal: the verdict first, then where the rest is and what to do next."""
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+import bench as face
+from bench.calibration.conformity import Statement
+from bench.run.folder import Run
+from bench.services.conclusion import conclude
+from bench.services.ending import MOST_LINES, ending
+from tests.support.commands import printed, refused
+from tests.support.pages import ROOT
+
+RECORDS = ROOT / "tests" / "data" / "records"
+
+
+@pytest.fixture
+def concluded(empty_folder):
+    shutil.copytree(RECORDS / "finished", "runs/finished")
+    return conclude(Run(Path("runs/finished")))
+
+
+def real(found):
+    """Return the conclusion as of a run on real instruments."""
+    run = Run(found.run.folder)
+    run.__dict__["manifest"] = {**run.manifest, "dry_run": False}
+    return replace(found, run=run)
+
+
+def test_the_verdict_is_first_and_the_next_step_last(concluded):
+    lines = ending(concluded)
+    assert len(lines) <= MOST_LINES
+    assert lines[0].startswith("finished (SIMULATED): ")
+    assert "worst |Δg| = " in lines[0]
+    assert any(line.startswith("report: runs/finished/report.html") for line in lines)
+    assert lines[-1].startswith("next: on real instruments: bench run ")
+
+
+def test_after_a_real_run_the_certificate_and_the_next_unit_follow(concluded):
+    lines = ending(real(concluded))
+    assert lines[0].startswith("finished: ")
+    assert lines[-2] == "next: bench certificate finished"
+    assert lines[-1].startswith("next unit: bench run ")
+    assert lines[-1].endswith(" --unit SERIAL")
+
+
+def test_where_the_verification_fails_the_diagnosis_is_next(concluded):
+    verdict = concluded.verification.verification
+    points = tuple(replace(point, statement=Statement.FAIL, accepted_up_to=0.0) for point in verdict.points)
+    failed = replace(concluded.verification, verification=replace(verdict, points=points))
+    found = replace(concluded, verification=failed)
+    lines = ending(found)
+    assert lines[0].startswith("finished (SIMULATED): FAILED: ")
+    assert len(lines) <= MOST_LINES
+    assert not found.verification.passed
+    assert lines[-1] == "next: bench diagnose finished"
+
+
+def test_where_u_is_too_large_the_budget_is_next(concluded):
+    lines = ending(replace(concluded, verification=face.verify("finished", limit=1e-9)))
+    assert lines[0].startswith("finished (SIMULATED): INCONCLUSIVE: ")
+    assert len(lines) <= MOST_LINES
+    assert lines[-1].startswith("next: bench budget ")
+
+
+def test_where_the_model_does_not_fit_that_is_the_verdict(concluded):
+    own = concluded.calibration.calibration
+    bad = replace(own, lack_of_fit=replace(own.lack_of_fit, p=1e-9))
+    lines = ending(replace(concluded, calibration=replace(concluded.calibration, calibration=bad)))
+    assert lines[0] == "finished (SIMULATED): NOT ACCEPTED: the model does not fit the readings"
+    assert any(line.startswith("verification points: ") for line in lines)
+    assert lines[-1] == "next: bench diagnose finished"
+
+
+def test_many_looks_are_shortened(concluded):
+    lines = ending(replace(concluded, looks=tuple(f"sign {n}" for n in range(9))))
+    assert len(lines) <= MOST_LINES
+    assert [line for line in lines if line.startswith("look: ")] == [
+        "look: sign 0",
+        "look: sign 1",
+        "look: 7 more; 'bench diagnose finished' explains them",
+    ]
+
+
+def test_a_run_elsewhere_is_named_by_its_path(concluded, monkeypatch):
+    monkeypatch.setenv("BENCH_RUNS", "others")
+    assert ending(real(concluded))[-2] == "next: bench certificate runs/finished"
+
+
+# --- export without a name ----------------------------------------------------------------------------
+
+
+def test_an_export_without_a_name_is_called_after_the_run(bench):
+    shutil.copytree(RECORDS / "finished", "runs/finished")
+    printed(bench("export", "finished"), "readings written to finished.csv", "finished.csv.json")
+    assert Path("finished.csv").is_file()
+    named = printed(bench("export", "runs/finished", "--csv", "named.csv"))
+    assert "named.csv" in named
+    assert Path("named.csv").read_bytes() == Path("finished.csv").read_bytes()
+    printed(bench("export", "runs/finished"), "finished.csv")  # its own earlier export is replaced
+
+
+def test_an_export_without_a_name_overwrites_no_other_file(bench):
+    shutil.copytree(RECORDS / "finished", "runs/finished")
+    Path("finished.csv").write_text("mine", encoding="utf-8")
+    refused(
+        bench("export", "finished"), "finished.csv: exists already; name the file to write with --csv FILE"
+    )
+    assert Path("finished.csv").read_text(encoding="utf-8") == "mine"
