@@ -17,7 +17,8 @@ SCRIPT = "<script>document.title='caught'</script>"
 HOSTILE = f"{SCRIPT}<img src=x onerror=document.title='caught'>\x1b[31m\u202egnp.exe ünïcode 日本"
 PAGES = (
     "/", "/start", "/check", "/runs/done/", "/runs/asked/", "/runs/mounting/", "/runs/done/verdict",
-    "/runs/done/view/report", "/runs/none/",
+    "/runs/done/view/report", "/runs/none/", "/bench", "/bench/form?start=bench-lan&name=two",
+    "/bench/form?start=bench-multiplexer",
 )  # fmt: skip
 
 
