@@ -102,7 +102,7 @@ def versions() -> dict[str, str]:
 EXTRAS: Final[Mapping[str, tuple[str, ...]]] = {
     "pandas": ("pandas",),
     "signing": ("cryptography", "rfc3161_client"),
-    "panel": ("starlette", "uvicorn", "h11"),
+    "panel": ("starlette", "uvicorn", "h11", "ruamel"),
     "certificate": ("typst", "lxml", "signxml", "pyhanko", "pyhanko_certvalidator", "asn1crypto", "pikepdf"),
     "catalogue": ("sqlalchemy", "pyarrow", "duckdb"),
     "postgresql": ("psycopg",),

@@ -7,12 +7,14 @@ only for temperature differences, as in "60 ug/K".
 from __future__ import annotations
 
 import difflib
+import inspect
 import math
 import re
-from collections.abc import Mapping
+import types
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, lru_cache
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final, Union, get_args, get_origin
 
 from pydantic import AfterValidator, BeforeValidator
 
@@ -248,3 +250,41 @@ SizeV = Annotated[float, not_negative(VOLTAGE)]
 SizeRad = Annotated[float, not_negative(ANGLE)]
 SpanS = Annotated[float, not_negative(DURATION)]
 SizeA = Annotated[float, not_negative(CURRENT)]
+
+
+# --- quantities of models ---------------------------------------------------------------------------
+
+
+def quantity_of(annotation: Any, metadata: Sequence[Any]) -> QuantityKind | None:
+    """Return the physical quantity as which a model reads an annotated number; None for a plain number."""
+    for entry in metadata:
+        read = getattr(entry, "func", None)
+        if read is None or not inspect.isfunction(read):
+            continue
+        known = inspect.getclosurevars(read)
+        for value in (*known.nonlocals.values(), *known.globals.values()):
+            if isinstance(value, QuantityKind):
+                return value
+    if get_origin(annotation) is Annotated:
+        inner, *more = get_args(annotation)
+        return quantity_of(inner, more)
+    if get_origin(annotation) in {Union, types.UnionType}:
+        return next((kind for part in get_args(annotation) if (kind := quantity_of(part, ()))), None)
+    return None
+
+
+_FRIENDLIER: Final[Mapping[str, tuple[str, float]]] = {
+    "rad": ("arcsec", 206264.80624709636),
+    "rad/s": ("deg/s", 57.29577951308232),
+}
+"""The units that people write in place of SI units, and how many of them one SI unit is."""
+
+
+def written_quantity(value: float, kind: QuantityKind) -> str:
+    """Return a value in SI units as people write it in files: "30 arcsec", "5 min"."""
+    unit, factor = _FRIENDLIER.get(kind.si, (kind.si, 1.0))
+    if kind.si == "rad" and abs(value * factor) >= 3600.0 - 1e-6:
+        unit, factor = "deg", 57.29577951308232
+    if kind.si == "s" and value >= 60.0 and value % 60.0 == 0.0:
+        unit, factor = "min", 1.0 / 60.0
+    return f"{value * factor:.10g} {unit}".rstrip()

@@ -464,7 +464,11 @@ def load_document(path: Path, most_bytes: int = MEGABYTE) -> Document:
     Raises `FileMistakes` if the file is missing, is not a regular file, has more than `most_bytes`, or is not
     UTF-8 text, is empty or invalid YAML.
     """
-    content = _content(path, most_bytes)
+    return document_of(path, _content(path, most_bytes))
+
+
+def document_of(path: Path, content: bytes) -> Document:
+    """Parse the content of a file, as `load_document`; the file itself is not read. Raises `FileMistakes`."""
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:

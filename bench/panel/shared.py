@@ -70,10 +70,13 @@ def looking(request: Request) -> Person:
     return person
 
 
-async def acting(request: Request, least: Role) -> tuple[Person, dict[str, str]]:
-    """Return the person requesting a change, and the form's fields. Raises `Refusal` if not allowed."""
+async def acting(request: Request, least: Role, most: int = MOST_FIELDS) -> tuple[Person, dict[str, str]]:
+    """Return the person requesting a change, and the form's fields, `most` at most.
+
+    Raises `Refusal` if not allowed.
+    """
     person = looking(request)
-    sent = await fields(request)
+    sent = await fields(request, most)
     given = request.headers.get(CSRF_HEADER) or sent.pop("csrf", "")
     if not secrets.compare_digest(given.encode(errors="replace"), person.csrf.encode()):
         raise Refusal(403, "this form is of another session; load the page again")
@@ -81,8 +84,8 @@ async def acting(request: Request, least: Role) -> tuple[Person, dict[str, str]]
     return person, sent
 
 
-async def fields(request: Request) -> dict[str, str]:
-    """Return the fields of a form, or of a JSON object of texts. Raises `Refusal` for anything else."""
+async def fields(request: Request, most: int = MOST_FIELDS) -> dict[str, str]:
+    """Return the fields of a form, or of a JSON object of texts, `most` at most. Raises `Refusal` otherwise."""
     try:
         body = await request.body()
     except ClientDisconnect:
@@ -93,13 +96,13 @@ async def fields(request: Request) -> dict[str, str]:
         if kind == "application/json":
             given = from_text(body)
         elif kind == "application/x-www-form-urlencoded" or not body:
-            given = dict(parse_qsl(body.decode(), keep_blank_values=True, max_num_fields=MOST_FIELDS))
+            given = dict(parse_qsl(body.decode(), keep_blank_values=True, max_num_fields=most))
         else:
             raise Refusal(415, "a form or a JSON object is taken")
     except ValueError:
         raise Refusal(400, "what was sent is no form and no JSON that can be read") from None
-    if isinstance(given, dict) and len(given) > MOST_FIELDS:
-        raise Refusal(400, f"at most {MOST_FIELDS} fields are taken")
+    if isinstance(given, dict) and len(given) > most:
+        raise Refusal(400, f"at most {most} fields are taken")
     if not isinstance(given, dict) or not all(isinstance(value, str) for value in given.values()):
         raise Refusal(400, "a JSON object whose values are texts is taken")
     return given
@@ -112,6 +115,7 @@ ASSETS: Final = {
     REPORT_STYLE: "text/css; charset=utf-8",
     "panel.css": "text/css; charset=utf-8",
     "panel.js": "text/javascript; charset=utf-8",
+    "bench.js": "text/javascript; charset=utf-8",
     "waiting.js": "text/javascript; charset=utf-8",
     "plots.js": "text/javascript; charset=utf-8",
     "plots-chart.js": "text/javascript; charset=utf-8",

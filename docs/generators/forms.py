@@ -14,7 +14,7 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
-from bench.base.units import QuantityKind
+from bench.base.units import quantity_of, written_quantity
 from docs.generators.markdown import code, prose, table
 
 _PLAIN: Final[Mapping[Any, str]] = {
@@ -104,15 +104,17 @@ def default(field: FieldInfo) -> str:
         return "–"
     if isinstance(value, BaseModel):
         return "as its defaults"
-    kind = quantity(field.annotation, field.metadata)
+    kind = quantity_of(field.annotation, field.metadata)
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, float) and kind is not None:
-        return _written(value, kind)
+        return code(written_quantity(value, kind))
     if isinstance(value, tuple):
         inner = _element(field.annotation)
-        of = quantity(*inner) if inner else None
-        return ", ".join(_written(v, of) if of and isinstance(v, float) else code(v) for v in value)
+        of = quantity_of(*inner) if inner else None
+        return ", ".join(
+            code(written_quantity(v, of)) if of and isinstance(v, float) else code(v) for v in value
+        )
     return code(f"{value:g}" if isinstance(value, float) else value)
 
 
@@ -124,43 +126,9 @@ def _element(annotation: Any) -> tuple[Any, list[Any]] | None:
     return (get_args(first)[0], list(get_args(first)[1:])) if get_origin(first) is Annotated else (first, [])
 
 
-_FRIENDLIER: Final[Mapping[str, tuple[str, float]]] = {
-    "rad": ("arcsec", 206264.80624709636),
-    "rad/s": ("deg/s", 57.29577951308232),
-}
-"""What people write in place of the SI unit of a default, and how many of it one SI unit is."""
-
-
-def _written(value: float, kind: QuantityKind) -> str:
-    unit, factor = _FRIENDLIER.get(kind.si, (kind.si, 1.0))
-    if kind.si == "rad" and abs(value * factor) >= 3600.0 - 1e-6:
-        unit, factor = "deg", 57.29577951308232
-    if kind.si == "s" and value >= 60.0 and value % 60.0 == 0.0:
-        unit, factor = "min", 1.0 / 60.0
-    return code(f"{value * factor:.10g} {unit}".rstrip())
-
-
-def quantity(annotation: Any, metadata: list[Any]) -> QuantityKind | None:
-    """Return the physical quantity that an annotated number is read as, None for a plain one."""
-    for entry in metadata:
-        read = getattr(entry, "func", None)
-        if read is None or not inspect.isfunction(read):
-            continue
-        known = inspect.getclosurevars(read)
-        for value in (*known.nonlocals.values(), *known.globals.values()):
-            if isinstance(value, QuantityKind):
-                return value
-    if get_origin(annotation) is Annotated:
-        inner, *more = get_args(annotation)
-        return quantity(inner, more)
-    if get_origin(annotation) in {Union, types.UnionType}:
-        return next((kind for part in get_args(annotation) if (kind := quantity(part, []))), None)
-    return None
-
-
 def what(annotation: Any, metadata: list[Any], title: Title) -> str:
     """Say what a key holds: a quantity with an example, a word of some, a list, another section."""
-    kind = None if get_origin(annotation) in {Union, types.UnionType} else quantity(annotation, metadata)
+    kind = None if get_origin(annotation) in {Union, types.UnionType} else quantity_of(annotation, metadata)
     if kind is not None:
         return ", ".join([f"{kind.called} such as {code(kind.example)}", *_bounds(metadata)])
     origin, arguments = get_origin(annotation), get_args(annotation)

@@ -19,6 +19,7 @@ HOSTILE = f"{SCRIPT}<img src=x onerror=document.title='caught'>\x1b[31m\u202egnp
 PAGES = (
     "/", "/start", "/check", "/runs/done/", "/runs/asked/", "/runs/mounting/", "/runs/done/verdict",
     "/runs/done/view/report", "/runs/none/", "/runs/done/plots", "/runs/later/plots", "/runs/later/verdict",
+    "/bench", "/bench/form?start=bench-lan&name=two", "/bench/form?start=bench-multiplexer",
 )  # fmt: skip
 
 

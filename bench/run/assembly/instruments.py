@@ -24,7 +24,7 @@ from bench.model.forward import ForwardModel
 from bench.run.instruments import Instruments
 from drivers.chambers import ChamberLimits
 from drivers.clock import Clock, Haste
-from drivers.interfaces import BenchError
+from drivers.interfaces import BenchError, Voltmeter
 from drivers.motion import Travel
 from drivers.person import Person
 from drivers.readout import Approach, ScaleOfEncoder
@@ -91,6 +91,12 @@ def instruments_of(bench: BenchFile, given: Surroundings) -> Instruments:
         _thermometer(sections, meters, given),
         None if sections.power_supply is None else _driver(sections.power_supply, given),
     )
+
+
+def meter_of(section: VoltmeterForm, given: Surroundings) -> Voltmeter:
+    """Return the driver of a voltmeter, not opened yet. Raises `BenchError` if it cannot be loaded."""
+    meter: Voltmeter = _driver(section, given)
+    return meter
 
 
 def loaded_class(section: InstrumentForm, which: Literal["driver", "simulation"]) -> Any:

@@ -108,6 +108,11 @@ HELD: Final = "instruments"
 """Name of the cache folder in which programs reserve the instruments that they have opened."""
 
 
+def held_instruments() -> Holding:
+    """Return the reservations of instruments, which all programs of this user share."""
+    return Holding(cache_folder(HELD))
+
+
 @dataclass(frozen=True)
 class Assembly:
     """An assembled bench: instruments, the person who answers prompts, the clock, and observers of the run.
@@ -138,7 +143,7 @@ def real_bench(
         bench.line_frequency,
         wire,
         haste=haste,
-        holding=Holding(cache_folder(HELD)),
+        holding=held_instruments(),
     )
     return Assembly(instruments_of(bench, given), person, clock, sessions=given.sessions)
 

@@ -1,0 +1,394 @@
+"""The form of a bench file: groups of fields, from the models of its sections, and mistakes at their fields."""
+
+from __future__ import annotations
+
+import datetime
+import inspect
+import re
+import types
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Annotated, Any, Final, Literal, Union, get_args, get_origin
+
+from pydantic import BaseModel, Tag
+from pydantic.fields import FieldInfo
+from pydantic_core import PydanticUndefined
+
+from bench.base.arrays import CHANNELS
+from bench.base.units import QuantityKind, quantity_of, written_quantity
+from bench.base.yaml_files import FileMistake, Place, dotted
+from bench.config.bench_file.file import BenchFile
+from bench.config.bench_file.stand import UnitUnderTest
+from bench.config.devices.device import Role
+from bench.config.devices.registry import devices
+
+GRAVITY_FORM: Final = "form:gravity"
+METERS: Final = "form:voltmeters"
+OF_BENCH: Final = ("name", "description", "line_frequency")
+METERS_PLACE: Final[Place] = ("instruments", "voltmeters")
+GRAVITY: Final[Place] = ("gravity",)
+ONE_ROLE: Final[tuple[tuple[Role, bool], ...]] = (("head", True), ("chamber", False))
+"""Roles with a form beside the voltmeters, each with whether a bench must have one."""
+
+Values = Mapping[str, str]
+"""The texts of a bench file or of its form, by dotted place; "form:…" are choices of the form alone."""
+
+
+@dataclass(frozen=True)
+class BenchField:
+    """A field of the form: an input whose name is its dotted place in the bench file.
+
+    `choices` are (value, words), empty for a text; `shows` says whether other fields depend on the choice.
+    """
+
+    name: str
+    at: Place
+    label: str
+    help: str = ""
+    choices: tuple[tuple[str, str], ...] = ()
+    required: bool = False
+    shows: bool = False
+    found: bool = False
+    """Whether the field takes a resource, for which those found are offered."""
+
+
+@dataclass(frozen=True)
+class Group:
+    """A section of the form with its fields; `section` is the model of an instrument, None for other sections."""
+
+    title: str
+    at: Place
+    help: str
+    fields: tuple[BenchField, ...]
+    section: type[BaseModel] | None = None
+
+    @property
+    def place(self) -> str:
+        """The dotted place of the section in the file."""
+        return dotted(self.at)
+
+
+# --- groups -----------------------------------------------------------------------------------------
+
+
+def groups_of(values: Values) -> list[Group]:
+    """Return the groups of the form; the choices in `values` determine which fields they have."""
+    known = dict(fields_in(BenchFile, (), skip=frozenset(BenchFile.model_fields) - {*OF_BENCH}))
+    bench = Group("Bench", (), "", tuple(known.values()))
+    block = Group(
+        "Block",
+        ("unit_under_test",),
+        first_sentence(UnitUnderTest),
+        tuple(dict(fields_in(UnitUnderTest, ("unit_under_test",))).values()),
+    )
+    return [bench, _gravity(values), *_voltmeters(values), *_others(values), block]
+
+
+def _gravity(values: Values) -> Group:
+    forms = _forms_of_gravity()
+    chosen = values.get(GRAVITY_FORM, "")
+    words = (("", "not stated"), *((tag, tag) for tag in forms))
+    choice = BenchField(GRAVITY_FORM, GRAVITY, "Gravity is stated as", choices=words, shows=True)
+    told = ""
+    inner: tuple[BenchField, ...] = ()
+    if chosen in forms:
+        annotation, metadata = forms[chosen]
+        if inspect.isclass(annotation) and issubclass(annotation, BaseModel):
+            told = first_sentence(annotation)
+            inner = tuple(dict(fields_in(annotation, GRAVITY)).values())
+        else:
+            inner = (
+                BenchField("gravity", GRAVITY, "Gravity", _words(annotation, metadata) or "", required=True),
+            )
+    return Group("Local gravity", GRAVITY, told, (choice, *inner))
+
+
+def _forms_of_gravity() -> dict[str, tuple[Any, tuple[Any, ...]]]:
+    """Return the ways to state gravity: type and metadata, by the tag of the model."""
+    found: dict[str, tuple[Any, tuple[Any, ...]]] = {}
+
+    def look(annotation: Any) -> None:
+        if get_origin(annotation) is Annotated:
+            inner, *metadata = get_args(annotation)
+            tag = next((entry.tag for entry in metadata if isinstance(entry, Tag)), None)
+            if tag is not None:
+                found[tag] = (inner, tuple(metadata))
+                return
+        for part in get_args(annotation):
+            look(part)
+
+    look(BenchFile.model_fields["gravity"].annotation)
+    return found
+
+
+def _voltmeters(values: Values) -> Iterator[Group]:
+    words = (
+        ("3", "three, one for each signal"), ("2", "two"), ("1", "one, which scans all signals"),
+    )  # fmt: skip
+    choice = BenchField(METERS, METERS_PLACE, "Number of voltmeters", choices=words, shows=True)
+    yield Group("Voltmeters", METERS_PLACE, "", (choice,))
+    for index in range(number_of_meters(values)):
+        group = _instrument(
+            "voltmeter", (*METERS_PLACE, index), f"Voltmeter {index + 1}", values, required=True
+        )
+        signal = values.get(f"{group.place}.channels", "")
+        reads_one = any(one.at[-1] == "channels" for one in group.fields)
+        yield replace(group, title=f"Voltmeter of {signal}") if signal and reads_one else group
+
+
+def number_of_meters(values: Values) -> int:
+    """Return the number of voltmeters chosen in the form; 3 if none is."""
+    text = values.get(METERS, "")
+    return int(text) if text in {"1", "2", "3"} else len(CHANNELS)
+
+
+def _others(values: Values) -> Iterator[Group]:
+    for role, required in ONE_ROLE:
+        title = role.replace("_", " ").capitalize()
+        yield _instrument(role, ("instruments", role), title, values, required=required)
+
+
+def _instrument(role: Role, at: Place, title: str, values: Values, *, required: bool) -> Group:
+    known = devices().of(role)
+    name = dotted((*at, "driver"))
+    words = tuple((device.name, _driver_words(device.name, device.section)) for device in known)
+    stated = values.get(name, "")
+    choices = words if required else (("", "none"), *words)
+    choice = BenchField(name, (*at, "driver"), "Instrument", choices=choices, required=required, shows=True)
+    device = devices().get(stated)
+    if device is None or device not in known:
+        return Group(title, at, "", (choice,))
+    inner = dict(fields_in(device.section, at, skip=frozenset({"driver"})))
+    return Group(title, at, first_sentence(device.section), (choice, *inner.values()), device.section)
+
+
+def _driver_words(name: str, section: type[Any]) -> str:
+    return f"by hand ({name})" if section.by_hand else name
+
+
+# --- fields -----------------------------------------------------------------------------------------
+
+
+def fields_in(
+    model: type[BaseModel], at: Place, skip: frozenset[str] = frozenset(), default: Any = None
+) -> Iterator[tuple[str, BenchField]]:
+    """Yield the fields of a model at a place, by name, and those of sections in it that must stand.
+
+    Certificates, lists and optional sections have no field: they are written in the file by hand. `default` is
+    the section that counts where the file omits it.
+    """
+    model.model_rebuild()
+    for name, info in model.model_fields.items():
+        key = info.alias or name
+        if key in skip:
+            continue
+        inner = info.annotation
+        if inspect.isclass(inner) and not get_args(inner) and issubclass(inner, BaseModel):
+            value = info.get_default(call_default_factory=True, validated_data={})
+            given = value if isinstance(value, BaseModel) else None
+            yield from fields_in(inner, (*at, key), default=given)
+            continue
+        yield from ((one.name, one) for one in _fields_of_key(key, info, at, getattr(default, name, None)))
+
+
+def _fields_of_key(key: str, info: FieldInfo, at: Place, default: Any) -> Iterator[BenchField]:
+    place = (*at, key)
+    label = _label(key, at)
+    required = info.is_required() and default is None
+    one = BenchField(dotted(place), place, label, required=required, found=key == "resource")
+    if key == "channels":
+        yield replace(one, label="Signal", choices=tuple((signal, signal) for signal in CHANNELS))
+    elif key == "inputs":
+        for signal in CHANNELS:
+            inside = (*place, signal)
+            yield BenchField(dotted(inside), inside, f"Input of {signal}", "the channel of the multiplexer")
+    elif (words := _words(info.annotation, info.metadata)) is not None:
+        left_out = _left_out(info, default)
+        told = ". ".join(filter(None, (words, f"Left out: {left_out}" if left_out else "")))
+        choices = _choices(info.annotation)
+        if choices and not required:
+            choices = (("", f"left out: {left_out}" if left_out else "left out"), *choices)
+        yield replace(one, help="" if choices else told, choices=choices)
+
+
+_WITHIN: Final = ("serial", "scale_factors", "temperature")
+"""Sections within a section, whose name precedes the label of each of their fields."""
+
+
+def _label(key: str, at: Place) -> str:
+    own = key.replace("_", " ")
+    if at and at[-1] in _WITHIN:
+        return f"{str(at[-1]).replace('_', ' ').capitalize()}: {own}"
+    return own if len(own) == 1 else own.capitalize()
+
+
+_PLAIN: Final[Mapping[Any, str]] = {
+    str: "", int: "a whole number", float: "a number", datetime.date: "a date such as 2026-03-02",
+}  # fmt: skip
+
+
+def _words(annotation: Any, metadata: Iterable[Any]) -> str | None:
+    """Return what a field holds, in words; None for a list or section, which has no field."""
+    kind = quantity_of(annotation, tuple(metadata))
+    if kind is not None:
+        return f"{kind.called} such as {kind.example}"
+    bare = _bare(annotation)
+    return "" if _choices(annotation) else _PLAIN.get(bare)
+
+
+def _bare(annotation: Any) -> Any:
+    """Return the type of an annotation without metadata and without None; a union of several types as it is."""
+    if get_origin(annotation) is Annotated:
+        return _bare(get_args(annotation)[0])
+    if get_origin(annotation) in {Union, types.UnionType}:
+        parts = [part for part in get_args(annotation) if part is not type(None)]
+        return _bare(parts[0]) if len(parts) == 1 else annotation
+    return annotation
+
+
+def _choices(annotation: Any) -> tuple[tuple[str, str], ...]:
+    bare = _bare(annotation)
+    if bare is bool:
+        return (("yes", "yes"), ("no", "no"))
+    return tuple((str(word), str(word)) for word in get_args(bare)) if get_origin(bare) is Literal else ()
+
+
+def _left_out(info: FieldInfo, default: Any) -> str:
+    value = info.get_default(call_default_factory=True, validated_data={}) if default is None else default
+    if value is None or value is PydanticUndefined or value == "" or value == float("inf"):
+        return ""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    kind: QuantityKind | None = quantity_of(info.annotation, info.metadata)
+    if kind is not None and isinstance(value, float):
+        return written_quantity(value, kind)
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def first_sentence(model: type[BaseModel]) -> str:
+    """Return the first sentence of a model's description, without code marks."""
+    text = " ".join(inspect.cleandoc(model.__doc__ or "").partition("\n\n")[0].split())
+    return re.split(r"(?<=\.) ", text)[0].replace("`", "")
+
+
+# --- values -----------------------------------------------------------------------------------------
+
+
+def values_of(data: Any) -> dict[str, str]:
+    """Return the texts of a parsed bench file by dotted place, with the choices of the form."""
+    values: dict[str, str] = {}
+
+    def look(part: Any, at: Place) -> None:
+        if isinstance(part, dict):
+            for key, inner in part.items():
+                look(inner, (*at, key))
+        elif isinstance(part, list):
+            if at[-1:] == ("channels",) and len(part) == 1:
+                values[dotted(at)] = str(part[0])
+                return
+            for index, inner in enumerate(part):
+                look(inner, (*at, index))
+        elif part is not None:
+            values[dotted(at)] = str(part)
+
+    look(data, ())
+    top = data if isinstance(data, dict) else {}
+    values[GRAVITY_FORM] = _form_of(top.get("gravity"))
+    instruments = top.get("instruments")
+    meters = instruments.get("voltmeters") if isinstance(instruments, dict) else None
+    values[METERS] = str(len(meters)) if isinstance(meters, list) else str(len(CHANNELS))
+    return values
+
+
+FORMS_OF_GRAVITY: Final = {
+    "value": "value of gravity",
+    "place": "location of gravity",
+    "source": "gravity with its source",
+}
+"""The ways to state gravity, as the models of `bench.config.bench_file.stand` call them."""
+
+
+def _form_of(written: Any) -> str:
+    if written is None:
+        return ""
+    if isinstance(written, dict):
+        return FORMS_OF_GRAVITY["source" if "value" in written else "place"]
+    return FORMS_OF_GRAVITY["value"]
+
+
+def completed(values: Values, before: Values) -> dict[str, str]:
+    """Return typed values with the examples of newly chosen drivers for fields not shown yet, except resources.
+
+    `before` are the values of the file. A single voltmeter becomes one that scans; a further voltmeter is like
+    the first, for the next signal.
+    """
+    full = dict(values)
+    number = number_of_meters(full)
+    names = [dotted((*METERS_PLACE, index)) for index in range(number)]
+    if number == 1 and (scanning := _scanners()) and full.get(f"{names[0]}.driver") not in scanning:
+        full[f"{names[0]}.driver"] = scanning[0]
+    for index, name in enumerate(names):
+        if not full.get(f"{name}.driver"):
+            for key in ("driver", "range", "interface"):
+                full[f"{name}.{key}"] = full.get(f"{names[0]}.{key}", "")
+        _exemplify(full, before, name)
+        device = devices().get(full.get(f"{name}.driver", ""))
+        if device is not None and "channels" in device.section.model_fields:
+            full[f"{name}.channels"] = full.get(f"{name}.channels") or CHANNELS[index]
+    for role, _ in ONE_ROLE:
+        _exemplify(full, before, dotted(("instruments", role)))
+    return full
+
+
+def _scanners() -> list[str]:
+    return [one.name for one in devices().of("voltmeter") if "inputs" in one.section.model_fields]
+
+
+def _exemplify(values: dict[str, str], before: Values, name: str) -> None:
+    driver = values.get(f"{name}.driver", "")
+    device = devices().get(driver)
+    if device is None or before.get(f"{name}.driver", "") == driver:
+        return
+    for place, text in values_of(dict(device.example)).items():
+        if not place.startswith(("resource", "channels", "form:")):
+            values.setdefault(f"{name}.{place}", {"False": "no", "True": "yes"}.get(text, text))
+
+
+# --- mistakes ---------------------------------------------------------------------------------------
+
+
+@dataclass
+class Placed:
+    """The mistakes of a bench file: those of each field and group by name, and all others."""
+
+    at: dict[str, list[str]] = field(default_factory=dict)
+    elsewhere: list[FileMistake] = field(default_factory=list)
+
+    @property
+    def number(self) -> int:
+        """The number of mistakes."""
+        return sum(map(len, self.at.values())) + len(self.elsewhere)
+
+
+_MISSING: Final = re.compile(r"'([^']+)' is missing")
+
+
+def placed(mistakes: Iterable[FileMistake], groups: Iterable[Group]) -> Placed:
+    """Return mistakes with their fields; a mistake at no field stands at its group, else elsewhere."""
+    groups = list(groups)
+    fields = {one.name for group in groups for one in group.fields}
+    known = fields | {group.place for group in groups if group.at}
+    result = Placed()
+    for mistake in mistakes:
+        place = mistake.place
+        lacking = _MISSING.fullmatch(mistake.text)
+        if lacking is not None:
+            inside = f"{place}.{lacking[1]}".removeprefix(".")
+            place = next((f for f in (inside, f"{inside}.x") if f in fields), place)
+        while place and place not in known:
+            place = place[: max(place.rfind("."), place.rfind("["), 0)]
+        if place:
+            result.at.setdefault(place, []).append(mistake.text)
+        else:
+            result.elsewhere.append(mistake)
+    return result

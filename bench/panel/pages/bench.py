@@ -1,0 +1,306 @@
+"""Bench files in a form: the list, the form with its mistakes, finding instruments, writing, trying."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+from urllib.parse import quote
+
+import yaml
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import Request
+from starlette.responses import JSONResponse, RedirectResponse, Response
+
+from bench.base.text import visible
+from bench.base.yaml_files import dotted, read_yaml
+from bench.config.bench_file.file import BenchFile
+from bench.panel.access import STATE, Person, Refusal, Role
+from bench.panel.bench_fields import (
+    METERS_PLACE,
+    OF_BENCH,
+    Group,
+    Placed,
+    completed,
+    groups_of,
+    number_of_meters,
+    placed,
+    values_of,
+)
+from bench.panel.bench_files import (
+    BenchText,
+    difference,
+    listed,
+    mistakes_in,
+    new_path,
+    own_file,
+    read_bench,
+    shipped_file,
+    shipped_files,
+    write_bench,
+)
+from bench.panel.launching import choices
+from bench.panel.searching import IDENTIFY, OFFERS, TEST, Findings, Search
+from bench.panel.shared import Panel, acting, looking, page, panel_of
+from drivers.clock import utc_now
+
+MOST_FIELDS: Final = 300
+LONGEST: Final = 400
+TARGETS: Final = ("x", "y", "z", "scanner", "head", "chamber")
+"""The places that a found resource may be given: the voltmeter of a signal, the only one, head or chamber."""
+
+
+@dataclass
+class FormState:
+    """The form as it is shown: the file that it is of, what is typed, and what was found.
+
+    `start` is the shipped file that a new one begins with, `name` the name of the file. `base` is the text on
+    which the form works; `written` is that text with what is typed.
+    """
+
+    name: str
+    start: str
+    base: BenchText
+    values: dict[str, str]
+    groups: list[Group] = field(default_factory=list)
+    placed: Placed = field(default_factory=Placed)
+    written: str = ""
+    file: BenchFile | None = None
+    note: str = ""
+    refusal: str = ""
+    difference: str = ""
+    further: str = ""
+
+
+# --- the list ---------------------------------------------------------------------------------------
+
+
+def benches(request: Request) -> Response:
+    """Show the bench files of the working folder and the shipped ones to start from."""
+    _operator(request)
+    return page(
+        request, "benches.html.j2", own=listed(), shipped=list(shipped_files()), folder=str(Path().resolve())
+    )
+
+
+# --- the form ---------------------------------------------------------------------------------------
+
+
+def form(request: Request) -> Response:
+    """Show the form of a bench file (`file`), or of a new one that begins as a shipped one (`start`)."""
+    _operator(request)
+    asked = request.query_params
+    state = _begun(asked.get("file", ""), asked.get("start", ""), asked.get("name", ""))
+    if asked.get("written"):
+        state.note = f"{state.base.path} is written."
+    _judge(state)
+    return _shown(request, state)
+
+
+def _begun(name: str, start: str, new_name: str = "") -> FormState:
+    """Return the form of a file as it stands. Raises `Refusal` if there is none."""
+    if name:
+        base = read_bench(own_file(name))
+        return FormState(name, "", base, _values(base.text))
+    shipped = read_bench(shipped_file(start))
+    values = _values(shipped.text)
+    if new_name := new_name.strip():
+        values["name"] = new_name
+    return FormState(new_name, start, BenchText(shipped.path, shipped.text), values)
+
+
+def _values(text: str) -> dict[str, str]:
+    try:
+        return values_of(read_yaml(text).data)
+    except yaml.YAMLError as error:
+        raise Refusal(409, "the file is no YAML; 'bench check' says where, mend it in an editor") from error
+
+
+def _judge(state: FormState) -> None:
+    """Make the text to be written from what is typed, and put its mistakes at their fields."""
+    from bench.panel.round_trip import changed_text
+
+    state.groups = groups_of(state.values)
+    try:
+        state.written = changed_text(state.base.text, state.values, state.groups)
+    except (yaml.YAMLError, TypeError, KeyError, AttributeError) as error:
+        raise Refusal(409, "the file has a form that is not understood here; mend it in an editor") from error
+    mistakes, state.file = mistakes_in(state.written, state.base.path)
+    state.placed = placed(mistakes, state.groups)
+
+
+async def sent(request: Request) -> Response:
+    """Carry out what the pressed button of the form says: show, find, ask for identities, write, or test."""
+    person, given = await acting(request, Role.OPERATOR, most=MOST_FIELDS)
+    return await run_in_threadpool(_sent, request, person, given)
+
+
+def _sent(request: Request, person: Person, given: dict[str, str]) -> Response:
+    panel = panel_of(request)
+    state = _typed(given)
+    search = search_of(panel)
+    _assign(state, given, search.found())
+    state.values = completed(state.values, _values(state.base.text))
+    _judge(state)
+    do = given.get("do", "show")
+    state.further = given.get("further", "")
+    if do == "write":
+        if _write(panel, person, state, given.get("sha256", "")):
+            return RedirectResponse(f"/bench/form?file={quote(state.name)}&written=1", status_code=303)
+    elif do in {OFFERS, IDENTIFY}:
+        try:
+            search.begin(do, resources=_addressed(given) if do == IDENTIFY else ())
+            state.further = "" if do == IDENTIFY else state.further
+        except Refusal as refusal:
+            state.refusal = refusal.text
+    return _shown(request, state)
+
+
+def _typed(given: Mapping[str, str]) -> FormState:
+    """Return the form with what was typed. Raises `Refusal` for texts that no form of the panel sends."""
+    for text in given.values():
+        if len(text) > LONGEST and "\n" not in text:
+            raise Refusal(400, f"a field holds at most {LONGEST} characters")
+    file, start, name = given.get("file", ""), given.get("start", ""), given.get("new_name", "").strip()
+    state = _begun(file, start, name)
+    for name, text in given.items():
+        if name in OF_BENCH or name.startswith(_OF_FORM):
+            if visible(text) != text or not (text.isprintable() or not text):
+                raise Refusal(400, f"{name}: only characters that can be printed are taken")
+            state.values[name] = text.strip()
+    return state
+
+
+_OF_FORM: Final = ("form:", "gravity", "instruments.", "unit_under_test.")
+
+
+def _assign(state: FormState, given: Mapping[str, str], found: Findings) -> None:
+    """Give found resources to the instruments that the person chose for them."""
+    for number, row in enumerate(found.resources):
+        target = given.get(f"is:{number}", "")
+        if target in TARGETS and given.get(f"resource:{number}") == row["resource"]:
+            place = _place_of(target, state.values)
+            state.values[f"{place}.resource"] = row["resource"]
+            if row["driver"]:
+                state.values[f"{place}.driver"] = row["driver"]
+            if row.get("interface"):
+                state.values[f"{place}.interface"] = row["interface"]
+
+
+def _place_of(target: str, values: dict[str, str]) -> str:
+    """Return the place of the instrument that a found resource is given to; the form's choices follow it."""
+    if target in {"head", "chamber"}:
+        return f"instruments.{target}"
+    if target == "scanner":
+        values["form:voltmeters"] = "1"
+        return dotted((*METERS_PLACE, 0))
+    if number_of_meters(values) == 1:
+        values["form:voltmeters"] = "3"
+    places = [dotted((*METERS_PLACE, index)) for index in range(number_of_meters(values))]
+    for index, place in enumerate(places):
+        if values.get(f"{place}.channels", "xyz"[index]) == target:
+            return place
+    return places[-1]
+
+
+def _addressed(given: Mapping[str, str]) -> list[str]:
+    """Return the resources to be addressed: those ticked, and those typed, one in a line."""
+    ticked = [given.get(f"resource:{key[4:]}", "") for key in given if key.startswith("ask:")]
+    return [one for one in (*ticked, *given.get("further", "").split()) if one]
+
+
+def _write(panel: Panel, person: Person, state: FormState, expected: str) -> bool:
+    """Write the file if it has no mistakes and was not changed meanwhile; return whether it was written."""
+    from bench.panel.round_trip import signed
+
+    try:
+        path = state.base.path if not state.start else new_path(state.name)
+    except Refusal as refusal:
+        state.placed.at.setdefault("new_name", []).append(refusal.text)
+        return False
+    if state.placed.number:
+        state.refusal = f"Not written: {state.placed.number} mistakes. Each stands at its field."
+        return False
+    state.written = signed(state.written, person.name, utc_now())
+    if expected == state.base.sha256 and write_bench(
+        path, state.written, expected, panel.settings.runs / STATE
+    ):
+        return True
+    state.refusal = (
+        "Not written: the file was changed since this form was shown. Look at the difference below."
+    )
+    state.difference = difference(read_bench(path).text, state.written, path.name)
+    return False
+
+
+def _shown(request: Request, state: FormState) -> Response:
+    search = search_of(panel_of(request))
+    found = search.found()
+    known = _known_certificates(state.file)
+    tested = found.what == TEST and found.bench == str(state.base.path.absolute())
+    results = {row["name"]: row for row in found.instruments} if tested else {}
+    return page(
+        request,
+        "bench_form.html.j2",
+        state=state,
+        found=found,
+        searching=search.at_work(),
+        certificates=known,
+        targets=TARGETS,
+        tested=tested,
+        results=_by_place(state.file, results),
+        procedures=list(choices("procedures")),
+        offers=[*dict.fromkeys(row["resource"] for row in found.resources)],
+    )
+
+
+def _known_certificates(file: BenchFile | None) -> dict[str, str]:
+    """Return the date of the certificate of each resource that the bench file knows."""
+    found = {}
+    for section in file.instruments.all() if file else ():
+        resource, certificate = getattr(section, "resource", None), section.certificate
+        if resource and certificate is not None:
+            found[resource] = str(certificate.date)
+    return found
+
+
+def _by_place(file: BenchFile | None, results: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the results of a test by the place of their instrument in the form."""
+    if file is None:
+        return {}
+    meters = enumerate(file.instruments.voltmeters)
+    places = {dotted((*METERS_PLACE, index)): meter.name for index, meter in meters}
+    places["instruments.head"] = file.instruments.head.name
+    if file.instruments.chamber is not None:
+        places["instruments.chamber"] = file.instruments.chamber.name
+    return {place: results[name] for place, name in places.items() if name in results}
+
+
+# --- searching and testing --------------------------------------------------------------------------
+
+
+def search_of(panel: Panel) -> Search:
+    """Return the latest search for instruments of a panel."""
+    return Search(panel.settings.runs / STATE / "search")
+
+
+def searched(request: Request) -> Response:
+    """Answer whether a search is at work, for the script of the form."""
+    _operator(request)
+    return JSONResponse({"at_work": search_of(panel_of(request)).at_work()})
+
+
+async def test(request: Request) -> Response:
+    """Start a process that opens, tests and reads the instruments of a bench file that is written."""
+    _, given = await acting(request, Role.OPERATOR)
+    name = given.get("file", "")
+    path = own_file(name)
+    await run_in_threadpool(search_of(panel_of(request)).begin, TEST, bench=path)
+    return RedirectResponse(f"/bench/form?file={quote(name)}#try", status_code=303)
+
+
+def _operator(request: Request) -> Person:
+    person = looking(request)
+    person.require(Role.OPERATOR)
+    return person

@@ -1,0 +1,273 @@
+"""Changes of a bench file that keep its comments, its order and its style (`ruamel.yaml`)."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Iterable, Mapping
+from datetime import datetime
+from typing import TYPE_CHECKING, Any, Final
+
+from bench.base.yaml_files import Place, dotted, read_yaml
+from bench.panel.bench_fields import (
+    FORMS_OF_GRAVITY,
+    GRAVITY,
+    GRAVITY_FORM,
+    ONE_ROLE,
+    Group,
+    Values,
+    number_of_meters,
+    values_of,
+)
+
+if TYPE_CHECKING:
+    from ruamel.yaml import YAML
+
+WIDEST: Final = 4096
+"""The longest line that is not broken."""
+_NOTHING: Final = re.compile(r"~|null", re.IGNORECASE)
+
+
+def changed_text(text: str, values: Values, groups: Iterable[Group]) -> str:
+    """Return the text of a bench file with the values of the form; a field left empty has no key in the file.
+
+    `groups` are those of the form; keys without a field stay as they are. Raises `yaml.YAMLError` if the text is
+    no YAML, `ImportError` without `ruamel.yaml`.
+    """
+    yaml = _yaml()
+    tree = yaml.load(text)
+    before = values_of(read_yaml(text).data)
+    groups = list(groups)
+    _arrange(tree, values, before, groups)
+    before = {**before, **_emptied(tree, before)}
+    for group in groups:
+        for one in group.fields:
+            wanted = values.get(one.name, "").strip()
+            if not one.name.startswith("form:") and wanted != before.get(one.name, ""):
+                _put(tree, one.at, wanted)
+    out = io.StringIO()
+    yaml.dump(tree, out)
+    return with_comments(text, out.getvalue())
+
+
+def signed(text: str, name: str, now: datetime) -> str:
+    """Return a text whose first line is the comment that says who changed the file in the panel, and when."""
+    kept = re.sub(r"\A# changed in the panel by [^\n]*\n", "", text)
+    return f"# changed in the panel by {name} on {now.astimezone():%Y-%m-%d}\n{kept}"
+
+
+def _yaml() -> YAML:
+    """Return a reader and writer for which every plain scalar is text, so that it is written as it was read."""
+    from ruamel.yaml import YAML
+    from ruamel.yaml.resolver import VersionedResolver
+
+    class Plain(VersionedResolver):
+        """A resolver without types of scalars."""
+
+        @property
+        def versioned_resolver(self) -> Any:
+            """The patterns of types: none."""
+            return {}
+
+    yaml = YAML()
+    yaml.Resolver = Plain
+    yaml.preserve_quotes = True
+    yaml.width = WIDEST
+    yaml.indent(mapping=2, sequence=4, offset=2)
+    return yaml
+
+
+# --- sections that come and go ----------------------------------------------------------------------
+
+
+def _arrange(tree: Any, values: Values, before: Values, groups: list[Group]) -> None:
+    """Remove and add what the form's choices demand: voltmeters, the chamber, the way gravity is stated."""
+    stated = values.get(GRAVITY_FORM, "")
+    if not stated:
+        _remove(tree, GRAVITY)
+    elif stated != before.get(GRAVITY_FORM, ""):
+        tree["gravity"] = _gravity(stated)
+    instruments = tree.get("instruments")
+    if not isinstance(instruments, dict):
+        instruments = tree["instruments"] = _mapping()
+    meters = instruments.get("voltmeters")
+    if not isinstance(meters, list):
+        meters = instruments["voltmeters"] = _sequence()
+    wanted = number_of_meters(values)
+    while len(meters) > wanted:
+        del meters[len(meters) - 1]
+    while len(meters) < wanted:
+        meters.append(_mapping())
+    for role, _ in ONE_ROLE:
+        if not values.get(f"instruments.{role}.driver", "").strip():
+            instruments.pop(role, None)
+    for group in groups:
+        if group.section is not None and _another_driver(group, values, before):
+            section = _reach(tree, group.at)
+            known = {info.alias or name for name, info in group.section.model_fields.items()}
+            for key in [key for key in section if key not in known]:
+                del section[key]
+
+
+def _gravity(stated: str) -> Any:
+    """Return gravity in the chosen form before its fields are set; an empty value is a mistake at its field."""
+    empty = _scalar("", None)
+    if stated == FORMS_OF_GRAVITY["value"]:
+        return empty
+    section = _mapping()
+    if stated == FORMS_OF_GRAVITY["source"]:
+        section["value"] = empty
+    return section
+
+
+def _another_driver(group: Group, values: Values, before: Values) -> bool:
+    name = dotted((*group.at, "driver"))
+    return values.get(name, "") != before.get(name, "")
+
+
+def _emptied(tree: Any, before: Values) -> Mapping[str, str]:
+    """Return, as empty, the places of the file that `_arrange` removed."""
+    there = values_of(tree)
+    return {name: there.get(name, "") for name in before}
+
+
+# --- values -----------------------------------------------------------------------------------------
+
+
+def _put(tree: Any, at: Place, text: str) -> None:
+    """Set a text at a place, with the sections that lead to it; an empty text removes its key."""
+    if not text:
+        _remove(tree, at)
+        return
+    section, key = _reach(tree, at[:-1]), at[-1]
+    if key == "channels":
+        signals = _sequence()
+        signals.append(text)
+        section[key] = signals
+        return
+    section[key] = _scalar(text, section.get(key) if isinstance(section, dict) else None)
+
+
+def _scalar(text: str, before: Any) -> Any:
+    """Return a text as a scalar in the quotes of the one before; a word that YAML reads as nothing in quotes."""
+    from ruamel.yaml.scalarstring import DoubleQuotedScalarString, SingleQuotedScalarString
+
+    if isinstance(before, SingleQuotedScalarString):
+        return SingleQuotedScalarString(text)
+    if isinstance(before, DoubleQuotedScalarString) or not text or _NOTHING.fullmatch(text) or "::" in text:
+        return DoubleQuotedScalarString(text)
+    return text
+
+
+def _remove(tree: Any, at: Place) -> None:
+    """Remove the key at a place, and the sections that are empty without it."""
+    section = tree
+    for step in at[:-1]:
+        if isinstance(section, dict) and step not in section:
+            return
+        section = section[step]
+        if not isinstance(section, dict | list):
+            return
+    if isinstance(section, dict) and at[-1] in section:
+        del section[at[-1]]
+        if not section and len(at) > 1 and not isinstance(at[-2], int):
+            _remove(tree, at[:-1])
+
+
+def _reach(tree: Any, at: Place) -> Any:
+    """Return the section at a place; sections on the way that do not exist are made, in one line each."""
+    section = tree
+    for step in at:
+        if isinstance(section, dict) and not isinstance(section.get(step), dict | list):
+            section[step] = _mapping()
+        section = section[step]
+    return section
+
+
+def _mapping() -> Any:
+    from ruamel.yaml.comments import CommentedMap
+
+    made = CommentedMap()
+    made.fa.set_flow_style()
+    return made
+
+
+def _sequence() -> Any:
+    from ruamel.yaml.comments import CommentedSeq
+
+    made = CommentedSeq()
+    made.fa.set_flow_style()
+    return made
+
+
+# --- comments ---------------------------------------------------------------------------------------
+# A round trip ties a comment to the value before it. Where that value goes, the comment would go or move with it.
+
+
+def with_comments(before: str, after: str) -> str:
+    """Return a changed text with every whole-line comment before the key that it stood before.
+
+    Where that key is gone, the comment stands before the next one that is left.
+    """
+    blocks = _blocks(before)
+    if _blocks(after) == blocks:
+        return after
+    lines = [line for line in after.splitlines() if line.strip() and not line.lstrip().startswith("#")]
+    paths = _paths(lines)
+    found: dict[int, list[str]] = {}
+    for comment, followers in blocks:
+        where = next((paths.index(path) for path in followers if path in paths), len(lines))
+        found.setdefault(where, []).extend(comment)
+    result: list[str] = []
+    for number, line in enumerate([*lines, None]):
+        result += found.get(number, [])
+        if line is not None:
+            result.append(line)
+    text = "\n".join(result) + "\n"
+    return text if read_yaml(text).data == read_yaml(after).data else after
+
+
+KeyPath = tuple[str, ...]
+
+
+def _blocks(text: str) -> list[tuple[list[str], list[KeyPath]]]:
+    """Return the blocks of comments and empty lines, each with the paths of the lines after it, the next first."""
+    lines = text.splitlines()
+    aside = [not line.strip() or line.lstrip().startswith("#") for line in lines]
+    paths = _paths([line for line, is_aside in zip(lines, aside, strict=True) if not is_aside])
+    blocks: list[tuple[list[str], list[KeyPath]]] = []
+    current: list[str] = []
+    number = 0
+    for line, is_aside in zip(lines, aside, strict=True):
+        if is_aside:
+            current.append(line)
+            continue
+        if current:
+            blocks.append((current, paths[number:]))
+            current = []
+        number += 1
+    return [*blocks, (current, [])] if current else blocks
+
+
+_ITEM: Final = re.compile(r"( *)(- +)?([^:{\[]*)")
+
+
+def _paths(lines: list[str]) -> list[KeyPath]:
+    """Return, for each line of block style, the keys and list positions that lead to it."""
+    paths: list[KeyPath] = []
+    open_ones: list[tuple[int, str]] = []
+    counts: dict[KeyPath, int] = {}
+    for line in lines:
+        match = _ITEM.match(line)
+        indent, dash, key = (len(match[1]), match[2] or "", match[3].strip()) if match else (0, "", line)
+        while open_ones and open_ones[-1][0] >= indent:
+            open_ones.pop()
+        outer = tuple(name for _, name in open_ones)
+        if dash:
+            counts[outer] = counts.get(outer, 0) + 1
+            open_ones.append((indent, f"[{counts[outer]}]"))
+            outer = (*outer, f"[{counts[outer]}]")
+            indent += len(dash)
+        paths.append(outer if dash else (*outer, key))
+        open_ones.append((indent, key))
+    return paths

@@ -1,0 +1,187 @@
+"""The search for instruments, and the test of a bench's instruments, by a process that the panel starts."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+from filelock import FileLock, Timeout
+
+from bench.base.files import from_text, read_regular, to_text, write_whole
+from bench.base.text import visible
+from bench.base.yaml_files import FileMistakes
+from bench.panel.access import Refusal, private_folder
+from bench.panel.launching import start
+from bench.services.errors import Refused
+from drivers.clock import utc_now
+from drivers.interfaces import BenchError
+
+ASKED: Final = "asked.json"
+FOUND: Final = "found.json"
+LOCK: Final = "lock"
+LOG: Final = "search.log"
+OFFERS: Final = "offers"
+IDENTIFY: Final = "identify"
+TEST: Final = "test"
+MOST_ADDRESSED: Final = 30
+BEGINS_WITHIN_S: Final = 20.0
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What a search found: `resources` as `FoundResource`, or the `instruments` of the bench file `bench`.
+
+    `what` is what was asked for (`OFFERS`, `IDENTIFY` or `TEST`), `problem` why it was not carried out.
+    """
+
+    what: str = ""
+    done: bool = True
+    resources: Sequence[Mapping[str, str]] = ()
+    notes: Sequence[str] = ()
+    instruments: Sequence[Mapping[str, Any]] = ()
+    bench: str = ""
+    problem: str = ""
+    when: str = ""
+    resources_when: str = ""
+    order: Sequence[str] = field(default_factory=tuple)
+    """The resources that are addressed."""
+
+
+class Search:
+    """The latest search of a panel, in a folder of its own; one search at a time addresses the instruments."""
+
+    def __init__(self, folder: Path) -> None:
+        self.path = folder
+
+    def found(self) -> Findings:
+        """Return what was found so far; nothing if nothing was ever searched."""
+        try:
+            told = from_text(read_regular(self.path / FOUND))
+            return Findings(**told)
+        except (OSError, ValueError, TypeError):
+            return Findings()
+
+    def tell(self, found: Findings) -> None:
+        """Store what was found so far."""
+        write_whole(self.path / FOUND, to_text(asdict(found)))
+
+    def lock(self) -> FileLock:
+        """Return the lock that the searching process holds while it is alive."""
+        return FileLock(self.path / LOCK, mode=0o600)
+
+    def at_work(self) -> bool:
+        """Return whether a process searches now, or was started a moment ago and may not have begun yet."""
+        if self.found().done:
+            return False
+        try:
+            with self.lock().acquire(timeout=0):
+                age_s = utc_now().timestamp() - (self.path / ASKED).stat().st_mtime
+                return age_s < BEGINS_WITHIN_S
+        except Timeout:
+            return True
+        except OSError:
+            return False
+
+    def begin(self, what: str, *, resources: Sequence[str] = (), bench: Path | None = None) -> None:
+        """Start a process that searches, asks these resources for their identity, or tests a bench's instruments.
+
+        Raises `Refusal` if one is at work, for too many resources, or for a text that is no resource.
+        """
+        from bench.services.search import checked_resource
+
+        private_folder(self.path)
+        if self.at_work():
+            raise Refusal(409, "a search is at work already; wait until it is done")
+        if len(resources) > MOST_ADDRESSED:
+            raise Refusal(400, f"at most {MOST_ADDRESSED} resources are addressed at once")
+        try:
+            order = list(dict.fromkeys(map(checked_resource, resources)))
+        except Refused as mistake:
+            raise Refusal(400, str(mistake)) from mistake
+        before = self.found()
+        found = Findings(
+            what,
+            done=False,
+            resources=() if what == OFFERS else before.resources,
+            notes=() if what == OFFERS else before.notes,
+            resources_when=before.resources_when,
+            bench="" if bench is None else str(bench.absolute()),
+            when=utc_now().isoformat(),
+            order=order,
+        )
+        write_whole(self.path / ASKED, to_text({"what": what}))
+        self.tell(found)
+        start([str(self.path.absolute())], self.path / LOG, program=("-m", "bench.panel.searching"))
+
+
+# --- the process: python -m bench.panel.searching FOLDER ----------------------------------------------
+
+
+def main() -> None:
+    """Carry out the search that stands in the folder given on the command line."""
+    search = Search(Path(sys.argv[1]))
+    with search.lock():
+        asked = search.found()
+        try:
+            search.tell(carried_out(asked))
+        except BaseException as error:
+            told = asdict(asked) | {"done": True, "problem": f"it stopped ({type(error).__name__}: {error})"}
+            search.tell(Findings(**told))
+            raise
+
+
+def carried_out(asked: Findings) -> Findings:
+    """Return the findings of what was asked for."""
+    from bench.services.search import FoundResource, identified, offered
+
+    told = asdict(asked) | {"done": True}
+    if asked.what == OFFERS:
+        resources, notes = offered()
+        told |= {
+            "resources": [one.to_json() for one in resources],
+            "notes": notes,
+            "resources_when": asked.when,
+        }
+    elif asked.what == IDENTIFY:
+        rows = {one["resource"]: FoundResource(**one) for one in asked.resources}
+        for resource in asked.order:
+            rows[resource] = identified(resource, rows[resource].what if resource in rows else "")
+        told |= {"resources": [one.to_json() for one in rows.values()], "resources_when": asked.when}
+    else:
+        told |= _tested(Path(asked.bench))
+    return Findings(**told)
+
+
+def _tested(bench: Path) -> dict[str, Any]:
+    """Return what the instruments of a bench file answer, or the problem, as members of `Findings`."""
+    from bench.config.bench_file.file import load_bench
+    from bench.run.interrupts import Interrupts
+    from bench.services.instruments import look_at
+
+    try:
+        file = load_bench(bench)
+        with Interrupts() as interrupts:
+            rows = look_at(file, None, interrupts.haste)
+    except (FileMistakes, BenchError, OSError) as problem:
+        return {"problem": visible(str(problem))}
+    return {"instruments": [_row(row.part.to_dict()) for row in rows]}
+
+
+def _row(part: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what the page shows of an instrument that was tested."""
+    identity = part["identity"] or {}
+    failures = [": ".join(filter(None, map(str, failure.values()))) for failure in part["failures"]]
+    return {
+        "name": part["name"],
+        "identity": " ".join(str(one) for one in identity.values() if one),
+        "self_test": part["self_test"],
+        "shows": part["shows"],
+        "failures": failures,
+    }
+
+
+if __name__ == "__main__":
+    main()

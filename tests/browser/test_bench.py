@@ -1,0 +1,111 @@
+"""A bench without YAML: from an empty folder to a file that runs on simulated instruments, in the browser alone."""
+
+import json
+import subprocess
+import sys
+import time
+
+import pytest
+
+from bench.config.bench_file.file import load_bench
+from tests.support.served_panel import served
+
+BEGINS_S = 60.0
+
+
+@pytest.fixture
+def resources(tmp_path):
+    """The simulated instruments of a shipped bench, each on a TCP port, by name."""
+    ready = tmp_path / "ready.json"
+    command = [
+        sys.executable,
+        "-c",
+        "from bench.cli.program import main; main()",
+        "simulate",
+        "--bench",
+        "bench-lan",
+    ]
+    program = subprocess.Popen([*command, "--ready-file", str(ready), "--speed", "1000"], cwd=tmp_path)  # noqa: S603
+    until_s = time.monotonic() + BEGINS_S
+    while not ready.exists() and time.monotonic() < until_s and program.poll() is None:
+        time.sleep(0.05)
+    try:
+        told = json.loads(ready.read_text("utf-8"))
+        yield {
+            one["name"]: "TCPIP0::{}::{}::SOCKET".format(*one["tcp"].split(":"))
+            for one in told["instruments"]
+        }
+    finally:
+        program.terminate()
+        program.wait(30)
+
+
+@pytest.fixture
+def panel(tmp_path, monkeypatch):
+    """A panel that is begun in an empty folder."""
+    folder = tmp_path / "empty"
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    monkeypatch.delenv("BENCH_FILE", raising=False)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    with served(tmp_path / "runs") as found:
+        yield found
+
+
+def test_a_bench_is_made_found_written_and_tried_without_a_file_opened(visit, panel, resources):
+    page = visit("/", viewport={"width": 390, "height": 844})
+    page.click("nav >> text=Benches")
+    assert "no bench file yet" in page.inner_text("main")
+    page.select_option("#start", "bench-lan")
+    page.fill("#new", "hall-3")
+    page.click("button >> text=New bench")
+
+    page.fill("#further", "\n".join(resources.values()))
+    page.click("text=Ask for identities")
+    page.wait_for_selector(".resource >> nth=2")
+    page.wait_for_selector("[data-searching]", state="detached")
+    assert page.locator(".resource", has_text="MY53200001").count() >= 1
+    assert [" shows " in row for row in page.locator(".resource").all_inner_texts()] == [True] * 3
+    for number, resource in enumerate(resources.values()):
+        assert page.input_value(f"[name='resource:{number}']") == resource
+        page.select_option(f"[id='is:{number}']", "xyz"[number])
+    page.fill("[id='unit_under_test.serial']", "17-042")
+    page.fill("[id='unit_under_test.scale_factors.y']", "-2.14")
+    page.fill("[id='line_frequency']", "55 Hz")
+    page.click("text=Write the file >> nth=0")
+    page.wait_for_selector("[role=alert]")
+    assert not (panel.runs.parent / "empty" / "config").exists()
+    wrong = page.locator(".field.wrong")
+    assert wrong.count() == 2
+    assert "without a unit" in wrong.nth(1).inner_text()
+    assert page.input_value("[id='unit_under_test.serial']") == "17-042"  # what is typed survives
+    page.fill("[id='unit_under_test.scale_factors.y']", "-2.12 V/g")
+    page.fill("[id='line_frequency']", "60 Hz")
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390
+    page.click("text=Write the file >> nth=0")
+    page.wait_for_selector("text=hall-3.yaml is written")
+
+    file = load_bench(panel.runs.parent / "empty" / "config" / "hall-3.yaml")
+    assert [meter.resource for meter in file.instruments.voltmeters] == list(resources.values())
+    assert (file.name, file.line_frequency, file.unit_under_test.serial) == ("hall-3", 60.0, "17-042")
+
+    page.click("text=Test the instruments")
+    page.wait_for_selector(".results li >> nth=3")
+    told = page.inner_text(".results")
+    assert told.count("✓") == 4, told
+    assert "34461A" in page.locator("fieldset", has_text="Voltmeter of x").nth(0).inner_text()
+    page.click("#try >> text=Check and try it")
+    page.wait_for_selector("text=completed on simulated instruments")
+    assert page.locator("text=Start on the bench").count() == 1
+
+
+def test_a_choice_shows_its_fields_and_keeps_what_is_typed(visit, panel):
+    page = visit("/bench/form?start=paper-stand&name=two", viewport={"width": 1280, "height": 900})
+    page.fill("[id='description']", "kept")
+    page.select_option("[id='instruments.head.driver']", "zaber")
+    page.wait_for_selector("[id='instruments.head.steps_per_degree']")
+    assert page.input_value("#description") == "kept"
+    page.select_option("[id='form:voltmeters']", "1")
+    page.wait_for_selector("[id='instruments.voltmeters[1].inputs.x']")
+    assert page.input_value("[id='instruments.voltmeters[1].inputs.z']") == "103"
+    assert page.locator("[id='instruments.voltmeters[2].driver']").count() == 0

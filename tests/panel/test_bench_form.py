@@ -1,0 +1,349 @@
+"""Bench files in a form: who may, which names, mistakes at their fields, comments kept, nobody's change lost."""
+
+import re
+from html import unescape
+from pathlib import Path
+
+import pytest
+
+from bench.base.yaml_files import read_yaml
+from bench.config.bench_file.file import load_bench
+from bench.panel.access import Role
+from bench.panel.bench_fields import GRAVITY_FORM, METERS, completed, groups_of, placed, values_of
+from bench.panel.bench_files import mistakes_in, own_files, shipped_files
+from bench.panel.round_trip import changed_text, signed, with_comments
+from bench.panel.searching import IDENTIFY, OFFERS, Findings, Search, carried_out
+from bench.services.search import FoundResource
+from drivers.clock import utc_now
+from drivers.wire.resources import Offer, SerialPort
+from tests.support.panel_client import OWN, Browser, stranger
+
+SHIPPED = shipped_files()
+LAN = "TCPIP0::192.0.2.99::5025::SOCKET"
+
+
+@pytest.fixture
+def runs(tmp_path, monkeypatch):
+    folder = tmp_path / "work"
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    monkeypatch.delenv("BENCH_FILE", raising=False)
+    (tmp_path / "runs").mkdir()
+    return tmp_path / "runs"
+
+
+def hashed(page):
+    return re.search(r'name="sha256" value="([0-9a-f]*)"', page)[1]
+
+
+def new(anna, name="mine", start="bench-lan", **typed):
+    return anna.post("/bench/form", file="", start=start, new_name=name, sha256="", do="write", **typed)
+
+
+def comments(text):
+    return [line for line in text.splitlines() if line.lstrip().startswith("#")]
+
+
+def changed(name, **typed):
+    text = SHIPPED[name].read_text("utf-8")
+    before = values_of(read_yaml(text).data)
+    values = completed(before | typed, before)
+    return text, changed_text(text, values, groups_of(values))
+
+
+# --- comments and style -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", sorted(SHIPPED))
+def test_a_file_in_which_nothing_is_changed_is_written_as_it_was(name):
+    before, after = changed(name)
+    assert after == before
+    bare = "".join(
+        line for line in before.splitlines(True) if line.strip() and not line.lstrip().startswith("#")
+    )
+    assert with_comments(before, bare) == before
+
+
+@pytest.mark.parametrize(
+    ("name", "typed"),
+    [
+        ("bench-gpib", {"instruments.chamber.driver": "", "line_frequency": "60 Hz"}),
+        ("bench-gpib", {METERS: "1"}),
+        ("bench-multiplexer", {METERS: "3", "instruments.voltmeters[1].driver": "agilent-34401a"}),
+        ("bench-lan", {"instruments.head.driver": "zaber", "instruments.chamber.driver": "espec"}),
+        ("bench-motorised", {"instruments.head.driver": "manual-head", GRAVITY_FORM: "value of gravity"}),
+        ("bench-stand", {"instruments.voltmeters[1].serial.parity": "", "unit_under_test.serial": "a: b #c"}),
+    ],
+)
+def test_every_comment_line_is_kept_where_sections_come_and_go(name, typed):
+    before, after = changed(name, **typed)
+    assert sorted(comments(after)) == sorted(comments(before))
+    assert after != before
+    data = read_yaml(after).data
+    for place, text in typed.items():
+        if text and not place.startswith("form:") and "serial.parity" not in place:
+            assert values_of(data)[place] == text
+
+
+def test_a_scanner_takes_the_place_of_three_voltmeters():
+    _, after = changed("bench-gpib", **{METERS: "1"})
+    mistakes, file = mistakes_in(after, Path("mine.yaml"))
+    assert mistakes == ()
+    assert [meter.channels for meter in file.instruments.voltmeters] == [("x", "y", "z")]
+
+
+def test_three_voltmeters_take_the_place_of_a_scanner():
+    more = {
+        f"instruments.voltmeters[{n}].resource": f"TCPIP0::192.0.2.{n}::5025::SOCKET" for n in (1, 2, 3)
+    } | {f"instruments.voltmeters[{n}].interface": "lan" for n in (1, 2, 3)}
+    _, after = changed(
+        "bench-multiplexer", **{METERS: "3", "instruments.voltmeters[1].driver": "keysight-34461a"}, **more
+    )
+    mistakes, file = mistakes_in(after, Path("mine.yaml"))
+    assert mistakes == ()
+    assert [meter.channels for meter in file.instruments.voltmeters] == [("x",), ("y",), ("z",)]
+
+
+def test_gravity_with_its_source_is_written_with_its_u():
+    stated = {"value": "9.8105 m/s^2", "source": "survey", "date": "2026-03-02", "U": "2e-5 m/s^2", "k": "2"}
+    _, after = changed(
+        "bench-lan",
+        **{GRAVITY_FORM: "gravity with its source"},
+        **{f"gravity.{key}": text for key, text in stated.items()},
+    )
+    mistakes, file = mistakes_in(after, Path("mine.yaml"))
+    assert mistakes == ()
+    assert (file.gravity_m_s2, file.gravity.U, file.gravity.k) == (9.8105, 2e-5, 2.0)
+    assert after.index("# Local gravity") < after.index("gravity: {") < after.index("line_frequency")
+
+
+def test_the_comment_of_who_changed_it_stands_once():
+    once = signed("name: a\n", "anna", utc_now())
+    assert re.fullmatch(r"# changed in the panel by anna on \d{4}-\d\d-\d\d\nname: a\n", once)
+    assert signed(once, "bert", utc_now()).count("# changed in the panel") == 1
+
+
+def test_mistakes_stand_at_their_fields():
+    _, after = changed("bench-lan", **{"instruments.voltmeters[2].resource": "", "unit_under_test.range": "10",
+                                       "instruments.voltmeters[3].channels": "y"})  # fmt: skip
+    mistakes, _ = mistakes_in(after, Path("mine.yaml"))
+    values = values_of(read_yaml(after).data)
+    found = placed(mistakes, groups_of(values))
+    assert "'resource' is missing" in found.at["instruments.voltmeters[2].resource"]
+    assert "without a unit" in found.at["unit_under_test.range"][0]
+    assert "carried by voltmeter 2 already" in found.at["instruments.voltmeters[3].channels"][0]
+    assert "no voltmeter carries channel z" in found.at["instruments.voltmeters"][0]
+    assert found.elsewhere == []
+
+
+# --- pages ------------------------------------------------------------------------------------------
+
+
+def test_operators_and_supervisors_alone_may_see_and_write(runs):
+    assert stranger(runs).get("/bench").status_code == 303
+    eve = Browser(runs, "eve", Role.VIEWER)
+    assert [
+        eve.get(path).status_code for path in ("/bench", "/bench/form?start=bench-lan", "/bench/search")
+    ] == [403] * 3
+    assert new(eve).status_code == 403
+    assert eve.post("/bench/test", file="mine").status_code == 403
+    assert "/bench" not in eve.get("/").text
+    anna = Browser(runs, "anna")
+    reply = anna.client.post(
+        "/bench/form", data={"start": "bench-lan", "new_name": "mine", "do": "write"}, headers=OWN
+    )
+    assert reply.status_code == 403
+    assert list(Path().iterdir()) == []
+    assert new(Browser(runs, "cora", Role.SUPERVISOR)).status_code == 303
+
+
+def test_a_new_bench_is_written_with_what_was_typed_and_is_listed(runs):
+    anna = Browser(runs, "anna")
+    assert "bench-lan" in anna.get("/bench").text
+    page = anna.get("/bench/form?start=bench-lan&name=mine").text
+    assert '<input id="name" name="name" value="mine"' in page
+    reply = new(anna, name="mine", **{"instruments.voltmeters[1].resource": LAN})
+    assert reply.headers["location"] == "/bench/form?file=mine&written=1"
+    text = Path("config/mine.yaml").read_text("utf-8")
+    assert text.startswith("# changed in the panel by anna on 20")
+    assert set(comments(SHIPPED["bench-lan"].read_text("utf-8"))) <= set(comments(text))
+    assert load_bench(Path("config/mine.yaml")).instruments.voltmeters[0].resource == LAN
+    assert "config/mine.yaml" in anna.get("/bench").text
+    assert "What is written" in anna.get(reply.headers["location"]).text
+
+
+@pytest.mark.parametrize(
+    "name", ["", "../x", "a/b", ".x", "x.yaml", "a b", "bench-lan", "x" * 61, "a\\b", "-x"]
+)
+def test_names_that_are_none_or_taken_are_refused_at_the_field(runs, name):
+    reply = new(Browser(runs, "anna"), name=name)
+    assert reply.status_code == 200
+    assert 'id="m-new_name-1"' in reply.text
+    assert list(Path().iterdir()) == []
+
+
+def test_nothing_is_read_or_written_outside_the_working_folder(runs, tmp_path):
+    anna = Browser(runs, "anna")
+    outside = tmp_path / "outside.yaml"
+    outside.write_text(SHIPPED["bench-lan"].read_text("utf-8"))
+    Path("linked.yaml").symlink_to(outside)
+    assert own_files() == {}
+    for file in ("linked.yaml", "../outside.yaml", "bench-lan", "/etc/passwd", "none"):
+        assert anna.get("/bench/form", params={"file": file}).status_code == 404
+        assert anna.post("/bench/form", file=file, do="write", sha256="").status_code == 404
+        assert anna.post("/bench/test", file=file).status_code == 404
+    (tmp_path / "elsewhere").mkdir()
+    Path("config").symlink_to(tmp_path / "elsewhere")
+    assert "leads out of the working folder" in unescape(new(anna).text)
+    assert list((tmp_path / "elsewhere").iterdir()) == []
+
+
+def test_mistakes_are_all_told_and_what_is_typed_survives(runs):
+    reply = new(Browser(runs, "anna"), **{"line_frequency": "55 Hz", "unit_under_test.scale_factors.x": "<b>2",
+                                          "unit_under_test.serial": "17-042"})  # fmt: skip
+    text = reply.text
+    assert "Not written: 2 mistakes" in text
+    assert 'id="m-line_frequency-1"' in text
+    assert 'id="m-unit_under_test.scale_factors.x-1"' in text
+    assert 'value="&lt;b&gt;2"' in text
+    assert 'value="17-042"' in text
+    assert not Path("config").exists()
+
+
+def test_control_characters_are_refused(runs):
+    for text in ("a\nb", "\x1b[2J", "\u202e"):
+        assert new(Browser(runs, f"anna{ord(text[0])}"), description=text).status_code == 400
+
+
+def test_a_file_changed_meanwhile_is_not_written_over_until_the_difference_was_shown(runs):
+    anna = Browser(runs, "anna")
+    new(anna)
+    shown = hashed(anna.get("/bench/form?file=mine").text)
+    path = Path("config/mine.yaml")
+    path.write_text(path.read_text("utf-8").replace("line_frequency: 50 Hz", "line_frequency: 60 Hz"))
+    theirs = path.read_bytes()
+    typed = {"file": "mine", "line_frequency": "50 Hz", "description": "other", "do": "write"}
+    reply = anna.post("/bench/form", sha256=shown, **typed)
+    assert path.read_bytes() == theirs
+    assert "the file was changed since" in reply.text
+    assert "-line_frequency: 60 Hz\n+line_frequency: 50 Hz" in reply.text
+    assert anna.post("/bench/form", sha256=hashed(reply.text), **typed).status_code == 303
+    assert load_bench(path).description == "other"
+
+
+def test_a_file_of_a_hand_keeps_its_ends_of_lines_and_what_the_form_does_not_know(runs):
+    text = SHIPPED["bench-lan"].read_text("utf-8") + '\ncheck_block: {serial: "7"}   # ours\n'
+    Path("mine.yaml").write_bytes(text.replace("\n", "\r\n").encode())
+    anna = Browser(runs, "anna")
+    sha = hashed(anna.get("/bench/form?file=mine.yaml").text)
+    assert (
+        anna.post("/bench/form", file="mine.yaml", sha256=sha, do="write", description="d").status_code == 303
+    )
+    content = Path("mine.yaml").read_bytes()
+    assert b'check_block: {serial: "7"}   # ours\r\n' in content
+    assert content.count(b"\n") == content.count(b"\r\n")
+
+
+def test_a_file_that_is_no_yaml_is_told_so(runs):
+    Path("bad.yaml").write_text("instruments: [\n")
+    anna = Browser(runs, "anna")
+    assert "1 mistake" in anna.get("/bench").text
+    reply = anna.get("/bench/form?file=bad.yaml")
+    assert (reply.status_code, "no YAML" in reply.text) == (409, True)
+    Path("odd.yaml").write_text("instruments:\n  - a\n")
+    assert anna.get("/bench/form?file=odd.yaml").status_code in {200, 409}
+
+
+# --- the search -------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def started(monkeypatch):
+    """What was started instead of processes."""
+    calls = []
+    monkeypatch.setattr("bench.panel.searching.start", lambda *given, **more: calls.append((given, more)))
+    return calls
+
+
+def test_finding_addresses_nothing_and_what_is_found_is_given_to_an_instrument(runs, started, monkeypatch):
+    offer = Offer((LAN,), (SerialPort("ASRL/dev/ttyS0::INSTR", "/dev/ttyS0", ""),), ("USB was not searched",))
+    monkeypatch.setattr("bench.services.search.discover", lambda: offer)
+    monkeypatch.setattr("bench.services.search.MessageSession", None)
+    anna = Browser(runs, "anna")
+    form = {"file": "", "start": "bench-gpib", "new_name": "mine", "sha256": "", "description": "kept"}
+    page = anna.post("/bench/form", do=OFFERS, **form).text
+    assert "data-searching" in page
+    assert 'value="kept"' in page
+    assert len(started) == 1
+    search = Search(runs / ".panel" / "search")
+    search.tell(carried_out(search.found()))
+    page = anna.post("/bench/form", do="show", **form).text
+    assert "USB was not searched" in page
+    assert f'id="ask:0" name="ask:0" value="yes" checked> <label for="ask:0" class="name">{LAN}' in page
+    assert 'id="ask:1" name="ask:1" value="yes"> ' in page  # a serial port is addressed on demand alone
+    reply = anna.post("/bench/form", do="write", **form, **{"resource:0": LAN, "is:0": "y",
+                      "instruments.voltmeters[2].interface": "lan"})  # fmt: skip
+    assert reply.status_code == 303
+    assert [m.resource for m in load_bench(Path("config/mine.yaml")).instruments.voltmeters][1] == LAN
+
+
+def test_an_identified_meter_brings_its_driver(runs):
+    search = Search(runs / ".panel" / "search")
+    anna = Browser(runs, "anna")
+    search.path.mkdir(parents=True)
+    told = FoundResource(
+        LAN, identity="K 34461A", serial="1", driver="keysight-34461a", interface="lan", shows="+1 V"
+    )
+    search.tell(Findings(IDENTIFY, resources=[told.to_json()]))
+    page = anna.post(
+        "/bench/form", file="", start="bench-gpib", sha256="", do="show", **{"resource:0": LAN, "is:0": "z"}
+    ).text
+    assert re.search(
+        r'name="instruments.voltmeters\[3\].driver".*?<option value="keysight-34461a" selected>',
+        page,
+        re.DOTALL,
+    )
+    assert re.search(
+        r'name="instruments.voltmeters\[3\].interface".*?<option value="lan" selected>', page, re.DOTALL
+    )
+    assert "K 34461A, shows +1 V" in page
+
+
+@pytest.mark.parametrize(
+    "typed", ["rm -rf", "$(id)", "TCPIP0", "\n".join(f"GPIB0::{number}::INSTR" for number in range(31))]
+)
+def test_what_is_no_resource_is_not_addressed(runs, started, typed):
+    page = (
+        Browser(runs, "anna")
+        .post("/bench/form", file="", start="bench-lan", sha256="", do=IDENTIFY, further=typed)
+        .text
+    )
+    assert started == []
+    assert "note bad" in page
+    assert typed.splitlines()[0] in unescape(page)
+
+
+def test_a_resource_that_does_not_answer_is_one_with_its_failure(runs):
+    told = carried_out(Findings(IDENTIFY, done=False, order=["TCPIP0::127.0.0.1::1::SOCKET"]))
+    assert told.done
+    assert "refused the connection" in told.resources[0]["failure"]
+
+
+def test_the_results_of_a_test_stand_at_the_instruments(runs, started):
+    anna = Browser(runs, "anna")
+    new(anna)
+    assert anna.post("/bench/test", file="mine").status_code == 303
+    search = Search(runs / ".panel" / "search")
+    assert anna.post("/bench/test", file="mine").status_code == 409  # one at a time
+    assert "are being tested" in anna.get("/bench/form?file=mine").text
+    row = {
+        "name": "voltmeter.x",
+        "identity": "K",
+        "self_test": "passed",
+        "shows": "x +1 V",
+        "failures": ["no wire"],
+    }
+    search.tell(Findings("test", bench=search.found().bench, instruments=[row]))
+    page = anna.get("/bench/form?file=mine").text
+    assert page.count("x +1 V") == 2
+    assert page.count("no wire") == 2
