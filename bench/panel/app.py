@@ -109,8 +109,12 @@ def make_app(settings: Settings) -> Starlette:
 LATE: Final = (
     "bench.calibration.conformity",
     "bench.calibration.verification",
+    "bench.panel.round_trip",
+    "bench.exchange.forms",
+    "bench.services.calibration",
     "bench.services.check_block",
     "bench.services.execution",
+    "bench.services.source",
     "bench.results.control_chart",
     "bench.results.verification",
     "bench.results.residuals",

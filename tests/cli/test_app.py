@@ -49,7 +49,7 @@ def edited_stand(**changes):
 def test_a_dry_run_ends_with_coefficients_a_verdict_and_a_report(bench):
     status, out, err = bench("run", "paper", "--dry-run", "--name", "first", "--operator", "A. Person")
     assert (status, err) == (0, "")
-    assert "first: PASSED" in out
+    assert "first (SIMULATED): PASSED" in out
     folder = Path("runs/first")
     result = json.loads((folder / "calibrate.json").read_text())
     value = np.array([result["coefficients"][name]["value"] for name in COEFFICIENTS])

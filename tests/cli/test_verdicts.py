@@ -138,9 +138,9 @@ def test_run_verify_report_and_list_tell_one_verdict(bench):
     status, out, _ = bench(*run)
     own = json.loads(Path("runs/one/verify.json").read_text(encoding="utf-8"))
     assert (status, own["passed"], own["statement"]) == (1, False, "conditional pass")
-    assert "runs/one: CONDITIONAL PASS, not accepted: worst" in out
+    assert "one (SIMULATED): CONDITIONAL PASS, not accepted: worst" in out
     assert "rule: guarded (w = 3 U)" in out
-    assert "note: 4 of 4 verification points within the limit by less than the guard band" in out
+    assert "4 of 4 verification points within the limit by less than the guard band" in out
     assert told(bench, "verify", "one", "--json", "-") == (1, own)
     assert not Path("runs/one/what-if").exists()
     status, out, _ = bench("report", "one", "--json", "-")
@@ -176,7 +176,8 @@ def test_a_run_is_judged_as_it_was_begun(bench):
     status, out, _ = bench(*run, "--guard-band", "3")
     own = json.loads(Path("runs/one/verify.json").read_text(encoding="utf-8"))
     assert (status, own["limit_g"], own["rule"], own["guard_band"]) == (1, 4e-4, "guarded", 3.0)
-    assert "limit 400 µg, rule: guarded (w = 3 U)" in out
+    assert "limit 400 µg\n" in out
+    assert "rule: guarded (w = 3 U)" in out
     assert "chain of hashes whole" in bench("show", "one", "--verify")[1]
     assert told(bench, "verify", "one", "--json", "-") == (1, own)
     assert not Path("runs/one/what-if").exists()
