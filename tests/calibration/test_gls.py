@@ -387,7 +387,7 @@ def test_every_command_refuses_another_and_its_help_names_all(bench, readings):
             bench(*command, "--estimator", "magic"),
             "no estimator 'magic'; there are gls, closed-form, least-squares, robust, halved",
         )
-        _, out, _ = bench(command[0], "--help")
+        _, out, _ = bench(command[0], "--help-all")
         told = " ".join(out.split())
         for estimator in ESTIMATORS.values():
             assert f"({estimator.phrase})" in told, estimator.name

@@ -58,4 +58,4 @@ def test_it_reads_over_a_serial_line_with_other_ends(bench, tmp_path, monkeypatc
     path = with_one(tmp_path, **SERIAL, serial={"baud_rate": 19200, "terminator": "lfcr"})
     status, out, err = bench("run", "quick", "--dry-run", "--bench", path, "--name", "run")
     assert (status, err) == (0, ""), out
-    assert "run: PASSED" in out
+    assert "run (SIMULATED): PASSED" in out
