@@ -60,7 +60,7 @@ def test_one_holds_one_watches_one_takes_over_and_the_terminal_answers(visit, ru
     vera.wait_for_selector("text=interrupted")
     status, said = run.ended()
     assert status == 2
-    assert "bench resume together" in said
+    assert f"resume with 'bench resume {run.folder}'" in said
     assert "anna" in said  # the terminal says who answered elsewhere
     assert run.of_type("run_interrupted")[-1]["by"] == "vera"
 
