@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Final, TypeVar
 import typer
 
 from bench.cli import printing
-from bench.cli.helping import CommandGroup
+from bench.cli.commands import CommandGroup
 from bench.cli.options import JsonOption, OutOption, requested
 from bench.services.errors import Refused
 from bench.services.requests.history import Capability, CompareBenches, DriftOfUnit, OfFleet

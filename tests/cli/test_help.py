@@ -2,8 +2,7 @@
 
 import pytest
 
-from bench.cli.commands import COMMANDS, COMMON, HEADINGS
-from bench.cli.helping import MORE
+from bench.cli.commands import COMMANDS, COMMON, HEADINGS, MORE
 from docs.generators.commands import commands
 from tests.support.commands import printed, refused
 
