@@ -7,7 +7,7 @@ STAMP := $(VENV)/.installed
 unexport PYTHONDONTWRITEBYTECODE
 PYTEST := $(VENV)/bin/python -m pytest -n auto --dist loadfile
 
-.PHONY: dry-run test test-quick test-browser coverage mutation lint hooks docs blind-trial clean
+.PHONY: dry-run test test-quick test-browser thresholds coverage mutation lint hooks docs blind-trial clean
 
 # The program alone; every other target adds the tools of tests and of development to the same environment.
 dry-run: $(PRODUCT)
@@ -19,6 +19,11 @@ test: $(STAMP)
 # Without the tests that are marked slow: what to run between two edits.
 test-quick: $(STAMP)
 	$(PYTEST) -m "not slow and not browser"
+
+# After a change of the diagnosis: simulates anew what the tests' designs need, which each `make test` would do else.
+thresholds: $(STAMP)
+	rm -f tests/data/thresholds.json
+	BENCH_KEEP_THRESHOLDS=1 $(PYTEST)
 
 # The panel in the system's Chromium; without one it says so, and fails.
 test-browser: $(VENV)/.driving

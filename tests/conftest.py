@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 from tests.support import thresholds
 
@@ -31,13 +32,19 @@ class Session:
 
 
 def pytest_xdist_auto_num_workers() -> int:
-    """Return the workers of `-n auto`: two for each core, since tests on wires and processes mostly wait."""
-    return 2 * (os.cpu_count() or 1)
+    """Return the workers of `-n auto`: one beside those of the cores, since tests on wires and processes wait.
+
+    Each worker imports and collects all tests, so that more of them cost more than they gain.
+    """
+    return 1 + (os.cpu_count() or 1)
 
 
 def pytest_configure() -> None:
-    """Keep the standard error of the session, which tests do not see."""
+    """Keep the standard error of the session; let no speed of the machine decide; collect without garbage passes."""
     Session.stderr = os.dup(2)
+    settings.register_profile("any speed", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+    settings.load_profile("any speed")
+    gc.disable()
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -69,9 +76,10 @@ def cache_of_tests(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
-        thresholds.unpack(cache_folder("thresholds"))
+        folder = cache_folder("thresholds")
+        thresholds.unpack(folder, tmp_path_factory.getbasetemp())
         yield
-        thresholds.keep(cache_folder("thresholds"))
+        thresholds.keep(folder)
 
 
 @pytest.fixture(autouse=True, scope="session")
@@ -134,5 +142,5 @@ def bench(
 
 def pytest_collection_finish() -> None:
     """Leave the thousands of tests and modules out of every later search for garbage."""
-    gc.collect()
+    gc.enable()
     gc.freeze()

@@ -42,7 +42,7 @@ KNOWN_SIZE: Final = 20.0
 EXCLUDED: Final = -1e9
 """ln of the evidence assigned to a variant with a column that the model already has."""
 
-CHUNK: Final = 200
+CHUNK: Final = 25
 """Data sets scored at once."""
 
 
