@@ -40,7 +40,7 @@ def pytest_xdist_auto_num_workers() -> int:
 
 
 def pytest_configure() -> None:
-    """Keep the standard error of the session; let no speed of the machine decide; collect without garbage passes."""
+    """Keep the session's standard error; let no speed of the machine decide; collect without garbage passes."""
     Session.stderr = os.dup(2)
     settings.register_profile("any speed", deadline=None, suppress_health_check=[HealthCheck.too_slow])
     settings.load_profile("any speed")
