@@ -291,7 +291,7 @@ class Sensitivities:
         return np.asarray(self.rows[:, self.names.index(name)])
 
     def without(self, names: Collection[str]) -> Sensitivities:
-        """Return the columns of the other unknowns."""
+        """Return the sensitivities without the columns of the unknowns `names`."""
         kept = [j for j, name in enumerate(self.names) if name not in names]
         return Sensitivities(self.rows[:, kept], tuple(self.names[j] for j in kept))
 

@@ -62,7 +62,7 @@ def _yaml() -> YAML:
     from ruamel.yaml.resolver import VersionedResolver
 
     class Plain(VersionedResolver):
-        """A resolver without types of scalars."""
+        """A resolver that reads every plain scalar as text."""
 
         @property
         def versioned_resolver(self) -> Any:

@@ -316,7 +316,10 @@ def between(before: Mapping[str, Rail], after: Mapping[str, Rail]) -> dict[str, 
 
 
 def columns_of(taken: Sequence[Mapping[str, Rail]]) -> dict[str, list[str]]:
-    """Return the rail columns of readings by name, as text: three columns for each rail of any reading."""
+    """Return the text columns of the supply rails by name: measured voltage, nominal voltage and current of each.
+
+    `taken` has the rails of each reading by name. A cell is empty where a reading lacks the rail.
+    """
     columns: dict[str, list[str]] = {}
     for name in dict.fromkeys(name for rails in taken for name in rails):
         rails = [row.get(name) for row in taken]

@@ -119,7 +119,7 @@ class Controls(Protocol):
 
 
 class NoControls:
-    """A source without wishes."""
+    """The wishes of a run that nobody can control: there are none."""
 
     stopped: RunControl | None = None
 

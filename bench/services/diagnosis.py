@@ -246,7 +246,7 @@ class DiagnosisResult(_WithPage):
         return self.next_measurement.write(Path(path)).procedure
 
     def written(self, *, accept_first: bool = False, report: bool = True) -> Self:
-        """Write copy, model, next procedure and page; return the result with their paths."""
+        """Write corrected readings, model, next procedure and page; return the result with their paths."""
         mistakes, body = self.diagnosis.mistakes, self.body
         result = self._with_copy(mistakes.mistakes, mistakes.corrected)
         if self.model_is_due(accept_first=accept_first):
