@@ -72,7 +72,7 @@ def search(problem: Problem, fit: Fit, refit: Callable[[tuple[Shift, ...]], Fit]
 
 
 def looks(problem: Problem) -> int:
-    """Return the number of tests for an outlier: three signals and the setting of each reading, and each modulus."""
+    """Return the number of tests for an outlier: the signals and setting of each reading, and each modulus."""
     return 4 * len(problem.conditions) + (0 if problem.free is None else len(problem.free.signal))
 
 

@@ -238,8 +238,8 @@ class CalibrationSpread:
     `scatter` is what exceeds the stated u: a root mean square over sizes weighted by their likelihood, which is
     larger for few calibrations. `scatter_least` and `scatter_most` are its 90 % limits. `bench` is the
     maximum-likelihood spread of the benches, `bench_most` its upper 95 % limit.
-    `rate` (a year) and `walk` (in a year) are the drifts of units, zero unless significant; `p` is the p-value of no
-    drift.
+    `rate` (a year) and `walk` (in a year) are the drifts of units, zero unless significant; `p` is the p-value
+    of no drift.
     """
 
     scatter: float
