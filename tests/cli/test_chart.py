@@ -47,6 +47,7 @@ def of_days(bench, count: int, name: str = "shifted"):
     return chart_of(runs[:count], bench.check_block)
 
 
+@pytest.mark.slow
 def test_days_in_control_and_the_day_of_a_shift(there):
     first = of_days(there, 1)
     assert first.sentence().startswith("NO VERDICT yet: check-0 is the first")
