@@ -301,11 +301,8 @@ def copies(folder: Path, number: int) -> Path:
 # --- fits -------------------------------------------------------------------------------------------
 
 FIT, WHOLE, WHOLE_MS, BATCH_RATIO = (
-    "calibrate, gls",
-    "the whole result, every source of the budget",
-    50.0,
-    20.0,
-)
+    "calibrate, gls", "the whole result, every source of the budget", 50.0, 20.0,
+)  # fmt: skip
 
 
 def fits(given: argparse.Namespace) -> bool:
