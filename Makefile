@@ -5,7 +5,8 @@ PRODUCT := $(VENV)/.product
 STAMP := $(VENV)/.installed
 # Without its bytecode each test process would compile every module anew.
 unexport PYTHONDONTWRITEBYTECODE
-PYTEST := $(VENV)/bin/python -m pytest -n auto --dist loadfile
+# Slow files begin first (tests/conftest.py), which a worker alone would else have at the end.
+PYTEST := $(VENV)/bin/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
 
 .PHONY: dry-run test test-quick test-browser thresholds coverage mutation lint hooks docs blind-trial clean
 
