@@ -226,7 +226,7 @@ class ReadOutHead(ABC):
         for attempt in range(1, MOST_ATTEMPTS + 1):
             if (
                 not self._trusted
-            ):  # the connection was made anew on the way, perhaps to a counter that was off
+            ):  # the connection was made again on the way, perhaps to a counter that was off
                 track = self._begun(target_rad, direction, key)
             prompt = self._prompt(target_rad, direction, f"{key}#{attempt}", trouble)
             trouble = self._asked(prompt, track)

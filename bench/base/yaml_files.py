@@ -556,7 +556,7 @@ def validated(document: Document, model: type[Model]) -> Model:
 def _told(mistakes: list[FileMistake]) -> list[FileMistake]:
     if len(mistakes) < MOST_TOLD:
         return mistakes
-    last = FileMistake(mistakes[-1].line, "", "there are more mistakes; they are told when these are mended")
+    last = FileMistake(mistakes[-1].line, "", "more mistakes follow: correct these first, then check again")
     return [*mistakes[: MOST_TOLD - 1], last]
 
 

@@ -29,7 +29,7 @@ class DirectionKind(StrEnum):
     UNSEEN = "no reading depends on it"
     TURN = "a common turn of the block's axes"
     ALIKE = "the readings cannot tell them apart"
-    MIXED = "goes into coefficients without a trace"
+    MIXED = "is indistinguishable from a change of coefficients"
 
 
 @dataclass(frozen=True)

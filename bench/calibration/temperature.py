@@ -1,7 +1,7 @@
 """Readings at several temperatures, sorted into plateaus, and the coefficients as functions of temperature.
 
 A mounting has one set of stand angles. It lasts while the installation stays the same, at any temperature. If the
-block is mounted anew at the same temperature, a change of the column `series` marks the new mounting.
+block is mounted again at the same temperature, a change of the column `series` marks the new mounting.
 """
 
 from __future__ import annotations

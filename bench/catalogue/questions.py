@@ -251,7 +251,7 @@ KEYS: Final[Mapping[str, Key]] = {
     "name": Key("name of the run", _text(RUNS.c.name)),
     "path": Key("folder of the run", _text(RUNS.c.path)),
     "program": Key("version of the program that made the run", _text(RUNS.c.program_version)),
-    "state": Key("what became of the run: finished, aborted, imported …", _text(RUNS.c.state)),
+    "state": Key("state of the run: finished, aborted, imported …", _text(RUNS.c.state)),
     "record": Key("what is proved of its record: chain, read, broken, none", _text(RUNS.c.record)),
     "problem": Key("what is wrong with it", _text(RUNS.c.problem)),
     "simulated": Key("yes or no", _whether(RUNS.c.simulated)),

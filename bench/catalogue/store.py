@@ -416,7 +416,7 @@ def _with_tables(catalogue: Catalogue, *, renew: bool) -> Catalogue:
         elif found < SCHEMA:
             if not renew:
                 raise Refused(
-                    f"{catalogue.where}: made by an older version of this program; make it anew from its runs "
+                    f"{catalogue.where}: made by an older version of this program; make it again from its runs "
                     "with: bench catalogue sync DIR"
                 )
             return replace(catalogue, renewed=_renew(connection))
@@ -467,7 +467,7 @@ def _renew(connection: Connection) -> str:
             connection.execute(insert(table).values(known))
     lost = len(rows[RUNS])
     gone = f"; {lost} runs whose folders are gone are kept as they were" if lost else ""
-    return f"made by an older version of this program: made anew from its {len(there)} runs{gone}"
+    return f"made by an older version of this program: made again from its {len(there)} runs{gone}"
 
 
 def forget_dues(connection: Connection, changed: ColumnElement[bool]) -> None:

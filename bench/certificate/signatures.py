@@ -338,7 +338,7 @@ def _check_cover(file: bytes, signature: Any) -> None:
         raise NotIntact("its signature leaves out more than itself")
     value = _written_anew(content)
     if content[: len(value)] != value or content[len(value) :].strip(b"\0"):
-        raise NotIntact("something stands in the place of its signature beside it")
+        raise NotIntact("other data replaced its signature")
 
 
 def _written_anew(content: bytes) -> bytes:

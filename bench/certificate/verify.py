@@ -51,10 +51,8 @@ NOT_PROVED: Final = (
 )
 NOT_MEASURED: Final = "that what was measured is true"
 PAGES_NOT_READ: Final = "that the pages print what the data say: only the data were compared"
-RECORD_NOT_HERE: Final = "that the record gives these results: the record is not at hand"
-REGISTER_NOT_HERE: Final = (
-    "that it still holds: the laboratory's register knows what was amended or revoked, and is not at hand"
-)
+RECORD_NOT_HERE: Final = "that the record gives these results: the record is missing here"
+REGISTER_NOT_HERE: Final = "that it still holds: the register of amended and revoked ones is missing here"
 UNSIGNED: Final = (
     "who made it, nor that it is as it was issued: nobody signed it, and no register was named that knows; "
     "--laboratory FILE names the laboratory's"

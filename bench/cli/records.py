@@ -89,7 +89,7 @@ def key(request: MakeKey) -> int:
         public, fingerprint = new_certificate_key(file, name, cover, utc_now())
     out.print(f"private key: {file} (keep it; who has it signs in the laboratory's name)")
     kind = "public key" if name is None else "certificate"
-    out.print(f"{kind}: {public} (give it to whoever is to check)")
+    out.print(f"{kind}: {public} (give it to those who verify seals)")
     out.print(f"fingerprint: {fingerprint}")
     return 0
 

@@ -99,7 +99,7 @@ def _on_components(chart: ControlChart) -> list[str]:
     if more:
         notes.append(
             f"between the runs of the baseline {listed(more)} scatter{'s' * (len(more) == 1)} more than stated u: "
-            "something comes anew with each run that the bench file does not state so large"
+            "something differs from run to run by more than the bench file states"
         )
     if found.birge_p < ALIKE_P:
         taken = (
@@ -112,7 +112,7 @@ def _on_components(chart: ControlChart) -> list[str]:
     if chart.design.basis != "scatter" and found.alike_p < ALIKE_P:
         notes.append(
             f"stated u is not as right for every coefficient ({probability(found.alike_p)}): false alarms are more "
-            "frequent than stated; name under 'between_runs' what comes anew with each run, or take limits from "
+            "frequent than stated; name under 'between_runs' what changes with each run, or take limits from "
             "scatter (14 runs or more)"
         )
     return notes
@@ -262,7 +262,7 @@ def control_chart(
 ) -> ControlChart:
     """Judge `later` runs of a check block against its `baseline` runs, or against a `reference` calibration.
 
-    `drift` is the known drift of the block. `restarted` is the time of a repair, at which the EWMA starts anew.
+    `drift` is the known drift of the block. `restarted` is the time of a repair, at which the EWMA starts again.
     Raises `CalibrationError` if the baseline has too few runs for limits.
     """
     baseline = tuple(sorted(baseline, key=lambda run: run.when))
@@ -356,7 +356,7 @@ class _Judging:
     def ewma(
         self, runs: Sequence[CheckRun], shewhart: JudgedDeviations, restarted: datetime | None
     ) -> JudgedDeviations:
-        """Return the EWMA of the runs that T² does not reject; it starts anew at `restarted`."""
+        """Return the EWMA of the runs that T² does not reject; it starts again at `restarted`."""
         kept = shewhart.p_joint >= self.design.alpha
         after = np.array([restarted is not None and run.when >= restarted for run in runs], dtype=bool)
         p = len(COEFFICIENTS)

@@ -210,9 +210,9 @@ def _angles(body: RunSums, theta: Floats, beliefs: Beliefs) -> list[Contradictio
         if p < LOOKED_AT_P:
             # a contradicting run inflates the variances and so hides itself: estimate them without it
             others = body.without([r])
-            anew = fitted(others, beliefs, theta)
+            refit = fitted(others, beliefs, theta)
             size, p = _angle_test(
-                body, r, anew, *Weighed.of(others, anew, len(beliefs.precision)).means(beliefs)
+                body, r, refit, *Weighed.of(others, refit, len(beliefs.precision)).means(beliefs)
             )
         if np.isfinite(size):
             found.append(Contradiction(name, ANGLES, size, p))

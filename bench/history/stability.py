@@ -114,13 +114,13 @@ def from_columns(source: str, unit: str, time_s: Floats, signal: Floats) -> Stat
         i = int(np.argmax(odd))
         raise CalibrationError(
             f"{source}: time_s is not uniform: {steps[i]:g} s after sample {i + 1} (at {time_s[i]:g} s), "
-            f"{usual:g} s elsewhere; cut the record there, or sample it anew at a steady rate"
+            f"{usual:g} s elsewhere; cut the record there, or sample it again at a steady rate"
         )
     rates = np.array([part.mean() for part in np.array_split(steps, 10)]) / steps.mean() - 1.0
     if np.max(np.abs(rates)) > STEADY:
         raise CalibrationError(
             f"{source}: the sampling interval changes by {100 * float(np.ptp(rates)):.1f} % along the record; "
-            "sample it anew at a steady rate"
+            "sample it again at a steady rate"
         )
     return StaticRecord(source, unit, float(steps.mean()), np.asarray(signal, dtype=np.float64))
 

@@ -390,7 +390,7 @@ def chosen_bench(name: str, runs: RunsFolder) -> Path:
         original = Path(str(run.manifest.get("bench", "")))
         if original in choices(CONFIG).values() or original.name in choices(CONFIG):
             return original
-        raise Refusal(404, f"{run.name}: its bench file is not at hand any more; choose one")
+        raise Refusal(404, f"{run.name}: its bench file is no longer here; choose one")
     return _chosen(CONFIG, name, "bench file")
 
 

@@ -262,7 +262,7 @@ def _diagnosis(told: Mapping[str, Any]) -> DiagnosisTold:
         if one.get("channels"):
             text += f" (channels {', '.join(map(str, one['channels']))})"
         if one.get("cannot_tell_from"):
-            text += ", not to be told from " + ", ".join(
+            text += ", indistinguishable from " + ", ".join(
                 str(o).replace("_", " ") for o in one["cannot_tell_from"]
             )
         effects.append(text)

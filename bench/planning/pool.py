@@ -130,7 +130,7 @@ def pool_of(plan: Plan, line_hz: float = 50.0) -> Pool:
     """
     if any(isinstance(step, SetTemperature) for step in plan.steps):
         raise CalibrationError(
-            f"{plan.name}: sets temperatures, and what is enough is told of a calibration at one temperature; "
+            f"{plan.name}: sets temperatures, but this goal is for a calibration at one temperature; "
             "run it whole, or take a procedure without them"
         )
     found = _points(plan, line_hz)

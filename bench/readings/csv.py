@@ -144,8 +144,8 @@ def _read(
                 raise BadCell(
                     "point",
                     f"series {key[0]:g}, installation {key[1]}, pass {key[2]:g}, point {key[3]:g} "
-                    f"stands already in line {seen[key]}; each may stand once (use the column 'series' "
-                    "for a second visit)",
+                    f"is already in line {seen[key]}; give a second visit another number in the column "
+                    "'series'",
                 )
         except BadCell as problem:
             bad.append(f"{path}, line {line}, column {problem.column}: {problem}")
@@ -393,9 +393,7 @@ def _time(readings: Readings, lines: Sequence[int]) -> list[str]:
     if not len(back):
         return []
     where = f"line {lines[back[0]]}" + (f" and {len(back) - 1} more" if len(back) > 1 else "")
-    return [
-        f"time_s runs backwards ({where}): rows stand in the order of measurement; is the file sorted anew?"
-    ]
+    return [f"time_s runs backwards ({where}): put the rows back in the order of measurement"]
 
 
 def _scatter(readings: Readings, lines: Sequence[int]) -> list[str]:

@@ -371,7 +371,7 @@ def coefficients_table(found: Calibration) -> Table:
 
 def sources_table(found: Calibration) -> Table:
     """Return a table of the error sources that the readings do not show, with the largest contribution of each."""
-    shown = table("u holds also", ">u", "from", ">most", "in")
+    shown = table("further contributions to u", ">u", "from", ">most", "in")
     for source in found.sources:
         u = u_of(source.covariance)
         if not np.any(u > 0):

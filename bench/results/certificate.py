@@ -182,7 +182,7 @@ class VerifyResult(ResultModel):
     unsigned: CertificateSays | None = Field(
         description="what a certificate says that nobody signed; null where it is not intact or is signed"
     )
-    register_: RegisterSays | None = Field(alias="register", description="null where no register is at hand")
+    register_: RegisterSays | None = Field(alias="register", description="null without a register")
     not_signed: list[str]
     not_proved: list[str]
 

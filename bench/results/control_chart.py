@@ -89,7 +89,7 @@ class VariabilityPart(ResultModel):
     """The variability of a coefficient in the baseline, as standard deviations."""
 
     noise: float = Field(description="from the noise of readings")
-    stated: float = Field(description="u of one run from all that comes anew with it")
+    stated: float = Field(description="u of one run from everything that changes between runs")
     scatter: float = Field(description="between runs")
     f: float = Field(description="(scatter/stated)²")
     p: float = Field(description="chance of more")

@@ -110,7 +110,7 @@ def parameters_in_words(effect: NamedEffect) -> Iterator[str]:
     for one in effect.together:
         yield (
             f"{one.combination} of {one.parameter} of {' and '.join(one.of)} = "
-            f"{_with_u(one.value, one.u, one.unit)}: the readings tell this, and hardly either by itself"
+            f"{_with_u(one.value, one.u, one.unit)}: only this combination is well determined"
         )
 
 
@@ -488,7 +488,7 @@ def form_in_words(diagnosis: Diagnosis) -> Iterator[str]:
     if not form.terms and any(not effect.in_catalogue for effect in diagnosis.effects):
         yield "no term of the dictionary describes it"
     if form.instead_of and form.terms:
-        yield f"as plausible without a name, in the place of {', '.join(dict.fromkeys(form.instead_of))}:"
+        yield f"as plausible without a name, instead of {', '.join(dict.fromkeys(form.instead_of))}:"
     elif form.instead_of:
         yield "what is left beside the names speaks for something without a name that is too small to describe"
     for term in form.terms:

@@ -341,7 +341,7 @@ class InstrumentsResult(ResultModel):
         for words in same_serials(identities):
             out.print(f"note: {words}")
         well = sum(not one.failures for one in self.instruments)
-        out.print(f"{well} of {len(self.instruments)} instruments are well")
+        out.print(f"{well} of {len(self.instruments)} instruments respond without a fault")
 
 
 # --- commissioning ------------------------------------------------------------------------------------

@@ -35,7 +35,7 @@ IN_RUSH_S: Final = 2.0
 """Time from switching on to the first check of the rails, s; the inrush current has then decayed."""
 NAP_S: Final = 1.0
 
-ANEW: Final = "switch off and set anew"
+SET_AGAIN: Final = "switch off and set again"
 STAYED_ON: Final = "it stayed on"
 WAS_OFF: Final = "it was off"
 
@@ -119,10 +119,10 @@ class UnitPower:
             kind=PromptKind.CHOOSE,
             text=f"The {self.supply.name} is on, and not as the bench file says: {otherwise}. What feeds on it? "
             "It can be switched off and set as the bench file says, or left as it is, and the run stops",
-            choices=(ANEW, "leave it"),
+            choices=(SET_AGAIN, "leave it"),
             action={"do": "ask"},
         )
-        if ask(self.person, prompt) != ANEW:
+        if ask(self.person, prompt) != SET_AGAIN:
             raise BenchError(
                 self.supply.name,
                 f"it is on, and not as the bench file says: {otherwise}",
@@ -226,7 +226,7 @@ class UnitPower:
             raise RailFault(
                 self.supply.name,
                 "; ".join(wrong),
-                "find out why before going on; the block is warmed up anew then, and its mounting is another visit",
+                "find out why before going on; the block then warms up again and is mounted for another visit",
             )
         self._seen = {
             rail.name: Rail(state.voltage_v, rail.voltage, state.current_a)

@@ -44,7 +44,7 @@ from bench.run.resume import ENDS_A_POINT, PlanProgress, end_of_point, turn_befo
 
 
 class Events(Sequence[Event]):
-    """The valid events of a record, parsed anew from the file at each iteration."""
+    """The valid events of a record, parsed again from the file at each iteration."""
 
     def __init__(self, path: Path, count: int, last: Event | None) -> None:
         self._path, self._count, self._last = path, count, last

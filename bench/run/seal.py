@@ -127,7 +127,7 @@ def new_seal(run: Run, now: datetime) -> Seal:
     """
     state = run.trusted_history().state
     if (before := read_seal(run.folder)) is not None and (wrong := before.differences(run)):
-        raise RecordError(f"{run.folder}: {'; '.join(wrong)}; it is not sealed anew")
+        raise RecordError(f"{run.folder}: {'; '.join(wrong)}; it was not sealed again")
     if state not in ENDED and not run.imported:
         raise RecordError(f"{run.name}: only a run that has ended can be sealed, and this one is {state}")
     if run.history.torn:

@@ -24,7 +24,7 @@ def sentence(event: Event) -> str:
         case EventType.EARLY_SIGN:
             return f"{'stopped' if data.get('confident') else 'look'}: {data['sentence']}"
         case EventType.WENT_ON:
-            return f"gone on in spite of '{' or '.join(data['causes'])}': {data['reason']}"
+            return f"continued in spite of '{' or '.join(data['causes'])}': {data['reason']}"
         case EventType.SAME_SERIAL | EventType.CERTIFICATE:
             return f"look: {data['words']}"
         case EventType.STEP_FAILED:
@@ -82,8 +82,8 @@ def _of_somebody(event: Event) -> str:
 
 _DONE: Final[Mapping[str, str]] = {
     EventType.RUN_PAUSED: "paused",
-    EventType.RUN_CONTINUED: "gone on",
-    EventType.REDO: "taken again",
+    EventType.RUN_CONTINUED: "continued",
+    EventType.REDO: "repeated",
 }
 
 

@@ -204,7 +204,9 @@ def told_in_words(run: Run) -> list[str]:
         if event.type == EventType.EARLY_SIGN:
             named.update(event.data["causes"][:1])
         elif event.type == EventType.WENT_ON:
-            lines.append(f"gone on in spite of '{' or '.join(event.data['causes'])}': {event.data['reason']}")
+            lines.append(
+                f"continued in spite of '{' or '.join(event.data['causes'])}': {event.data['reason']}"
+            )
     found = [
         f"the early warning named '{cause}' at {times} reading{'s' if times > 1 else ''}"
         for cause, times in named.most_common(MOST_TOLD)

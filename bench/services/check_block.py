@@ -87,19 +87,19 @@ class CheckValues:
         nothing = np.zeros_like(self.readings)
         own = [one for name, one in self.sources.items() if name.partition("[")[0] in between_runs]
         everything = sum(self.sources.values(), nothing)
-        anew = sum(own, nothing)
+        fresh = sum(own, nothing)
         return CheckRun(
             self.name,
             self.when,
             self.value,
-            self.readings + anew,
+            self.readings + fresh,
             self.noise,
             self.s,
             self.s_dof,
             self.design,
             self.meters,
             self.meters_limits,
-            everything - anew - self.meters_limits,
+            everything - fresh - self.meters_limits,
         )
 
 

@@ -310,7 +310,7 @@ def accept_changes(run: Run, asker: Asker | None, out: Console) -> None:
         if original.is_file() and read_regular(original) != read_regular(run.folder / copy):
             changes.append(f"{original} was changed since the run began")
     for change in changes:
-        out.print(f"note: {change}; the run goes on with the copy in its folder")
+        out.print(f"note: {change}; the run continues with the copy in its folder")
     if changes and not run.simulated and asker is not None:
         text = f"{'; '.join(changes)}. Go on as the run was begun, without these changes?"
         agree(asker, Prompt(id="changed", kind=PromptKind.CONFIRM, text=text, action={"do": "answer"}))

@@ -373,12 +373,12 @@ def _meter_run(source: Source, meters: tuple[str, str, str], day: float) -> Mete
         found = calibration_of(source).calibration
     except CalibrationError:
         return None
-    anew = [s.covariance for s in found.sources if not s.cancels and s.of_block is None]
+    fresh = [s.covariance for s in found.sources if not s.cancels and s.of_block is None]
     forms = {c: meter for meter in source.bench.instruments.voltmeters for c in meter.channels}
     drift = [[may_move("voltmeter_gain", forms[c]), may_move("voltmeter_offset", forms[c])] for c in CHANNELS]
     return MeterRun.of(
         source.name, source.block_name, meters, day, found.block.vector,
-        sum(anew, found.covariance_readings), found.block_terms, np.array(drift), float(METERS_DRIFT.days),
+        sum(fresh, found.covariance_readings), found.block_terms, np.array(drift), float(METERS_DRIFT.days),
     )  # fmt: skip
 
 

@@ -116,7 +116,7 @@ def _state_and_next(run: Run, digest: Digest) -> tuple[str, str]:
 
 
 NOTHING_OUTSIDE = (
-    "nothing outside the folder stands for this: lines taken off the end, or a whole chain computed anew, would "
+    "nothing outside the folder stands for this: removed last lines or a recomputed chain would "
     "not show; --head with the head from a result, a report or a seal kept elsewhere shows them"
 )
 

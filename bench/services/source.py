@@ -361,7 +361,7 @@ def _of_model_file(
 ) -> tuple[ForwardModel, tuple[str, ...]]:
     """Return the model of a model file, with notes.
 
-    If the model was found in these readings, its values are estimated anew: as priors they would count the
+    If the model was found in these readings, its values are estimated again: as priors they would count the
     readings twice.
     """
     model = replace(plain, effects=file.applied_effects(), name=file.name)
@@ -373,7 +373,7 @@ def _of_model_file(
         )
     if not _knows(file.data_sha256, readings):
         return model, dark
-    note = f"model {file.name} was found in these very readings: its values are estimated anew, not used as known"
+    note = f"model {file.name} was found in these very readings: its values are estimated again, not used as known"
     return replace(model, effects=tuple(replace(a, u={}) for a in model.effects)), (note, *dark)
 
 

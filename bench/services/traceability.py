@@ -144,7 +144,7 @@ def _why_not(standing: Standing, taken: BenchTaken, readings: Readings, origin: 
     if not standing.correction:
         return _NOTHING
     if readings.corrected:
-        return "the readings at hand are corrected already"
+        return "these readings are corrected already"
     if origin is not None and origin.simulated:
         same = origin.bench.sha256 == taken.sha256
         had_it = of_meter and same and taken.file.simulation.voltmeter.accuracy == CERTIFICATE
@@ -240,7 +240,7 @@ def take_learned(
     if file.has(head, hashes):
         why = "these readings are among them, and would count twice"
     elif file.expired(day):
-        why = f"it expired on {file.expires}; learn anew"
+        why = f"it expired on {file.expires}; learn again"
     elif simulated is False and file.simulated:
         why = "it comes from simulated runs, and these readings do not"
     else:

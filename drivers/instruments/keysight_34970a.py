@@ -197,7 +197,7 @@ class _Probe(ScpiVoltmeter):
             )
         return identity
 
-    def anew(self) -> None:
+    def renew(self) -> None:
         """Have the channel configured again before its next reading."""
         self._connection = None
 
@@ -282,7 +282,7 @@ class Keysight34970AThermometer:
 
         Raises `BadReading` for an open sensor or an impossible value, `InstrumentRefused`, `InstrumentLost`.
         """
-        self._probe.anew()
+        self._probe.renew()
         self._probe.configure(_TEMPERATURE)
         try:
             self._probe.start()

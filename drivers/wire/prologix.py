@@ -132,7 +132,7 @@ class AdapterConnection:
 class _Adapter:
     """An adapter, shared by its instruments.
 
-    After any failure the link is dropped, and made anew when an instrument is opened. Commands that other
+    After any failure the link is dropped, and made again when an instrument is opened. Commands that other
     instruments sent over the old link may be lost, so their connections become invalid (`has_link`).
     """
 

@@ -1,6 +1,6 @@
 """The transport of all message-based instruments: a session with locking, reply checks and reconnection.
 
-After anything but a complete, expected reply the connection is dropped and made anew before the next exchange.
+After anything but a complete, expected reply the connection is dropped and made again before the next exchange.
 A late or partial reply is thus never mistaken for the answer to another command.
 """
 

@@ -367,7 +367,7 @@ def test_check_says_it_before_the_run_and_in_json(bench):
     assert status == 0
     told = [line for line in out.splitlines() if "leaves open" in line or "shown by" in line]
     assert told[0].startswith(
-        "leaves open: alpha5[1], alpha5[2] as (1, 1): goes into coefficients without a trace"
+        "leaves open: alpha5[1], alpha5[2] as (1, 1): is indistinguishable from a change of coefficients"
     )
     assert told[1].startswith(
         "would be shown by: let the verification points join the fit by |a| = 1 g (no further"

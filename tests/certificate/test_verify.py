@@ -65,7 +65,7 @@ def test_without_a_trust_file_it_is_intact_and_the_signer_unknown(written, name)
     assert verdict.accepted
     assert any("who signed" in text for text in verdict.not_proved)
     assert any("no authority stamped it" in text for text in verdict.not_proved)
-    assert any("record is not at hand" in text for text in verdict.not_proved)
+    assert any("record is missing here" in text for text in verdict.not_proved)
     assert any("beside it says the same" in text for text in verdict.agreed)
 
 
@@ -109,7 +109,7 @@ def test_the_record_is_held_against_it(written, tmp_path):
     verdict = looked_at(written / "c.pdf", runs=tmp_path / "runs")
     assert verdict.intact
     assert any("the same result to the last digit" in text for text in verdict.agreed)
-    assert not any("record is not at hand" in text for text in verdict.not_proved)
+    assert not any("record is missing here" in text for text in verdict.not_proved)
     events = tmp_path / "runs" / "finished" / "events.jsonl"
     events.write_bytes(b"".join(events.read_bytes().splitlines(keepends=True)[:-1]))
     verdict = looked_at(written / "c.pdf", runs=tmp_path / "runs")
@@ -140,7 +140,7 @@ def test_a_run_of_the_same_name_is_no_record_of_it(written, tmp_path):
     (folder / "run.json").write_text((folder / "run.json").read_text().replace("A. Person", "B. Person"))
     verdict = looked_at(written / "c.pdf", runs=tmp_path / "runs")
     assert verdict.intact
-    assert any("record is not at hand" in text for text in verdict.not_proved)
+    assert any("record is missing here" in text for text in verdict.not_proved)
 
 
 def swapped_signer(made):

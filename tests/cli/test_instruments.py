@@ -74,7 +74,7 @@ def bench(capsys: pytest.CaptureFixture[str]) -> Bench:
 def test_a_bench_that_is_well(served: SimulatedBench, bench: Bench) -> None:
     status, out, err = bench("--bench", "bench.yaml")
     assert (status, err) == (0, "")
-    assert "5 of 5 instruments are well" in out
+    assert "5 of 5 instruments respond without a fault" in out
     lines = {line.split()[0]: line for line in out.splitlines()}
     true_v = served.world.signal_v("y")
     for part in (served.resources["voltmeter.y"], "HEWLETT-PACKARD 34401A", "10 V, 1 NPLC", "passed"):
@@ -111,7 +111,7 @@ def test_all_failures_stand_together_and_the_rest_is_shown(served: SimulatedBenc
     assert no_connection.startswith("bench: voltmeter.z: ")
     assert "refused the connection" in no_connection
     assert out.count("NOT OPENED") == 2
-    assert "3 of 5 instruments are well" in out
+    assert "3 of 5 instruments respond without a fault" in out
     assert "passed" in out
 
 
@@ -150,7 +150,7 @@ def test_a_self_test_that_fails_is_not_accepted(
     (line,) = err.splitlines()
     assert line.startswith("bench: voltmeter.y: its self-test failed: *TST? answers +1, error ")
     assert "have it serviced" in line
-    assert "4 of 5 instruments are well" in out
+    assert "4 of 5 instruments respond without a fault" in out
     row = next(line for line in out.splitlines() if line.startswith("voltmeter.y"))
     assert "FAILED" in row
     assert "y " in row  # it is read all the same
@@ -178,7 +178,7 @@ def test_a_drivers_own_mistake_hides_nothing(
     status, out, err = bench("--bench", "bench.yaml")
     assert status == 1
     assert "voltmeter.x: the driver failed with ZeroDivisionError" in err
-    assert "4 of 5 instruments are well" in out
+    assert "4 of 5 instruments respond without a fault" in out
 
 
 class Stuck:

@@ -122,7 +122,7 @@ def test_a_square_is_found_and_what_is_not_separable_is_said(bench, turns):
 def test_twelve_points_separate_and_say_how_little(bench, turns):
     out = bench("tumble", "turn-12.csv", "--strict")[1]
     assert out.count("7 of 7 terms are determined") == 3
-    assert out.count("hang together (r = -0.99") == 3
+    assert out.count("are correlated (r = -0.99") == 3
     assert "taken as zero in channel x: 1 µg/g² of Kpp moves K0 by +0.50" in out
     assert "u, readings" in out
 

@@ -119,7 +119,7 @@ def test_verification_rows_need_an_angle(read):
         ("1,1,,0,0.1,0.2,0.3", "point", "got ''"),
         ("1,1,9,,0.1,0.2,0.3", "angle_deg", "expected an angle in degrees, got ''"),
         ("1,1,9,721,0.1,0.2,0.3", "angle_deg", "between -720 and 720"),
-        ("1,1,2,45,0.1,0.2,0.3", "point", "stands already in line 3"),
+        ("1,1,2,45,0.1,0.2,0.3", "point", "is already in line 3"),
     ],
 )
 def test_each_mistake_names_file_line_column_and_what_was_expected(read, row, column, says):

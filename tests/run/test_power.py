@@ -9,7 +9,7 @@ import pytest
 from bench.config.procedure.plan import Plan, Power, Read
 from bench.run.events import RunState, Wish
 from bench.run.person import RunControl
-from bench.run.power import ANEW, RailFault
+from bench.run.power import SET_AGAIN, RailFault
 from bench.run.record import Record, resume_point
 from bench.run.runner import RunAborted
 from drivers.interfaces import BenchError, OutputSettings
@@ -220,7 +220,7 @@ def test_with_leave_it_is_switched_off_and_set_as_the_bench_file_says(run):
     found = found_on()
     found["P25V"] = replace(found["P25V"], settings=OutputSettings(12.0, 0.5))
     supply = Supply(VirtualClock(), found)
-    _, _, stopped = run(supply, person=Answering(ANEW))
+    _, _, stopped = run(supply, person=Answering(SET_AGAIN))
     assert stopped is None
     assert switched(supply) == OFF + ON + OFF
     assert supply.done[2][0] - supply.done[1][0] >= 10.0

@@ -69,7 +69,7 @@ def document_in(path: Path) -> tuple[Node, tuple[str, ...]]:
     try:
         signed = check_xml(content)
     except NotIntact as error:
-        raise Refused(f"{path}: {error}; nothing of it is read") from error
+        raise Refused(f"{path}: {error}; it was not read") from error
     who = name_of(signed.chain[0])
     note = f"signed as {who}, intact; whose key that is, 'bench certificate verify {path} --trust FILE' tells"
     return etree.fromstring(signed.content, parser()), (note,)
@@ -367,7 +367,7 @@ def _checked(stated: dict[str, Any], values: list[dict[str, str]]) -> Iterator[s
             yield f"a bench file does not take this as it is: {one['msg'].removeprefix('Value error, ')}"
 
 
-# --- lists of real quantities in any DCC, whoever wrote it ----------------------------------------------
+# --- lists of real quantities in any DCC, of any author ----------------------------------------------
 
 Dimension = tuple[tuple[str, int], ...]
 

@@ -309,8 +309,8 @@ class Standing:
         which = f"{self.instrument}: its {certificate.words}"
         if self.foreign:
             yield (
-                f"{which}, is of serial number {certificate.serial}, but {self.answered} answered: nothing of it "
-                "is counted; take the right instrument, or state the certificate of this one in the bench file"
+                f"{which}, is of serial number {certificate.serial}, but {self.answered} answered: its values "
+                "are not used; take the right instrument, or state the certificate of this one in the bench file"
             )
             return
         if self.expired:

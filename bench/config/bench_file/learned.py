@@ -196,7 +196,7 @@ def load_learned(path: Path, bench: BenchFile) -> LearnedFile:
     if file.learned_for != learned_for(bench):
         text = (
             f"learned of bench {file.bench} with another stand, head, installations or meters than {bench.name} "
-            "has now; learn anew ('bench learn'), or take 'learned' out of the bench file"
+            "has now; learn again ('bench learn'), or take 'learned' out of the bench file"
         )
         raise FileMistakes(path, [FileMistake(0, "learned_for", text)])
     return file

@@ -239,7 +239,7 @@ class CheckBlockSection(FileModel):
     file).
 
     The chart gives one false alarm in `arl` runs (default 370), or, with `k`, as many as one Shewhart chart with
-    limits of k standard deviations. `smoothing` is the λ of its EWMA, which starts anew on the day `restarted`.
+    limits of k standard deviations. `smoothing` is the λ of its EWMA, which starts again on the day `restarted`.
     `limits` sets the basis of the limits: u as "stated", u "scaled" to the baseline, or the "scatter" of the
     baseline alone. `between_runs` names the sources of u that vary from run to run. With `rule: refuse`, a run
     starts only if the last check was in control and is no older than `max_age`; with `warn`, the run only warns.

@@ -345,7 +345,7 @@ class PopulationSection(FileModel):
     mean: AccelerationG = 0.0
     standard_deviation: Annotated[
         SizeG,
-        above_zero("blocks that are all alike need no verification; state a standard deviation above zero"),
+        above_zero("identical blocks need no verification; state a standard deviation above zero"),
     ]
 
 

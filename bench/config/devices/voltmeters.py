@@ -184,7 +184,7 @@ class Keysight34970AThermometerSection(ThermometerForm, WiredForm):
     """A temperature sensor on a channel of a 34901A card, such as 104.
 
     A four-wire `pt100` has its sense wires ten channels higher, such as on 114. If `resource` is that of the
-    voltmeter for the signals, the sensor is an extra channel of that meter, which is then configured anew after
+    voltmeter for the signals, the sensor is an extra channel of that meter, which is then configured again after
     each temperature.
     """
 

@@ -183,7 +183,7 @@ Angle = Annotated[AngleRad, AfterValidator(_within_a_turn)]
 class LevelVerb(FileModel):
     """Read the level on the platform with the head at 0°, in two positions half a turn apart.
 
-    The head is set to 0° anew `settings` times: its setting error dominates the uncertainty of the zero offset α2.
+    The head is set to 0° again `settings` times: its setting error dominates the uncertainty of the zero offset α2.
     """
 
     settings: Annotated[int, Field(ge=1, le=100)] = 1

@@ -173,7 +173,7 @@
         const found = await reply.json();
         if (found.problem) told(`✗ ${found.problem}`, "bad");
         else told(found.understood ? `✓ ${found.understood}` : "✓", "good");
-      } catch { /* the loss of connection is told elsewhere */ }
+      } catch { /* the loss of connection shows elsewhere */ }
     }, 120);
   };
 
@@ -276,7 +276,7 @@
   const call = () => {
     if (soundOn() && audio) { audio.resume(); beep(); return; }
     $("now").classList.remove("flash");
-    void $("now").offsetWidth;  /* the animation begins anew */
+    void $("now").offsetWidth;  /* the animation begins again */
     $("now").classList.add("flash");
   };
   const press = (id, on, words) => {
