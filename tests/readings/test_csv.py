@@ -164,7 +164,7 @@ def test_what_can_hardly_be_is_doubted_in_a_note(read):
     rows = [f"{row},{time},{sd}" for row, time, sd in zip(GOOD, (0, 60, 50), ("0.1", "0.7", ""), strict=True)]
     table = read([f"{HEADER},time_s,ux_sd_v", *rows])
     assert table.notes == (
-        "time_s runs backwards (line 4): rows stand in the order of measurement; is the file sorted anew?",
+        "time_s runs backwards (line 4): put the rows back in the order of measurement",
         "the standard deviation of ux in line 3, 0.7 V, is more than all readings of it differ by, 0.6 V: "
         "check its unit",
     )
