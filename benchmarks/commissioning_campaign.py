@@ -222,7 +222,7 @@ def carry_out(trial: Trial, folder: Path, limit_s: float = LIMIT_S) -> Outcome:
 
 def _judged(trial: Trial, result: Mapping[str, Any], outcome: Outcome) -> list[str]:
     """Return what is wrong with a result: it ends early, hides the fault, or blames another."""
-    wrong = [f"not gone through: {result['ended']}"] if result["ended"] else []
+    wrong = [f"ended early: {result['ended']}"] if result["ended"] else []
     troubles = [one for one in result["findings"] if one["state"] not in ("works", "skipped")]
     suspects = trial.bench.behind_adapter if trial.instrument.startswith("adapter") else (trial.instrument,)
     outcome.traced = any(one["instrument"] in suspects for one in troubles)

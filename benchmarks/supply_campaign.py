@@ -302,7 +302,7 @@ def judge_stop(status: Any, outcome: FedOutcome) -> None:
         "its output",
         "did not answer",
         "no answer",
-        "not set any more",
+        "its settings changed",
         "is off",
     )
     if "power_supply:" not in said or not any(words in said for words in named):

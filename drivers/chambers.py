@@ -72,7 +72,7 @@ class ChamberLimits:
         raise InstrumentRefused(
             name,
             f"the air is at {temperature_c:g} °C, more than {self.band_c:g} °C from the {target_c:g} °C demanded",
-            "let it settle (a longer soak in the procedure), or see why the chamber does not hold it",
+            "let it settle (a longer soak in the procedure), or find why the chamber does not hold it",
         )
 
 

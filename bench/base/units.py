@@ -190,7 +190,7 @@ def unit_of(unit: str) -> tuple[float, Dimension]:
     if not unit:
         return 1.0, ()
     if _UNIT.fullmatch(unit) is None:
-        raise ValueError(f"'{unit}' is no unit; known are {', '.join(_UNITS)}")
+        raise ValueError(f"'{unit}' is not a unit; known are {', '.join(_UNITS)}")
     _factor(unit, "")
     dimensionality: Mapping[str, Any] = (
         _registry().Quantity(1.0, _registry().parse_units(unit)).dimensionality

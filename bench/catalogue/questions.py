@@ -196,7 +196,7 @@ def moment(text: str) -> datetime:
         when = datetime.fromisoformat(text)
     except ValueError:
         raise ValueError(
-            "expected a day such as 2026-05-03, or a time such as 2026-05-03T12:00+02:00"
+            "expected a date such as 2026-05-03, or a time such as 2026-05-03T12:00+02:00"
         ) from None
     return when.astimezone(UTC).replace(tzinfo=None) if when.tzinfo else when
 

@@ -348,9 +348,9 @@ def learn(
     estimated. Raises `CalibrationError` if there are too few runs or repeats, or signals in different units.
     """
     if len(runs) < LEAST_RUNS:
-        raise CalibrationError(f"{len(runs)} run tells nothing of what runs share; give {LEAST_RUNS} or more")
+        raise CalibrationError(f"{len(runs)} run does not show what runs share; give {LEAST_RUNS} or more")
     if len({run.unit for run in runs}) > 1:
-        raise CalibrationError("these runs have signals in different units; learn from those of one unit")
+        raise CalibrationError("these runs have signals in different units; use runs in one unit")
     kept = list(runs)
     layout = Layout.of(kept, stand_u, by_installation=by_installation, waves=waves)
     noise = pooled_noise(kept, min(run.floor for run in kept))

@@ -43,7 +43,7 @@ class RunsFolder:
     def run(self, name: str) -> Run:
         """Return the run with this name. Raises `Refusal` (404) if there is none."""
         if not self._holds(name):
-            raise Refusal(404, "there is no run of that name")
+            raise Refusal(404, "no run has that name; see the list of runs")
         return Run(self.path / name)
 
     def _holds(self, name: str) -> bool:

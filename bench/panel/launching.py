@@ -82,7 +82,7 @@ def wait_until(begun: Callable[[], bool], started: Started, clock: Clock | None 
         if (status := started.status) is not None:
             if begun():
                 return True
-            raise Refusal(409, f"it did not begin (exit status {status}): {started.last_words()}")
+            raise Refusal(409, f"it did not start (exit status {status}): {started.last_words()}")
         if clock.now_s() > until_s:
             return False
         clock.sleep(NAP_S)
@@ -208,7 +208,7 @@ class WishFolder:
             with (self.path / STARTED).open("x", encoding="utf-8") as file:
                 file.write(name)
         except FileExistsError:
-            raise Refusal(409, f"this was started already, as {self.started()}") from None
+            raise Refusal(409, f"this was already started, as {self.started()}") from None
 
     def unmark_started(self) -> None:
         """Delete the mark of `mark_started`, because the run did not begin."""
@@ -227,7 +227,7 @@ class WishFolder:
         except (OSError, ValueError):
             told = None
         if not isinstance(told, dict):
-            raise Refusal(404, "this is not there any more; begin again")
+            raise Refusal(404, "this no longer exists; start again")
         return told
 
 
@@ -256,7 +256,7 @@ class Wishes:
     def of(self, wish_id: str) -> WishFolder:
         """Return the folder of the wish with this id. Raises `Refusal` (404) if there is none."""
         if re.fullmatch(r"[0-9a-f]{12}", wish_id) is None or not (self._folder / wish_id / WISH).is_file():
-            raise Refusal(404, "this is not there any more; begin again")
+            raise Refusal(404, "this no longer exists; start again")
         return WishFolder(self._folder / wish_id)
 
 
@@ -287,7 +287,7 @@ def name_of(wanted: WantedRun, runs: RunsFolder) -> str:
     except RecordError as mistake:
         raise Refusal(400, str(mistake)) from mistake
     if (runs.path / name).exists():
-        raise Refusal(409, f"there is a run {name} already; choose another name")
+        raise Refusal(409, f"the run {name} exists; choose another name")
     return name
 
 
@@ -295,7 +295,7 @@ def start_run(wish: WishFolder, runs: RunsFolder) -> Run:
     """Start a requested run in a separate process; return the run once its record exists. Raises `Refusal`."""
     wanted = wish.wanted()
     if wanted.changed():
-        raise Refusal(409, "procedure or bench file was changed since they were checked; check them again")
+        raise Refusal(409, "procedure or bench file changed after the check; check them again")
     name = name_of(wanted, runs)
     wish.mark_started(name)
     asked = replace(wanted.request, name=name, runs=runs.path.absolute(), answers=ANSWERS)
@@ -308,7 +308,7 @@ def start_run(wish: WishFolder, runs: RunsFolder) -> Run:
         wish.unmark_started()
         raise
     if not begun:
-        raise Refusal(409, "it takes long to begin; look among the runs in a moment")
+        raise Refusal(409, "starting takes long; look at the list of runs in a moment")
     return runs.run(name)
 
 
@@ -397,7 +397,7 @@ def chosen_bench(name: str, runs: RunsFolder) -> Path:
 def _chosen(kind: str, name: str, called: str) -> Path:
     found = choices(kind).get(name)
     if found is None:
-        raise Refusal(400, f"there is no {called} of that name to choose")
+        raise Refusal(400, f"there is no {called} of that name; choose from the list")
     return found
 
 

@@ -249,8 +249,8 @@ _WORDS: Final = {
     "agrees": "model and readings agree",
     "mistake": "a mistake in procedure or wiring",
     "named": "an effect that the model lacks, named",
-    "confounded": "something is missing, and several explain it equally",
-    "unknown": "something is missing that nothing known explains",
+    "confounded": "an effect is missing, and several explain it equally",
+    "unknown": "no known effect explains the readings",
 }
 
 

@@ -400,7 +400,7 @@ def print_calibration(name: str, found: Calibration, notes: Sequence[str], out: 
     if find_estimator(found.estimator).drops_outliers and not found.outliers:
         out.print("outliers: none found")
     for outlier in found.outliers:
-        out.print(f"outlier: {outlier.text()}; it has no weight")
+        out.print(f"outlier: {outlier.text()}; its weight is 0")
     if found.free is not None:
         without = ", without the outliers" if found.outliers else ""
         rms_ug = found.modulus_rms_g * 1e6
@@ -425,6 +425,6 @@ def _noise_in_words(found: Calibration) -> str:
 
 def fit_in_a_line(found: Calibration) -> str:
     """Return whether the model fits the readings, with the figures of the test."""
-    how = "; u holds what repeats share" if found.shared else ""
+    how = "; u includes errors that repeats share" if found.shared else ""
     how = f"; u is {found.birge:.2g} times that of the noise" if found.birge > 1 else how
     return fit_in_words(found.lack_of_fit, f"THE MODEL DOES NOT FIT the readings{how}")

@@ -77,7 +77,7 @@ class RegisterResult(ResultModel):
 
     def print_head(self, out: Console) -> None:
         """Print the number of certificates, and the last hash of the intact chain."""
-        out.print(f"{len(self.certificates)} certificates, chain of hashes whole, head {self.head}")
+        out.print(f"{len(self.certificates)} certificates, chain of hashes complete, head {self.head}")
 
 
 class SignerPart(ResultModel):

@@ -279,8 +279,8 @@ def how_to_go_on(person: Person, doubt: Event, *, again: bool = False) -> str:
             told = f"{doubt.data['sentence']} ({AGAIN})" if again else doubt.data["sentence"]
             raise NoAnswer(
                 "operator",
-                f"the run stopped: {told}; nobody said how to go on",
-                f"look at the bench, then resume and answer {answers}",
+                f"the run stopped: {told}; nobody chose how to continue",
+                f"check the bench, then resume and answer {answers}",
             ) from nobody
         given = " ".join(answer.text.split()) if answer.prompt_id == put.id else ""
         if given and not problem_with_answer(prompt, given):
@@ -288,7 +288,7 @@ def how_to_go_on(person: Person, doubt: Event, *, again: bool = False) -> str:
                 raise OperatorWish(RunControl(ANSWERS[given.lower()], by_person=True))
             return given[len(GO_ON) :].strip()
         trouble = f"Answer one of {answers}, not {given!r}. "
-    raise BenchError("operator", "no usable answer to how to go on", f"answer {answers}")
+    raise BenchError("operator", "no usable answer how to continue", f"answer {answers}")
 
 
 def step_in_doubt(plan: Plan, doubt: Event) -> int:

@@ -144,7 +144,7 @@ class Criterion:
         if self.timeout_s < self.window_s:
             raise ValueError(
                 f"settling: the timeout of {self.timeout_s:g} s is shorter than the window of "
-                f"{self.window_s:g} s; nothing could settle in it"
+                f"{self.window_s:g} s; nothing can settle in it; lengthen the timeout"
             )
         if self.interval_s > self.window_s:
             raise ValueError(
@@ -193,7 +193,7 @@ class Window:
         """
         taken = tuple(float(value) for value in values)
         if not taken:
-            raise ValueError("settling: a sample without a signal")
+            raise ValueError("settling: a sample has no signal; check the wiring")
         if self._samples:
             last_s, last = self._samples[-1]
             if time_s < last_s:
@@ -301,7 +301,7 @@ def _not_settled(criterion: Criterion, state: Settling, names: Sequence[str], un
         f"not settled after {criterion.timeout_s:g} s: it {what}, where {criterion.precision:.3g} {unit} "
         "is allowed"
     )
-    remedy = "look for what moves or warms it and repeat the step, or lengthen the timeout in the procedure"
+    remedy = "find what moves or warms it and repeat the step, or lengthen the timeout in the procedure"
     return NotSettled("block", cause, remedy, state)
 
 

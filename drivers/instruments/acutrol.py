@@ -110,7 +110,7 @@ class AcutrolHead(MotorisedHead):
         if not (attempts.make("", rate_0) and attempts.make("", rate_mode)):
             attempts.make("", self._switch_off)
         attempts.refuse_failed(
-            self.name, "it did not take rate 0 and its axis was told to go off", SEE_IT_STANDS
+            self.name, "it did not take rate 0 and its axis was commanded off", SEE_IT_STANDS
         )
 
     # --- messages -----------------------------------------------------------------------------------

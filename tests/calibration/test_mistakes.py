@@ -101,7 +101,7 @@ def test_a_cable_that_is_off():
     for estimator in ESTIMATORS:
         refused(
             readings,
-            "channel z does not answer to the acceleration; check its cable|K is singular",
+            "channel z does not respond to the acceleration; check its cable|K is singular",
             estimator,
         )
     readings.signal[:, 2] = 0.1
@@ -258,7 +258,7 @@ def test_a_calibration_refuses_signals_in_two_units_and_a_diagnosis_names_them(r
     for name, value in where.items():
         rows &= getattr(readings, name) == value
     spoilt = scaled(readings, rows, **how)
-    with pytest.raises(CalibrationError, match=rf"r\.csv: {words}.*write them in one unit"):
+    with pytest.raises(CalibrationError, match=rf"r\.csv: {words}.*convert them to one unit"):
         refuse_mixed_units(spoilt, MODEL, SHEET)
     first, *_ = find_mistakes(spoilt, MODEL, {}, np.array(SHEET)).mistakes
     assert first.name == "wrong_unit"

@@ -121,12 +121,10 @@ def test_an_older_catalogue_is_made_anew_from_its_runs(tmp_path):
                 "ALTER TABLE runs DROP COLUMN temperature_c", "ALTER TABLE runs ADD COLUMN colour TEXT",
             ):  # fmt: skip
                 connection.exec_driver_sql(statement)
-    with pytest.raises(Refused, match=r"older version of this program; make it anew .*bench catalogue sync"):
+    with pytest.raises(Refused, match=r"older version of this program; make it again .*bench catalogue sync"):
         open_catalogue(file)
     with open_catalogue(file, renew=True) as catalogue:
-        assert catalogue.renewed.endswith(
-            "from its 2 runs; 1 runs whose folders are gone are kept as they were"
-        )
+        assert catalogue.renewed.endswith("from its 2 runs; 1 runs without a folder were kept unchanged")
     with open_catalogue(file) as catalogue:  # as after a sync that was ended at its beginning
         done = sync(catalogue, [one.parent])
         assert (done.added, done.vanished, done.problems) == (2, 1, {})

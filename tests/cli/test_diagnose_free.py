@@ -105,7 +105,7 @@ def test_from_python_it_is_the_same(bench, named):
     assert Path("here.html").is_file()
     assert "warm_up" in repr(result)
     assert [path.name for path in result.write_model("mine.yaml", accept_first=True)] == ["mine.yaml"]
-    with pytest.raises(program.Refused, match="no model file is written"):
+    with pytest.raises(program.Refused, match="no model file was written"):
         program.diagnose(measured("cold.csv", 3)).write_model("none.yaml")
     both = program.diagnose(["warm.csv", measured("more.csv", 8, warm_g=6e-3)], one_block=True)
     assert (both.found.rows.sensors, both.found.records) == (1, 2)

@@ -107,7 +107,7 @@ def test_all_failures_stand_together_and_the_rest_is_shown(served: SimulatedBenc
     assert status == 2
     silent, no_connection = err.splitlines()
     assert silent.startswith("bench: voltmeter.x: ")
-    assert "did not answer *IDN? within 0.3 s; check that it is on" in silent
+    assert "did not answer *IDN? within 0.3 s; check its power" in silent
     assert no_connection.startswith("bench: voltmeter.z: ")
     assert "refused the connection" in no_connection
     assert out.count("NOT OPENED") == 2
@@ -360,14 +360,20 @@ def test_without_a_terminal_it_is_refused_before_anything_is_opened(bench, empty
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["--commission"], "say which bench"),
-        (["--commission", "--discover", "--bench", "bench-lan"], "goes without --discover"),
+        (["--commission"], "no bench file named"),
+        (["--commission", "--discover", "--bench", "bench-lan"], "excludes --discover"),
         (
             ["--commission", "--wire-log", "w", "--bench", "bench-lan"],
-            "goes without --discover and --wire-log",
+            "excludes --discover and --wire-log",
         ),
-        (["--dry-run", "--bench", "bench-lan"], "--dry-run and --out go with --commission"),
-        (["--out", "here", "--bench", "bench-lan"], "--dry-run and --out go with --commission"),
+        (
+            ["--dry-run", "--bench", "bench-lan"],
+            "--dry-run and --out need --commission; add it or remove them",
+        ),
+        (
+            ["--out", "here", "--bench", "bench-lan"],
+            "--dry-run and --out need --commission; add it or remove them",
+        ),
     ],
 )
 def test_options_that_do_not_go_together_are_refused(bench, empty_folder, arguments, said):

@@ -67,7 +67,7 @@ def test_a_curve_that_is_no_polynomial_is_told_and_not_accepted(bench, polynomia
 @pytest.mark.parametrize(
     ("options", "told"),
     [
-        (("--degree", "many"), "--degree many: expected 'auto', or a whole number"),
+        (("--degree", "many"), "--degree many: give 'auto' or a whole number"),
         (("--step", "500"), "a step of 500 K does not suit"),
         (("--reference", "99"), "--reference"),
     ],
@@ -82,7 +82,7 @@ def test_calibrate_points_to_compensate_where_temperatures_are_mixed(bench, poly
     write_csv(three, tmp_path / "three.csv")
     _, out, _ = bench("calibrate", "three.csv")
     assert (
-        "readings span 75 K at 3 temperatures, and these coefficients mix them: see bench compensate" in out
+        "readings span 75 K at 3 temperatures, and these coefficients mix them; use 'bench compensate'" in out
     )
     bench("report", "three.csv")
     (page,) = tmp_path.rglob("*.html")

@@ -64,11 +64,11 @@ def test_a_tower_of_powers_ends_at_once_and_is_told():
         ("A * A", "not linear"),
         ("a / A", "not linear"),
         ("A * (A > 0)", "not linear"),
-        ("exp(A)", "a size stands in exp"),
+        ("exp(A)", "a size is in exp"),
         ("A ** 2", "not linear"),
-        ("lagged(A, 60)", "a size stands in lagged"),
+        ("lagged(A, 60)", "a size is in lagged"),
         ("A * lagged(a, time)", "the lag of 'lagged'"),
-        ("a", "does not stand in the expression"),
+        ("a", "is not in the expression"),
     ],
 )
 def test_what_no_fit_could_use_is_told(text, told):

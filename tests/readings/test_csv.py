@@ -137,9 +137,9 @@ def test_each_mistake_names_file_line_column_and_what_was_expected(read, row, co
         ("temperature_c", "293.15", "got '293.15'; is it in kelvin or °F?"),
         ("chamber_c", "296", "is it in kelvin"),
         ("reference_v", "five", "the voltage at the inputs in V, got 'five'"),
-        ("pass", "1000000000", "got '1000000000'; is it of another column?"),
-        ("point", "20261123", "is it of another column?"),
-        ("series", "1e7", "is it of another column?"),
+        ("pass", "1000000000", "got '1000000000'; is it from another column?"),
+        ("point", "20261123", "is it from another column?"),
+        ("series", "1e7", "is it from another column?"),
         ("pass", "\u0661", "a whole number, 1 or more, got '\u0661'"),
         ("ux_v", "\uff11.5", "a dot as decimal sign, got '\uff11.5'"),
         ("angle_deg", "\u0664\u0665", "an angle in degrees"),
@@ -165,7 +165,7 @@ def test_what_can_hardly_be_is_doubted_in_a_note(read):
     table = read([f"{HEADER},time_s,ux_sd_v", *rows])
     assert table.notes == (
         "time_s runs backwards (line 4): put the rows back in the order of measurement",
-        "the standard deviation of ux in line 3, 0.7 V, is more than all readings of it differ by, 0.6 V: "
+        "the standard deviation of ux in line 3, 0.7 V, exceeds the spread of all its readings, 0.6 V: "
         "check its unit",
     )
 
@@ -207,13 +207,13 @@ def test_a_file_of_bad_rows_only_is_refused_with_the_reasons(read):
     [
         (b"", "empty; expected a header line such as installation,pass,point,angle_deg,ux_v"),
         (b"\n\n", "empty; expected a header line"),
-        (HEADER, "no reading in it"),
+        (HEADER, "no readings"),
         (HEADER.replace(",", ";") + "\n1;1;1;0;0,1;0,2;0,3\n", "columns must be separated by commas"),
         (HEADER.replace("uy_v", "uy_g"), "signal columns in different units (v, g)"),
         (HEADER.replace(",point", ""), "column point is missing"),
         (HEADER.replace(",uy_v", ""), "column uy_v is missing"),
         ("installation,pass,point,angle_deg", "column ux_v, uy_v, uz_v is missing"),
-        (HEADER + ",pass", "column pass stands more than once"),
+        (HEADER + ",pass", "column pass appears more than once; keep one"),
         ([HEADER, '1,1,1,0,0.1,0.2,"0.3'], "line 2: not CSV"),
         ("Läufe\n".encode("latin-1"), "not a UTF-8 text file"),
         ((HEADER + "\n").encode("utf-16"), "not a UTF-8 text file"),
@@ -260,7 +260,7 @@ def test_line_numbers_after_a_cell_with_line_breaks(read, end):
 
 def test_unknown_columns_are_kept_with_a_note_and_written_back(read, tmp_path):
     table = read([HEADER + ",operator,scan_order", GOOD[0] + ',"Li, M.",xyz'])
-    assert table.notes == ("columns kept and not used: operator",)
+    assert table.notes == ("columns kept but not used: operator",)
     assert table.extra["operator"].tolist() == ["Li, M."]
     assert table.extra["scan_order"].tolist() == ["xyz"]
     write_csv(table, tmp_path / "again.csv")

@@ -34,7 +34,7 @@ def finding(state, said, remedy=""):
 
 def test_a_bench_that_is_well_has_nothing_to_do():
     page = render_commissioning(result(0, finding("works", "stopped")))
-    assert "All that was tried works as expected" in page
+    assert "Everything tested works as expected" in page
     assert "What to do" not in page
     assert "SIMULATED" not in page
     assert "took 1.235 s (1 s)" in page

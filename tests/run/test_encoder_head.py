@@ -97,7 +97,7 @@ def test_the_record_says_that_the_encoder_answered(away, record, clock):
 
 
 def test_what_is_no_answer_yet_is_refused_and_it_stays_one_question(away, record, clock):
-    why = "The head did not come from below."
+    why = "The head did not approach from below."
     assert put(away, clock, arrives_at(1.0, clock, why)).problem == why
     put(
         away, clock, arrives_at(2.0, clock), prompt=Prompt("1/turn#2", PromptKind.CONFIRM, why, default="yes")

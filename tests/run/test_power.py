@@ -197,7 +197,7 @@ class Answering:
 
     def ask(self, prompt):
         self.asked.append(prompt.text)
-        if "not as the bench file says" in prompt.text:
+        if "with other settings than the bench file states" in prompt.text:
             return Answer(prompt.id, self.answers.pop(0))
         given = prompt.default or (prompt.choices[0] if prompt.choices else "yes")
         return Answer(prompt.id, "7" if prompt.unit else given)
@@ -212,7 +212,7 @@ def test_a_supply_that_is_on_and_set_otherwise_is_asked_about_and_never_changed_
         found["P25V"] = replace(found["P25V"], settings=OutputSettings(12.0, 0.5))
     left = Supply(VirtualClock(), found)
     _, _, stopped = run(left, person=Answering("leave it"))
-    assert "not as the bench file says" in str(stopped)
+    assert "with other settings than the bench file states" in str(stopped)
     assert switched(left) == []
 
 

@@ -62,7 +62,7 @@ def document_in(path: Path) -> tuple[Node, tuple[str, ...]]:
     if root.tag != f"{{{DCC}}}digitalCalibrationCertificate":
         raise Refused(f"{path}: not a digital calibration certificate (DCC)")
     if root.find(f".//{{{SIGNATURE}}}Signature") is None:
-        return root, ("nobody signed this document",)
+        return root, ("this document has no signature",)
     from bench.certificate.signatory import name_of
     from bench.certificate.signatures import NotIntact, check_xml
 
@@ -142,7 +142,7 @@ def _ours(path: Path, root: Node, listed: RealList) -> dict[str, Any]:
         np.array_equal(listed.values, taken.block.vector)
         and np.array_equal(listed.covariance, taken.covariance)
     ):
-        raise Refused(f"{path}: {_FILE} in it states other coefficients than its list; it is not read")
+        raise Refused(f"{path}: {_FILE} in it states other coefficients than its list; it was not read")
     told = {name: value for name, value in data.items() if name != "verification"}
     return {**told, "certificate": _about(root)}
 
@@ -154,7 +154,7 @@ def _file(path: Path, root: Node) -> bytes:
                 return base64.b64decode(one.findtext("dcc:dataBase64", "", NAMESPACES), validate=True)
             except binascii.Error:
                 break
-    raise Refused(f"{path}: there is no {_FILE} in it that can be read")
+    raise Refused(f"{path}: it has no {_FILE} that can be read")
 
 
 def _about(root: Node) -> dict[str, str]:
@@ -198,12 +198,12 @@ def _others(
     wanting = [] if g_m_s2 is not None else ["--g, the local gravity for which K is to be stated (m/s²)"]
     wanting += [] if noise_v is not None else ["--noise, the noise of a reading (V), which a check needs"]
     if g_m_s2 is None or noise_v is None:
-        raise Refused(f"{path}: a certificate of another maker; say {' and '.join(wanting)}")
+        raise Refused(f"{path}: a certificate of another program; give {' and '.join(wanting)}")
     dimensions = [listed.dimensions[i] for i in order]
     kinds = set(dimensions[:9])
     if kinds not in ({_VOLT}, {_VOLT_PER_MS2}) or set(dimensions[9:]) != {_VOLT}:
         raise Refused(
-            f"{path}: {listed.words}: K is to be in \\volt (per local g) or "
+            f"{path}: {listed.words}: give K in \\volt (per local g) or "
             "\\volt\\metre\\tothe{-1}\\second\\tothe{2}, and U0 in \\volt"
         )
     scale = np.ones(12)
@@ -216,9 +216,7 @@ def _others(
         if listed.u is None:
             raise Refused(f"{path}: {listed.words}: it states no uncertainty")
         covariance = np.diag(listed.u**2)
-        notes += (
-            "it states no covariance: its coefficients are taken as not correlated, which they seldom are",
-        )
+        notes += ("it states no covariance; its coefficients are assumed uncorrelated, which is seldom true",)
     covariance = covariance[np.ix_(order, order)] * np.outer(scale, scale)
     result = _result(root, values, covariance, g_m_s2, noise_v)
     coefficients_of(result, str(path))
@@ -308,16 +306,17 @@ def _values(path: Path, root: Node) -> tuple[list[dict[str, str]], list[str]]:
     for axis, off in tables:
         kinds = set(axis.dimensions) | set(off.dimensions)
         if off.u is None:
-            notes.append(f"{off.words}: without an uncertainty, and left out")
+            notes.append(f"{off.words}: without an uncertainty; left out")
         elif kinds == {()}:
             rows += _rows("angle", "deg", "arcsec", axis, off, 180.0 / math.pi, 648000.0 / math.pi)
         elif kinds == {(("K", 1),)}:
             rows += _rows("temperature", "degC", "K", axis, off, 1.0, 1.0)
         else:
-            notes.append(f"{off.words}: errors of another kind; write what they say by hand")
+            notes.append(f"{off.words}: errors of another kind; enter them by hand")
     if not tables:
         notes.append(
-            f"no table of errors ({_ERROR} beside {_AXIS[0]}) was found: add 'values' by hand, from the paper"
+            f"no table of errors ({_ERROR} beside {_AXIS[0]}) was found: add 'values' by hand, from the "
+            "printed certificate"
         )
     return rows, notes
 
@@ -364,7 +363,7 @@ def _checked(stated: dict[str, Any], values: list[dict[str, str]]) -> Iterator[s
         form.model_validate({**stated, "values": values})
     except ValidationError as error:
         for one in error.errors()[:5]:
-            yield f"a bench file does not take this as it is: {one['msg'].removeprefix('Value error, ')}"
+            yield f"a bench file cannot use this unchanged: {one['msg'].removeprefix('Value error, ')}"
 
 
 # --- lists of real quantities in any DCC, of any author ----------------------------------------------
@@ -515,7 +514,7 @@ def _times(first: Dimension, second: Dimension) -> Dimension:
 def _text(element: Node, path: str) -> str:
     text = element.findtext(path, None, NAMESPACES)
     if text is None:
-        raise NotRead(f"line {element.sourceline}: there is no {path.rsplit(':', 1)[-1]}")
+        raise NotRead(f"line {element.sourceline}: it has no {path.rsplit(':', 1)[-1]}")
     return text
 
 
@@ -537,5 +536,5 @@ def _number(element: Node, word: str) -> float:
     except ValueError:
         value = float("nan")
         if word.strip() != "NaN":
-            raise NotRead(f"line {element.sourceline}: {word[:40]!r} is no number") from None
+            raise NotRead(f"line {element.sourceline}: {word[:40]!r} is not a number") from None
     return value

@@ -95,7 +95,7 @@ class BenchFile(FileModel):
         if part(simulation, "effects") and part(data, "effects"):
             yield (
                 ("effects",),
-                "the simulated bench has effects here and in 'simulation'; put all of them there",
+                "the simulated bench has effects here and in 'simulation'; move all of them there",
             )
         wrong: list[tuple[Place, str]] = []
         # effects of the simulation may use the file's top-level formulas; duplicate names are reported above
@@ -315,13 +315,16 @@ class Standing:
             return
         if self.expired:
             until = certificate.valid_until
-            yield f"{which}, expired on {until}: its values count, with the drift since; have it calibrated"
+            yield f"{which}, expired on {until}: its values are used with the drift since; have it calibrated"
         if self.day < certificate.date:
-            yield f"{which}, is dated after the readings ({self.day}): its values count as far back as ahead"
+            yield (
+                f"{which}, is dated after the readings ({self.day}): its values are used for earlier days "
+                "as for later ones"
+            )
         if isinstance(self.section, VoltmeterForm):
             range_v = self.section.range
             if self.section.certificate is not None and self.section.certificate.of_range(range_v) is None:
-                yield f"{which}, says nothing of the {range_v:g} V range: there the data sheet's limits count"
+                yield f"{which}, does not cover the {range_v:g} V range: the data sheet's limits apply there"
 
     def to_json(self, *, why_not: str) -> dict[str, Any]:
         """Return the entry of a result on this certificate; `why_not` says why it is not applied, or is empty."""

@@ -126,14 +126,16 @@ class EncoderLineSection(ReadOutHeadForm):
     def _fits(self) -> EncoderLineSection:
         match = re.fullmatch(self.pattern, self.example)
         if match is None:
-            raise ValueError(f"the pattern '{self.pattern}' does not fit the example '{self.example}'")
+            raise ValueError(f"the pattern '{self.pattern}' does not match the example '{self.example}'")
         if re.fullmatch(r"[+-]? *\d+(?:\.\d+)?", match[encoder_line.ANGLE] or "") is None:
-            raise ValueError(f"the angle in the example is no number, but '{match[encoder_line.ANGLE]}'")
+            raise ValueError(f"the angle in the example is not a number, but '{match[encoder_line.ANGLE]}'")
         for error in self.errors:
             if re.fullmatch(self.pattern, error) is not None:
-                raise ValueError(f"the pattern fits the error '{error}': it would be read as an angle")
+                raise ValueError(
+                    f"the pattern matches the error '{error}': exclude it, or it is read as an angle"
+                )
         if (self.unit == "counts") != (self.counts_per_turn is not None):
-            raise ValueError("state counts_per_turn where the unit is counts, and nowhere else")
+            raise ValueError("state 'counts_per_turn' if, and only if, the unit is counts")
         return self
 
     @property

@@ -42,7 +42,7 @@ class AcutrolSection(MotorisedHeadForm):
         if tolerance_rad < finest_rad:
             raise ValueError(
                 f"the tolerance is finer than the {acutrol.FINEST_DEMAND_DEG:.4f}° "
-                f"({finest_rad / ARCSEC:.1f} arcsec) to which it takes demands"
+                f"({finest_rad / ARCSEC:.1f} arcsec) to which it rounds demands; widen it"
             )
         return tolerance_rad
 
@@ -167,12 +167,12 @@ class ZaberSection(MotorisedHeadForm):
     def _steps_fit(self) -> ZaberSection:
         steps_per_degree = abs(self.steps_per_degree)
         if steps_per_degree == 0.0:
-            raise ValueError("steps_per_degree is not zero: see the stage's data sheet")
+            raise ValueError("state 'steps_per_degree' other than 0, from the stage's data sheet")
         farthest_rad = max(abs(self.minimum), abs(self.maximum))
         if math.degrees(farthest_rad) * steps_per_degree > zaber.MOST_STEPS:
-            raise ValueError("the limits of the head are more steps than its controller counts")
+            raise ValueError("the limits of the head exceed the controller's range of steps; narrow them")
         if 0.5 / steps_per_degree > math.degrees(self.tolerance):
-            raise ValueError("a step of the head is coarser than its tolerance: no angle would pass")
+            raise ValueError("a step of the head is coarser than its tolerance; widen the tolerance")
         return self
 
     def driver_options(self) -> dict[str, Any]:
@@ -241,7 +241,7 @@ class LeicaNivelSection(LevelForm, WiredForm):
     @model_validator(mode="after")
     def _two_axes(self) -> LeicaNivelSection:
         if self.along[1] == self.across[1]:
-            raise ValueError(f"along and across are both axis {self.along[1]}; one of them is the other axis")
+            raise ValueError(f"along and across are both axis {self.along[1]}; change one of them")
         return self
 
     def driver_options(self) -> dict[str, Any]:

@@ -93,7 +93,7 @@ class Keithley2000Section(OneChannelForm):
     @model_validator(mode="after")
     def _set_to_its_port(self) -> Keithley2000Section:
         if is_serial(self.resource) and self.interface != "rs232":
-            raise ValueError("a serial port is an RS-232: say 'interface: rs232', and set the meter to it")
+            raise ValueError("a serial port is RS-232: state 'interface: rs232', and set the meter to it")
         return self
 
     @property
@@ -150,7 +150,7 @@ class Keysight34970ASection(SerialPortForm):
     @classmethod
     def _one_signal_each(cls, inputs: dict[Channel, int]) -> dict[Channel, int]:
         if len(set(inputs.values())) < len(inputs):
-            raise ValueError("two signals are on one channel of the multiplexer")
+            raise ValueError("two signals share one channel of the multiplexer; change one")
         return inputs
 
     @field_validator("channel_delay")

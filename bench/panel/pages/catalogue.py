@@ -62,7 +62,7 @@ def _where(request: Request) -> str:
     """Return the catalogue that the panel shows. Raises `Refusal` (404) if it has none."""
     where = panel_of(request).settings.catalogue
     if not where:
-        raise Refusal(404, "this panel shows no catalogue: it is begun with --catalogue")
+        raise Refusal(404, "this panel has no catalogue; start it with --catalogue")
     return where
 
 

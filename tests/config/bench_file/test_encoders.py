@@ -36,23 +36,27 @@ def test_with_seven_bits_no_pseudo_terminal_stands_for_its_port():
 @pytest.mark.parametrize(
     ("name", "changes", "why"),
     [
-        ("heidenhain-nd28x", {"hands_free": "yes", "typed": "yes"}, "who types an angle has no hands free"),
+        ("heidenhain-nd28x", {"hands_free": "yes", "typed": "yes"}, "typing needs a hand"),
         ("heidenhain-nd28x", {"backoff": "30 arcsec"}, "must back off by more than its tolerance"),
-        ("heidenhain-nd28x", {"settle": "0 s"}, "longer than nothing for 'settle'"),
+        ("heidenhain-nd28x", {"settle": "0 s"}, "state 'settle'"),
         ("heidenhain-nd28x", {"rest": "0 arcsec"}, "no encoder stands still"),
         ("heidenhain-nd28x", {"model": "ND-780"}, "ND-281B"),
         ("mitutoyo-mux10", {"channel": 5}, "channel"),
         ("encoder-line", {"pattern": r"POS=([+-]\d+)"}, "expected one named group"),
         ("encoder-line", {"pattern": r"POS=(?P<angle>[+-]\d+"}, "expected a pattern"),
-        ("encoder-line", {"example": "POS=45"}, "does not fit the example"),
+        ("encoder-line", {"example": "POS=45"}, "does not match the example"),
         (
             "encoder-line",
             {"pattern": "(?P<angle>.*)", "example": "POS=45", "errors": {}},
-            "the angle in the example is no number, but 'POS=45'",
+            "the angle in the example is not a number, but 'POS=45'",
         ),
         ("encoder-line", {"errors": {"POS=+999.99999": "none"}}, r"fits the error 'POS=\+999.99999'"),
-        ("encoder-line", {"unit": "counts"}, "state counts_per_turn where the unit is counts"),
-        ("encoder-line", {"counts_per_turn": 4096}, "state counts_per_turn where the unit is counts"),
+        ("encoder-line", {"unit": "counts"}, "state 'counts_per_turn' if, and only if, the unit is counts"),
+        (
+            "encoder-line",
+            {"counts_per_turn": 4096},
+            "state 'counts_per_turn' if, and only if, the unit is counts",
+        ),
         ("encoder-line", {"request": "POS\r"}, "line ends are stated by"),
     ],
 )
