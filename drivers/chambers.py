@@ -36,7 +36,7 @@ class ChamberLimits:
         """Raise `ValueError` for limits in the wrong order and for a band that is not positive."""
         if not self.minimum_c < self.maximum_c:
             raise ValueError(
-                f"the chamber's minimum {self.minimum_c:g} °C is not below its maximum {self.maximum_c:g} °C"
+                f"the chamber's minimum {self.minimum_c:g} °C must be below its maximum {self.maximum_c:g} °C"
             )
         if self.band_c is not None and not self.band_c > 0.0:
             raise ValueError(f"the chamber's band must be positive, not {self.band_c:g} °C")
@@ -72,7 +72,7 @@ class ChamberLimits:
         raise InstrumentRefused(
             name,
             f"the air is at {temperature_c:g} °C, more than {self.band_c:g} °C from the {target_c:g} °C demanded",
-            "let it settle (a longer soak in the procedure), or find why the chamber does not hold it",
+            "lengthen the soak in the procedure, or repair the chamber",
         )
 
 

@@ -136,14 +136,14 @@ class Travel:
         """Raise `ValueError` for limits in the wrong order and for sizes that are not positive."""
         if not self.minimum_rad < self.maximum_rad:
             raise ValueError(
-                f"the lowest angle {format_dms(self.minimum_rad)} of the head is not below the highest "
+                f"the lowest angle {format_dms(self.minimum_rad)} of the head must be below the highest "
                 f"{format_dms(self.maximum_rad)}"
             )
         for name in ("tolerance_rad", "speed_rad_s", "poll_s"):
             if not getattr(self, name) > 0.0:
                 raise ValueError(f"{name} of the head must be positive, not {getattr(self, name):g}")
         if not self.backoff_rad > self.tolerance_rad:
-            raise ValueError("the head must back off by more than its tolerance")
+            raise ValueError("state a back-off above the tolerance")
 
     def contains(self, angle_rad: float, margin_rad: float = _ROUNDING_RAD) -> bool:
         """Return whether an angle lies within the limits, or at most `margin_rad` outside."""

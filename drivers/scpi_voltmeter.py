@@ -187,7 +187,7 @@ class ScpiVoltmeter(ABC):
         troubles = differences + self._errors()
         if troubles and opened:
             self._identified = _NONE
-        self._refuse(troubles, "did not take its settings")
+        self._refuse(troubles, "did not accept its settings")
         self._settings = settings
         self._connection = self._session.connection
 

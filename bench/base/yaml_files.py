@@ -492,7 +492,7 @@ def _content(path: Path, most_bytes: int) -> bytes:
     except IsADirectoryError:
         text = "this is a folder; name a file in it"
     except OSError as error:
-        text = f"the file cannot be read ({error.strerror})"
+        text = f"the file cannot be read ({error.strerror}); check its permissions"
     raise _unusable(path, text)
 
 

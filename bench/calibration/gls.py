@@ -152,8 +152,7 @@ def _not_converged(problem: Problem, system: System, unknown: int, moved: float)
     return CalibrationError(
         f"the fit did not converge: after {MOST_ITERATIONS} steps {names[unknown]} still moves by {moved:.2g} of "
         f"its standard uncertainty, and the model leaves {left:.2g}{unit} of the readings (root mean "
-        "square); check for rows of another installation, block or unit, and for an effect that the "
-        "readings do not determine"
+        "square); check for rows of another installation, block or unit"
     )
 
 

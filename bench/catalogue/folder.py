@@ -424,7 +424,9 @@ def issued_in(folder: str) -> list[Row]:
     try:
         register.read_lines()
     except OSError as error:
-        raise Refused(f"the register cannot be read ({error.strerror})") from error
+        raise Refused(
+            f"the register cannot be read ({error.strerror}); check name and permissions"
+        ) from error
     rows = []
     for number, standing in register.standings.items():
         record = standing.entry.data.get("record")

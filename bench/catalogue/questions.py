@@ -327,7 +327,7 @@ def answer(catalogue: Catalogue, query: Sequence[str], of: str = "runs") -> Answ
     Raises `Refused` for an invalid question.
     """
     if of not in KINDS:
-        raise Refused(f"--of {of}: known are {', '.join(KINDS)}")
+        raise Refused(f"--of {of}: choose from {', '.join(KINDS)}")
     statement = KINDS[of](condition_of(query))
     with catalogue.reading() as connection:
         result = connection.execute(statement)

@@ -167,7 +167,7 @@ def _seen(roots: Sequence[str], processes: int) -> WalkResult:
         try:
             found, waiting = scan(root, now_ns, MANY if processes > 1 else None)
         except OSError as error:
-            raise Refused(f"{root}: cannot be read ({error.strerror})") from error
+            raise Refused(f"{root}: cannot be read ({error.strerror}); check name and permissions") from error
         seen.take(found)
         if waiting:
             _look_apart(seen, waiting, now_ns, processes)

@@ -287,7 +287,10 @@ def bodies_of(certificate: Certificate, schemas: Schemas | None = None) -> Bodie
     xml = document_of(certificate)
     wrong = [*broken_rules(xml), *(schemas.mistakes(xml) if schemas is not None else ())]
     if wrong:
-        raise Refused(f"{certificate.number}: its document is not a valid DCC: {'; '.join(wrong[:5])}")
+        raise Refused(
+            f"{certificate.number}: its document is not a valid DCC; correct the laboratory and "
+            f"order files: {'; '.join(wrong[:5])}"
+        )
     return Bodies(xml, _body(certificate, xml))
 
 
@@ -401,7 +404,7 @@ def _same(register: Register, number: str, runs: Path, problems: list[str]) -> b
     try:
         again = made_again(register, number, runs).sha256()
     except Exception as error:
-        problems.append(f"{number}: cannot be made again: {sentence(error)}")
+        problems.append(f"{number}: cannot be made again; restore the run from a copy: {sentence(error)}")
         return False
     wrong = [name for name, digest in again.items() if stated[name] != digest]
     if wrong:

@@ -184,7 +184,9 @@ def _logo(certificate: Certificate) -> dict[str, Any] | None:
     try:
         content = read_regular(file, _LARGEST_LOGO)
     except OSError as error:
-        raise Refused(f"{file}: the logo cannot be read ({error.strerror})") from error
+        raise Refused(
+            f"{file}: the logo cannot be read ({error.strerror}); check name and permissions"
+        ) from error
     kinds = [kind for start, kind in _PICTURES if content.lstrip()[: len(start)] == start]
     if not kinds:
         raise Refused(f"{file}: the logo has an unknown format; give SVG, PNG or JPEG")

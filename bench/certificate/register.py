@@ -107,7 +107,9 @@ class Register:
         try:
             content = read_regular(self.folder / name)
         except OSError as error:
-            raise Refused(f"{self.folder / name}: cannot be read ({error.strerror})") from error
+            raise Refused(
+                f"{self.folder / name}: cannot be read ({error.strerror}); check name and permissions"
+            ) from error
         if hashlib.sha256(content).hexdigest() != stated:
             raise Refused(f"{self.folder / name}: not the issued file; restore it from a copy")
         return content
@@ -126,7 +128,10 @@ class Register:
         try:
             content = read_regular(self.folder / MADE_FROM / digest)
         except OSError as error:
-            raise Refused(f"{self.folder / MADE_FROM / digest}: cannot be read ({error.strerror})") from error
+            raise Refused(
+                f"{self.folder / MADE_FROM / digest}: cannot be read ({error.strerror}); check "
+                "name and permissions"
+            ) from error
         if hashlib.sha256(content).hexdigest() != digest:
             raise Refused(f"{self.folder / MADE_FROM / digest}: was changed; restore it from a copy")
         return content
@@ -253,7 +258,10 @@ def opened(folder: Path, known: Register | None = None) -> Iterator[Register]:
             f"{folder}: another program has the register open; try again when it has ended"
         ) from None
     except OSError as error:
-        raise Refused(f"{error.filename or folder}: cannot be written ({error.strerror})") from error
+        raise Refused(
+            f"{error.filename or folder}: cannot be written ({error.strerror}); free disk space "
+            "or check permissions"
+        ) from error
 
 
 def _write_through(path: Path, content: bytes) -> None:

@@ -119,9 +119,9 @@ def certificates_in(file: Path) -> tuple[Certificate, ...]:
     try:
         return tuple(x509.load_pem_x509_certificates(read_given(file)))
     except OSError as error:
-        raise Refused(f"{file}: cannot be read ({error.strerror})") from error
+        raise Refused(f"{file}: cannot be read ({error.strerror}); check name and permissions") from error
     except ValueError as error:
-        raise Refused(f"{file}: it has no X.509 certificate (PEM)") from error
+        raise Refused(f"{file}: it has no X.509 certificate (PEM); give the chain's file") from error
 
 
 def _in_file(file: Path, chain: Path | None, passphrase: Callable[[], bytes]) -> Signatory:
@@ -230,7 +230,7 @@ def signatory_in_token(
             f"{told}: the token has no key ({reason}); check that it is connected and its PIN"
         ) from error
     except RuntimeError as error:  # a file that is no module
-        raise Refused(f"{module}: not a module of PKCS #11 ({error})") from error
+        raise Refused(f"{module}: not a module of PKCS #11; give the token's library ({error})") from error
     return Signatory(own, _signing(key, told))
 
 

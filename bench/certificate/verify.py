@@ -187,7 +187,7 @@ def _content(file: Path) -> bytes:
     try:
         return read_given(file)
     except OSError as error:
-        raise Refused(f"{file}: cannot be read ({error.strerror})") from error
+        raise Refused(f"{file}: cannot be read ({error.strerror}); check name and permissions") from error
 
 
 # --- the two forms ------------------------------------------------------------------------------------
@@ -469,7 +469,7 @@ def held_against_register(
     try:
         register.read_lines()
     except OSError as error:
-        raise Refused(f"{place}: cannot be read ({error.strerror})") from error
+        raise Refused(f"{place}: cannot be read ({error.strerror}); check name and permissions") from error
     known = register.standings.get(number)
     if known is None:
         return (

@@ -218,7 +218,9 @@ def _command(control: str | None, text: str | None) -> int:
             "its ready file"
         ) from error
     except ValueError as error:
-        raise Refused(f"{control} is not the control of a simulated bench") from error
+        raise Refused(
+            f"{control} is not the control of a simulated bench; take the address from its ready file"
+        ) from error
     if not isinstance(reply, dict) or not reply.get("ok"):
         raise Refused(str(reply.get("error", answer)) if isinstance(reply, dict) else answer)
     printing.console().out(answer.strip(), highlight=False)

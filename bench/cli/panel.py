@@ -61,7 +61,7 @@ def _of_people(request: ServePanel, what: PeopleCommand) -> int:
     if what in {PeopleCommand.TOKEN, PeopleCommand.REVOKE} and not name:
         raise Refused(f"name the person: bench panel {what} NAME")
     if request.role not in list(Role):
-        raise Refused(f"--role {request.role}: there are {', '.join(Role)}")
+        raise Refused(f"--role {request.role}: choose from {', '.join(Role)}")
     if what is PeopleCommand.LINK:
         out.print(link_of(runs))
         return 0

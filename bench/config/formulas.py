@@ -91,7 +91,7 @@ class _DimensionReading:
         if not base:
             return ()
         if exponent[0] is None:
-            raise ExpressionError(f"{_told(base)} is raised to a power that is not a written number")
+            raise ExpressionError(f"{_told(base)} is raised to a power; write the exponent as a number")
         return _product((), base, exponent[0])
 
     def call(
@@ -110,7 +110,7 @@ class _DimensionReading:
                 return self.operation("+", arguments[0], arguments[1])
             case _ if name == LAGGED:
                 if arguments[1][1] != unit_of("s")[1] and arguments[1][0] is None:
-                    raise ExpressionError("the second argument of 'lagged' must be a time")
+                    raise ExpressionError("state a time as the second argument of 'lagged'")
                 return None, of_first
         if of_first:
             raise ExpressionError(f"{name} takes a plain number or an angle, but gets {_told(of_first)}")
@@ -237,7 +237,7 @@ def formula_mistakes(entries: Any, place: Place) -> Iterator[tuple[Place, str]]:
             yield (*here, "parameters"), str(error)
             continue
         if effect.name in seen:
-            yield (*here, "name"), f"two formulas are named {effect.name}"
+            yield (*here, "name"), f"rename one of two formulas named {effect.name}"
         seen.setdefault(effect.name, index)
         try:
             with CATALOGUE.also([effect]):

@@ -184,7 +184,7 @@ def compare(snapshots: Sequence[Snapshot]) -> Comparison:
     units = sorted({snapshot.unit for snapshot in snapshots})
     if len(units) > 1:
         listed = ", ".join(f"{snapshot.name} in {snapshot.unit}" for snapshot in snapshots)
-        raise CalibrationError(f"coefficients in different units cannot be compared ({listed})")
+        raise CalibrationError(f"use coefficients in one unit to compare ({listed})")
     for snapshot in snapshots:
         _require_regular(snapshot)
     dates = [snapshot.when for snapshot in snapshots if snapshot.when is not None]

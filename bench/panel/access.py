@@ -176,7 +176,7 @@ class Gate:
         if len(headers.getlist("host")) > 1 or not self._settings.allows_host(host):
             return Refusal(403, f"this panel is at {self._settings.url}")
         if scope["method"] not in METHODS:
-            return Refusal(405, "the panel accepts GET and POST only")
+            return Refusal(405, "the panel accepts GET and POST only; use its pages")
         if scope["method"] == "POST" and not self._settings.allows_origin(headers.get("origin", ""), host):
             return Refusal(403, "another web page asked for this change; use the panel itself")
         length = headers.get("content-length", "0")

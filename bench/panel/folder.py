@@ -125,7 +125,9 @@ class Certificates:
             try:
                 register.read_lines()
             except OSError as error:
-                raise Refused(f"{self._folder}: cannot be read ({error.strerror})") from error
+                raise Refused(
+                    f"{self._folder}: cannot be read ({error.strerror}); check name and permissions"
+                ) from error
             self._register = register
             return register
 

@@ -138,7 +138,9 @@ class WantedRun:
                 for path in (str(self.request.procedure), str(self.request.bench))
             }
         except OSError as error:
-            raise Refusal(409, f"{error.filename}: cannot be read ({error.strerror})") from error
+            raise Refusal(
+                409, f"{error.filename}: cannot be read ({error.strerror}); check name and permissions"
+            ) from error
 
 
 @dataclass(frozen=True)
@@ -378,7 +380,7 @@ def chosen_procedure(name: str, runs: RunsFolder) -> Path:
         run = runs.run(name.removeprefix(OF_RUN))
         file = run.folder / NEXT
         if file.is_symlink() or not file.is_file():
-            raise Refusal(404, f"{run.name}: its diagnosis proposes no measurement")
+            raise Refusal(404, f"{run.name}: its diagnosis proposes no measurement; choose a procedure")
         return file
     return _chosen(PROCEDURES, name, "procedure")
 

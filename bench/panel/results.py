@@ -281,7 +281,7 @@ def figure_of(run: Run, name: str) -> bytes:
                 end = page.find(b"</svg>", found.end())
                 if end > 0:
                     return _as_file(page[found.start() : end + len(b"</svg>")])
-    raise Refusal(404, f"the report of {run.name} has no such figure")
+    raise Refusal(404, f"the report of {run.name} has no such figure; choose one of the page")
 
 
 def _as_file(svg: bytes) -> bytes:

@@ -164,7 +164,7 @@ def worst(goals: Sequence[Goal], covariance: Floats) -> Goal:
 
 def _require_positive(name: str, size: float) -> None:
     if not (np.isfinite(size) and size > 0):
-        raise CalibrationError(f"the uncertainty asked for {name} is a positive number, not {size:g}")
+        raise CalibrationError(f"the uncertainty asked for {name} must be a positive number, not {size:g}")
 
 
 _POWERS: Final = (8.0, 40.0)

@@ -351,7 +351,7 @@ class Requirement:
     def __post_init__(self) -> None:
         for name, value in (("the accuracy", self.accuracy), ("k", self.k)):
             if not (math.isfinite(value) and value > 0):
-                raise CalibrationError(f"{name} is a positive number, not {value:g}")
+                raise CalibrationError(f"{name} must be a positive number, not {value:g}")
 
     @property
     def allowed2(self) -> float:

@@ -110,7 +110,7 @@ def temperature(text: dict[str, str], column: str) -> float:
     expected = f"a temperature in °C from {ABSOLUTE_ZERO_C:g} to {HOTTEST_C:g}"
     return number(
         text, column, expected, optional=True, least=ABSOLUTE_ZERO_C, most=HOTTEST_C,
-        hint="; is it in kelvin or °F?",
+        hint="; perhaps it is in kelvin or °F; use °C",
     )  # fmt: skip
 
 

@@ -245,7 +245,7 @@ def _row(
         raise BadCell(
             header[min(len(cells), len(header) - 1)],
             f"expected {len(header)} cells as in the header, got {len(cells)}"
-            + (" (is there a decimal comma?)" if len(cells) > len(header) else ""),
+            + (" (use a dot, not a decimal comma)" if len(cells) > len(header) else ""),
         )
     text = {name: cell.strip() for name, cell in zip(header, cells, strict=True)}
     label = text["installation"]

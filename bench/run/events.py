@@ -115,7 +115,9 @@ def read_manifest(folder: Path) -> Manifest:
     except (FileNotFoundError, NotADirectoryError):
         raise RecordError(f"{folder}: not a run (no {MANIFEST} in it)") from None
     except OSError as error:
-        raise RecordError(f"{folder / MANIFEST}: cannot be read ({error.strerror})") from None
+        raise RecordError(
+            f"{folder / MANIFEST}: cannot be read ({error.strerror}); check name and permissions"
+        ) from None
     except (ValueError, RecursionError):
         raise RecordError(
             f"{folder / MANIFEST}: damaged (not JSON); restore it from a copy of the run"

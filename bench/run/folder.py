@@ -115,7 +115,8 @@ class Run:
         """Return the history. Raises `RecordError` if a line of the record or an input was changed."""
         if self.history.problems:
             raise RecordError(
-                f"{self.folder}: the record cannot be trusted: {'; '.join(self.history.problems)}"
+                f"{self.folder}: the record cannot be trusted; restore it from a copy: "
+                f"{'; '.join(self.history.problems)}"
             )
         return self.history
 

@@ -338,7 +338,10 @@ class Record:
         try:
             history = read_history(folder)
             if history.problems:
-                raise RecordError(f"{folder}: the record cannot be trusted: {'; '.join(history.problems)}")
+                raise RecordError(
+                    f"{folder}: the record cannot be trusted; restore it from a copy: "
+                    f"{'; '.join(history.problems)}"
+                )
             record._go_on_after(history)
         except BaseException:
             record.close()

@@ -38,7 +38,7 @@ def grubbs_critical(n: int) -> float:
     Raises `ValueError` for fewer than 3 samples, which cannot contain an outlier.
     """
     if n < 3:
-        raise ValueError(f"Grubbs' test needs 3 samples or more, not {n}")
+        raise ValueError(f"give Grubbs' test 3 samples or more, not {n}")
     t2 = float(stdtrit(n - 2, OUTLIER_LEVEL / (2 * n))) ** 2
     return (n - 1) / math.sqrt(n) * math.sqrt(t2 / (n - 2 + t2))
 

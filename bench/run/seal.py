@@ -145,7 +145,7 @@ def read_seal(folder: Path) -> Seal | None:
     except FileNotFoundError:
         return None
     except OSError as error:
-        raise RecordError(f"{path}: cannot be read ({error.strerror})") from error
+        raise RecordError(f"{path}: cannot be read ({error.strerror}); check name and permissions") from error
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError, binascii.Error):
         raise RecordError(f"{path}: damaged (not a seal); restore it from a copy of the run") from None
 
@@ -197,7 +197,9 @@ def write_private(file: Path, key: Any, passphrase: bytes | None, beside: dict[P
         for path, text in beside.items():
             path.write_text(text, encoding="ascii")
     except OSError as error:
-        raise RecordError(f"{error.filename}: cannot be written ({error.strerror})") from error
+        raise RecordError(
+            f"{error.filename}: cannot be written ({error.strerror}); free disk space or check permissions"
+        ) from error
 
 
 def private_key(file: Path, passphrase: Callable[[], bytes]) -> Ed25519PrivateKey:
@@ -222,7 +224,7 @@ def read_private(file: Path, passphrase: Callable[[], bytes], wanted: str) -> An
         pem = read_given(file)
         mode = file.stat().st_mode
     except OSError as error:
-        raise RecordError(f"{file}: cannot be read ({error.strerror})") from error
+        raise RecordError(f"{file}: cannot be read ({error.strerror}); check name and permissions") from error
     if os.name == "posix" and stat.S_IMODE(mode) & 0o077:
         raise RecordError(
             f"{file}: others may use this private key (mode {stat.S_IMODE(mode):o}); restrict it with "
@@ -246,7 +248,7 @@ def public_key(pem: str, where: str) -> Ed25519PublicKey:
     try:
         key = serialization.load_pem_public_key(pem.encode())
     except ValueError as error:
-        raise RecordError(f"{where}: not a public key (PEM)") from error
+        raise RecordError(f"{where}: not a public key (PEM); give the .pub file of 'bench key'") from error
     if not isinstance(key, ed25519.Ed25519PublicKey):
         raise RecordError(f"{where}: not an Ed25519 key; ask for the public key of 'bench key'")
     return cast("Ed25519PublicKey", key)
@@ -257,9 +259,9 @@ def read_public_key(file: Path) -> Ed25519PublicKey:
     try:
         return public_key(read_regular(file).decode("ascii"), str(file))
     except OSError as error:
-        raise RecordError(f"{file}: cannot be read ({error.strerror})") from error
+        raise RecordError(f"{file}: cannot be read ({error.strerror}); check name and permissions") from error
     except UnicodeDecodeError:
-        raise RecordError(f"{file}: not a public key (PEM)") from None
+        raise RecordError(f"{file}: not a public key (PEM); give the .pub file of 'bench key'") from None
 
 
 def is_signed(key: Ed25519PublicKey, signature: bytes, message: bytes) -> bool:
@@ -325,7 +327,7 @@ def check_server(url: str) -> None:
     """Raise `NoTimeStamp` for a text that is not an http or https address."""
     parts = urlsplit(url)
     if parts.scheme not in {"http", "https"} or not parts.hostname:
-        raise NoTimeStamp(f"--timestamp {url}: not the address of a server (http://… or https://…)")
+        raise NoTimeStamp(f"--timestamp {url}: give the address of a server (http://… or https://…)")
 
 
 def ask_time_stamp(url: str, message: bytes) -> bytes:
@@ -393,9 +395,11 @@ def read_time_stamp(response: bytes, message: bytes, authority: Path | None) -> 
     try:
         roots = x509.load_pem_x509_certificates(read_given(authority))
     except OSError as error:
-        raise NoTimeStamp(f"{authority}: cannot be read ({error.strerror})") from error
+        raise NoTimeStamp(
+            f"{authority}: cannot be read ({error.strerror}); check name and permissions"
+        ) from error
     except ValueError as error:
-        raise NoTimeStamp(f"{authority}: not a certificate (PEM)") from error
+        raise NoTimeStamp(f"{authority}: not a certificate (PEM); give the authority's") from error
     builder = rfc3161.VerifierBuilder()
     for root in roots:
         builder = builder.add_root_certificate(root)

@@ -384,7 +384,7 @@ def nominal_of(text: str | None, results: list[BlockResult]) -> Floats | None:
         found = np.diag(result.block.K)
         if np.any(found * values < 0):
             raise Refused(
-                f"--nominal {text}: {result.source} has scale factors of other signs "
+                f"--nominal {text}: {result.source} has scale factors of other signs; correct them "
                 f"({', '.join(f'{v:.4g}' for v in found)} {result.unit}/g)"
             )
     return values

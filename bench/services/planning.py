@@ -430,7 +430,7 @@ def _target(request: Require, bench: BenchFile, *, reading: bool) -> tuple[Targe
     """Return the quantity with a required accuracy, its unit, and the kind of quantity that the accuracy is."""
     of, up_to = request.of, request.up_to
     if up_to is not None and of not in ACCELERATIONS:
-        raise Refused("--up-to needs --of acceleration or --of modulus")
+        raise Refused("--up-to needs --of acceleration or --of modulus; add one")
     if of == DELTA_G:
         return of_delta_g(reading=reading), "g", ACCELERATION
     if of in ACCELERATIONS:

@@ -211,8 +211,8 @@ def _refuse_below_floor(found: Sequence[Floor]) -> None:
 def _refuse_too_short(aim: Aim, pool: Pool) -> None:
     if aim.limit_s is not None and aim.limit_s <= pool.always_s + sum(v.time_s for v in pool.visits[:1]):
         raise Refused(
-            f"--until time: {aim.limit_s / 3600:.3g} h are too short: warm-up, verification points and "
-            f"one mounting need {(pool.always_s + pool.visits[0].time_s) / 3600:.3g} h"
+            f"--until time: {aim.limit_s / 3600:.3g} h are too short; give more, as warm-up, verification "
+            f"points and one mounting need {(pool.always_s + pool.visits[0].time_s) / 3600:.3g} h"
         )
 
 

@@ -92,8 +92,7 @@ class HeidenhainNd28x(ReadOutHead):
             raise InstrumentRefused(
                 self.name,
                 f"its display shows {shown.strip()!r} instead of an angle in decimal degrees",
-                "clear a message with C or CL and check the encoder's signal, cross the reference mark "
-                "again, then redo this point",
+                "clear it with C or CL, check the encoder, cross the reference mark and redo this point",
             )
         return math.radians(float(f"{match[1].strip()}{match[2]}"))
 
@@ -108,7 +107,7 @@ class HeidenhainNd28x(ReadOutHead):
         if not referenced:
             raise InstrumentRefused(
                 self.name,
-                "its reference mark was not crossed since it was switched on: it shows a relative angle",
+                "it shows a relative angle, as its reference mark was not crossed",
                 "turn the head across the reference mark until REF glows, then redo this point",
             )
         if of_281b and said[facts.INCH_281B] != facts.DARK:

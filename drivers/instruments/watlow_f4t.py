@@ -104,8 +104,7 @@ class WatlowF4TChamber(ControlledChamber):
             raise InstrumentRefused(
                 self.name,
                 f"the controller does not say whether it speaks °C or °F ({error.cause})",
-                "update its firmware to 04:05:0007 or later (older versions speak °F only); if it is up "
-                "to date, check the cable",
+                "update its firmware to 04:05:0007 or later (older ones speak °F only), or check the cable",
             ) from error
 
     def _fahrenheit(self) -> bool:

@@ -273,7 +273,7 @@ REFUSED = (
     ("plan-points", "no goal given"),
     ("plan-points --u Kyx", "--u Kyx: give a name and its value, such as Kyx=20e-6"),
     ("plan-points --u Kyx=2kg", "--u 2kg: expected a scale factor"),
-    ("plan-points --u Kyx=-1e-6", "is a positive number, not -1e-06"),
+    ("plan-points --u Kyx=-1e-6", "must be a positive number, not -1e-06"),
     ("plan-points --u Kq=1e-6", "no coefficient 'Kq'"),
     ("plan-points --time soon", "--time soon: expected a duration"),
     ("plan-points --time 1h", "1 h are too short for a calibration: the shortest takes"),

@@ -247,5 +247,5 @@ def test_a_server_that_is_not_there_leaves_the_seal_without(bench, run):
 
 @pytest.mark.parametrize("url", ["file:///etc/passwd", "stamps.example", "http://"])
 def test_what_is_no_server_is_refused(bench, run, url):
-    assert "not the address of a server" in bench("seal", "one", "--timestamp", url)[2]
+    assert "give the address of a server" in bench("seal", "one", "--timestamp", url)[2]
     assert not (run / "seal.json").exists()

@@ -68,7 +68,8 @@ def test_a_formula_is_read_in_si_and_written_back_the_same(tmp_path):
         ("1 rev, 720 deg], default: 1 rev", "1 rev]", None, None),
         ("1 rev, 720 deg]", "1 min]", 7, "units of one kind"),
         ("default: 1 rev", "default: 3 rev", 7, "not in the grid"),
-        ("lag: {grid: [0 min, 10 min]}", "lag: {grid: [1 V]}", 6, "the second argument of 'lagged' must be a time"),
+        ("lag: {grid: [0 min, 10 "
+        "min]}", "lag: {grid: [1 V]}", 6, "state a time as the second argument of 'lagged'"),
         ("travelled / turns", "time * turns", 6, "exp takes a plain number or an angle, but gets s"),
         ("+ B", "+ time * B", 6, "stand on both sides of '\\+'"),
         ("travelled / turns", "turns * (time > 40 min)", None, None),
@@ -106,7 +107,7 @@ def test_all_mistakes_at_once_and_two_of_a_name(tmp_path):
     found = mistakes(tmp_path, HEAD + ENTRY + ENTRY.replace("A *", "A * A *"))
     assert [place for _, place, _ in found] == ["formulas[2].expression"]
     found = mistakes(tmp_path, HEAD + ENTRY + ENTRY)
-    assert found[0][2] == "two formulas are named settling"
+    assert found[0][2] == "rename one of two formulas named settling"
     other = write(tmp_path, HEAD + ENTRY.replace("100 µg", "50 ug"), "other.yaml")
     with pytest.raises(FileMistakes, match="another formula of the name settling"):
         effects_in([write(tmp_path, HEAD + ENTRY), other])

@@ -68,7 +68,7 @@ def test_a_tower_of_powers_ends_at_once_and_is_told():
         ("A ** 2", "not linear"),
         ("lagged(A, 60)", "a size is in lagged"),
         ("A * lagged(a, time)", "the lag of 'lagged'"),
-        ("a", "is not in the expression"),
+        ("a", "is not in the expression; use or remove it"),
     ],
 )
 def test_what_no_fit_could_use_is_told(text, told):

@@ -109,7 +109,7 @@ def test_verification_rows_need_an_angle(read):
         (
             "1,1,9,0,0,1,0,2,0,3",
             "uz_v",
-            "expected 7 cells as in the header, got 10 (is there a decimal comma?)",
+            "expected 7 cells as in the header, got 10 (use a dot, not a decimal comma)",
         ),
         ("1,1,9,0,0.1", "uy_v", "expected 7 cells as in the header, got 5"),
         ("3,1,9,0,0.1,0.2,0.3", "installation", "expected one of 1, 2, F, R, S, V"),
@@ -134,8 +134,8 @@ def test_each_mistake_names_file_line_column_and_what_was_expected(read, row, co
     [
         ("ux_sd_v", "-1e-6", "expected a standard deviation, 0 or more, got '-1e-6'"),
         ("temperature_c", "-273.2", "°C from -273.15 to 200, got '-273.2'"),
-        ("temperature_c", "293.15", "got '293.15'; is it in kelvin or °F?"),
-        ("chamber_c", "296", "is it in kelvin"),
+        ("temperature_c", "293.15", "got '293.15'; perhaps it is in kelvin or °F; use °C"),
+        ("chamber_c", "296", "perhaps it is in kelvin"),
         ("reference_v", "five", "the voltage at the inputs in V, got 'five'"),
         ("pass", "1000000000", "got '1000000000'; is it from another column?"),
         ("point", "20261123", "is it from another column?"),

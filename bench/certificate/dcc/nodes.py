@@ -464,4 +464,4 @@ def _version_of(path: Path) -> str | None:
     try:
         return etree.parse(str(path), parser()).getroot().get("version")
     except (etree.XMLSyntaxError, OSError) as error:
-        raise Refused(f"{path}: cannot be read ({error})") from error
+        raise Refused(f"{path}: cannot be read ({error}); check name and permissions") from error

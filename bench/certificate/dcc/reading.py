@@ -54,13 +54,13 @@ def document_in(path: Path) -> tuple[Node, tuple[str, ...]]:
             content = _attached(path, content)
         root = etree.fromstring(content, parser())
     except OSError as error:
-        raise Refused(f"{path}: cannot be read ({error.strerror})") from error
+        raise Refused(f"{path}: cannot be read ({error.strerror}); check name and permissions") from error
     except etree.XMLSyntaxError as error:
         raise Refused(
             f"{path}: not XML ({error}); give the XML of a digital calibration certificate, or the PDF that has it"
         ) from None
     if root.tag != f"{{{DCC}}}digitalCalibrationCertificate":
-        raise Refused(f"{path}: not a digital calibration certificate (DCC)")
+        raise Refused(f"{path}: not a digital calibration certificate (DCC); give another file")
     if root.find(f".//{{{SIGNATURE}}}Signature") is None:
         return root, ("this document has no signature",)
     from bench.certificate.signatory import name_of
@@ -85,7 +85,7 @@ def _attached(path: Path, paper: bytes) -> bytes:
             if len(found) == 1:
                 return bytes(found[0].get_file().read_bytes())
     except (pikepdf.PdfError, KeyError, ValueError) as error:
-        raise Refused(f"{path}: a PDF that cannot be read ({error})") from error
+        raise Refused(f"{path}: a PDF that cannot be read ({error}); check name and permissions") from error
     raise Refused(
         f"{path}: {len(found) or 'no'} XML files are attached to this PDF; give the certificate's XML itself"
     )
@@ -130,7 +130,10 @@ def coefficients_in(path: Path, g_m_s2: float | None = None, noise: str | None =
         with_covariance = [pair for pair in named if pair[0].covariance is not None]
         named = with_covariance if len(with_covariance) == 1 else named
     if len(named) > 1:
-        raise Refused(f"{path}: more than one list of coefficients: {'; '.join(o.words for o, _ in named)}")
+        raise Refused(
+            f"{path}: more than one list of coefficients; give a certificate with one: "
+            f"{'; '.join(o.words for o, _ in named)}"
+        )
     return _others(path, root, *named[0], notes, g_m_s2, noise_v)
 
 
@@ -214,7 +217,7 @@ def _others(
     covariance = listed.covariance
     if covariance is None:
         if listed.u is None:
-            raise Refused(f"{path}: {listed.words}: it states no uncertainty")
+            raise Refused(f"{path}: {listed.words}: it states no uncertainty; ask its laboratory for one")
         covariance = np.diag(listed.u**2)
         notes += ("it states no covariance; its coefficients are assumed uncorrelated, which is seldom true",)
     covariance = covariance[np.ix_(order, order)] * np.outer(scale, scale)

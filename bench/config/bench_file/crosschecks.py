@@ -147,7 +147,7 @@ def _label_mistakes(installations: Any) -> Iterator[tuple[Place, str]]:
         elif not label.isalnum():
             yield (
                 ("installations", label),
-                f"a label consists of letters and digits such as '3' or 'U1', not '{label}'",
+                f"state a label of letters and digits such as '3' or 'U1', not '{label}'",
             )
 
 

@@ -81,7 +81,7 @@ class BenchFile(FileModel):
     @classmethod
     def _of_the_mains(cls, line_hz: float) -> float:
         if line_hz not in {50.0, 60.0}:
-            raise ValueError(f"the mains have 50 Hz or 60 Hz, not {line_hz:g} Hz")
+            raise ValueError(f"state 50 Hz or 60 Hz for the mains, not {line_hz:g} Hz")
         return line_hz
 
     @classmethod

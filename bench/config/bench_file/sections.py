@@ -172,7 +172,7 @@ class FaultSection(FileModel):
         if self.seconds and self.fault not in _TAKE_SECONDS:
             raise ValueError(f"'{self.fault}' has no duration; remove 'seconds'")
         if self.fault == "late" and not self.seconds:
-            raise ValueError("'late' needs 'seconds', the delay")
+            raise ValueError("state 'seconds', the delay of 'late'")
         if self.error is not None and self.fault != "error":
             raise ValueError(f"'{self.fault}' puts no error into the queue; remove 'error'")
         return self

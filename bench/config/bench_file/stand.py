@@ -234,7 +234,7 @@ class ErrorSize(FileModel):
     @model_validator(mode="after")
     def _k_where_normal(self) -> ErrorSize:
         if self.distribution == "normal" and self.k is None:
-            raise ValueError("a normal distribution needs 'k', the limit in standard deviations")
+            raise ValueError("state 'k', the limit of a normal distribution in standard deviations")
         if self.distribution == "rectangular" and self.k is not None:
             raise ValueError("a rectangular distribution has no 'k'; remove it")
         return self

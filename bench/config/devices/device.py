@@ -290,7 +290,7 @@ class CertifiedGain(Certified):
     @classmethod
     def _small(cls, gain: float) -> float:
         if abs(gain) > LARGEST_GAIN:
-            raise ValueError(f"a correction of the gain is within ±1 %, such as '-12 ppm', not {gain:g}")
+            raise ValueError(f"state a gain correction within ±1 %, such as '-12 ppm', not {gain:g}")
         return gain
 
 
@@ -318,7 +318,7 @@ class RangeValues(FileModel):
             raise ValueError("state 'gain', 'offset' or both for this range")
         if self.offset is not None and abs(self.offset.correction) > LARGEST_GAIN * self.range:
             raise ValueError(
-                f"a correction of the zero is within 1 % of the range, not {self.offset.correction:g} V"
+                f"state a zero correction within 1 % of the range, not {self.offset.correction:g} V"
             )
         return self
 
@@ -334,7 +334,7 @@ class AngleValue(Certified):
     @classmethod
     def _small(cls, angle_rad: float) -> float:
         if abs(angle_rad) > LARGEST_OF_SCALE_RAD:
-            raise ValueError(f"a correction of the scale is within ±1°, not {_degrees(angle_rad)}")
+            raise ValueError(f"state a scale correction within ±1°, not {_degrees(angle_rad)}")
         return angle_rad
 
 

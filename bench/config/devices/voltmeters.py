@@ -160,7 +160,9 @@ class Keysight34970ASection(SerialPortForm):
         whole = abs(steps - round(steps)) < 1e-3
         longest_s = multiplexer.LONGEST_CHANNEL_DELAY_S
         if not (0.0 <= delay_s <= longest_s and whole):
-            raise ValueError(f"a channel delay is 0 to {longest_s:g} s in steps of 1 ms, not {delay_s:g} s")
+            raise ValueError(
+                f"state a channel delay of 0 to {longest_s:g} s in steps of 1 ms, not {delay_s:g} s"
+            )
         return delay_s
 
     def driver_options(self) -> dict[str, Any]:

@@ -71,7 +71,9 @@ class SettleForm(ActionVerb):
         if not 0.0 < self.interval <= self.window:
             raise ValueError("state an interval above 0 and at most the window")
         if self.timeout > MOST_SAMPLES * self.interval:
-            raise ValueError(f"this interval takes more than {MOST_SAMPLES} samples until the timeout")
+            raise ValueError(
+                f"this interval takes more than {MOST_SAMPLES} samples until the timeout; lengthen it"
+            )
         if self.timeout < self.window + self.interval:
             raise ValueError("state a timeout of at least the window and one interval")
         return self
@@ -214,7 +216,7 @@ class InstallationVerb(FileModel):
                 f"'{label}' marks readings without orientation and cannot be mounted; choose another label"
             )
         if not label.isalnum():
-            raise ValueError(f"a label consists of letters and digits such as '1' or 'V', not '{label}'")
+            raise ValueError(f"state a label of letters and digits such as '1' or 'V', not '{label}'")
         return label
 
 

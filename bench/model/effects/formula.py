@@ -204,7 +204,7 @@ def _as_float(value: int | float) -> float:
     try:
         return float(value)
     except OverflowError:
-        raise ExpressionError("a number in the formula is too large") from None
+        raise ExpressionError("use a smaller number in the formula") from None
 
 
 class ValueReading:
@@ -334,7 +334,9 @@ class FormulaEffect(Effect):
                 raise ExpressionError(_unknown_name(name, self.stage, variables))
         for parameter in self.parameters:
             if parameter.name not in names:
-                raise ExpressionError(f"the parameter '{parameter.name}' is not in the expression")
+                raise ExpressionError(
+                    f"the parameter '{parameter.name}' is not in the expression; use or remove it"
+                )
         shapes = {parameter.name for parameter in self.parameters if parameter.is_shape}
         for lag in lags_in(self.expression):
             if not isinstance(lag, ast.Constant | ast.Attribute) and not (

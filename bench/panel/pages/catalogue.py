@@ -94,5 +94,5 @@ def _figure(where: str, unit: str) -> str:
     with open_catalogue(where, existing=True) as catalogue:
         calibrations = unit_calibrations(catalogue, unit)
     if not calibrations:
-        raise Refusal(404, f"{unit}: no calibration to draw")
+        raise Refusal(404, f"{unit}: no calibration to draw; calibrate a run of it")
     return unit_file(calibrations)

@@ -126,7 +126,7 @@ def checked(asked: AskedPrompt | None, prompt_id: str, text: str) -> dict[str, s
     Raises `Refusal` (409) if the question is no longer open.
     """
     if asked is None or asked.prompt.id != prompt_id:
-        raise Refusal(409, "this question is closed")
+        raise Refusal(409, "this question is closed; load the page again")
     return {
         "problem": problem_with_answer(asked.prompt, text),
         "understood": understood_answer(asked.prompt, text),

@@ -147,7 +147,7 @@ def _driver(section: InstrumentForm, given: Surroundings) -> Any:
         return driver(section.name, session, given.clock, ChamberLimits(*section.limits()), **options)
     if isinstance(section, WiredSupplyForm | LevelForm):
         return driver(section.name, session, given.clock, **options)
-    raise TypeError(f"{type(section).__name__} has a wire, but no role of this bench takes such a section")
+    raise TypeError(f"{type(section).__name__} has a wire, but no role of this bench uses it; remove it")
 
 
 def world_of(bench: BenchFile, model: ForwardModel, seed: int, clock: Clock) -> World:

@@ -186,7 +186,7 @@ def test_many_mistakes_are_told_at_once_with_their_lines(mistakes, paper_text, l
         ("limit: 90 arcsec, distribution: normal, k: 3", "limit: 90 arcsec, distribution: normal", "needs 'k'"),
         ("limit: 90 arcsec, distribution: normal", "limit: 90 arcsec, distribution: rectangular", "has no k"),
         ("limit: 90 arcsec", "limit: -90 arcsec", "not negative"),
-        ("line_frequency: 50 Hz", "line_frequency: 55 Hz", "the mains have 50 Hz or 60 Hz"),
+        ("line_frequency: 50 Hz", "line_frequency: 55 Hz", "state 50 Hz or 60 Hz"),
         ('"GPIB0::22::INSTR"', "address 22", "expected a VISA resource such as 'GPIB0::22::INSTR'"),
         ("gravity: {latitude: 50.449 deg, height: 180 m}", "gravity: 8.9 m/s^2",
          "gravity: local gravity lies between"),
