@@ -33,7 +33,7 @@ _ERROR_TAKERS: Final = re.compile(
 )
 _BENCH_ERROR: Final = ("instrument", "cause", "remedy")
 _OF_PROBLEMS: Final = "problems"
-"""A function whose docstring says that it returns or yields what is wrong: what it returns is an error."""
+"""A function whose docstring says that it returns or yields what is wrong: its texts become parts of errors."""
 _PROBLEMS: Final = re.compile(
     r"\b(problem|mistake|wrong|fault|bad|failure|refus|contradict|caveat|doubt)", re.I
 )
@@ -87,9 +87,12 @@ def _below(node: ast.AST, name: str, kind: str) -> Iterator[Message]:
     if text is not None:
         words = " ".join(text.split())
         if " " in words and len(_WORD.findall(words)) > (kind != "error") and "(?" not in words:
-            yield Message("text" if kind == _OF_PROBLEMS else kind, name, getattr(node, "lineno", 0), words)
+            said = (
+                "error" if kind == "part" and "; " in words[2:] else "text" if kind == _OF_PROBLEMS else kind
+            )
+            yield Message(said, name, getattr(node, "lineno", 0), words)
         for hole in _holes(node):
-            yield from _below(hole, name, kind)
+            yield from _below(hole, name, "part" if kind == "error" else kind)
         return
     for field in node._fields:
         value = getattr(node, field, None)
@@ -106,8 +109,10 @@ def _kind(node: ast.AST, child: ast.AST, kind: str) -> str:
     if isinstance(child, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef, ast.Lambda)):
         told = "" if isinstance(child, ast.Lambda) else ast.get_docstring(child) or ""
         return _OF_PROBLEMS if _PROBLEMS.search(told) else "text"
-    if isinstance(node, ast.Raise) or (isinstance(node, (ast.Return, ast.Yield)) and kind == _OF_PROBLEMS):
+    if isinstance(node, ast.Raise):
         return "error"
+    if isinstance(node, (ast.Return, ast.Yield)) and kind == _OF_PROBLEMS:
+        return "part"
     if not isinstance(node, ast.Call) or child is node.func or kind not in ("text", _OF_PROBLEMS):
         return kind
     function, taker = node.func, _taker(node)

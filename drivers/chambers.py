@@ -39,7 +39,7 @@ class ChamberLimits:
                 f"the chamber's minimum {self.minimum_c:g} °C must be below its maximum {self.maximum_c:g} °C"
             )
         if self.band_c is not None and not self.band_c > 0.0:
-            raise ValueError(f"the chamber's band must be positive, not {self.band_c:g} °C")
+            raise ValueError(f"state a positive band for the chamber, not {self.band_c:g} °C")
 
     def check(self, name: str, target_c: float) -> None:
         """Raise `LimitExceeded` for a set point outside the limits; `name` is the chamber's."""

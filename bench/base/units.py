@@ -149,7 +149,7 @@ def _parsed(text: str, kind: QuantityKind) -> float:
         raise ValueError(f"{kind.expected}, got '{shortened(text)}'")
     number, unit = read
     if not unit and kind.si:
-        raise ValueError(f"{kind.expected}, got '{shortened(text)}' without a unit")
+        raise ValueError(f"{kind.expected}, got '{shortened(text)}' without a unit; add one")
     factor = _factor_of(unit, kind, text)
     if factor is None or (kind.only and unit not in kind.only):
         raise ValueError(f"{kind.expected}, got '{shortened(text)}'")

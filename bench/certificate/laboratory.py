@@ -341,7 +341,7 @@ class Order(StatedRule):
             if serial in seen:
                 yield (
                     ("units", place),
-                    f"unit {serial or 'without a serial number'} appears twice; keep one; leave one out",
+                    f"unit {serial or 'without a serial number'} appears twice; keep one",
                 )
             if serial is None or isinstance(serial, str):
                 seen.add(serial)

@@ -113,7 +113,7 @@ class _DimensionReading:
                     raise ExpressionError("state a time as the second argument of 'lagged'")
                 return None, of_first
         if of_first:
-            raise ExpressionError(f"{name} takes a plain number or an angle, but gets {_told(of_first)}")
+            raise ExpressionError(f"{name} needs a plain number or an angle, not {_told(of_first)}")
         return None, ()
 
 

@@ -183,7 +183,7 @@ class Gate:
         if "content-length" in headers and "transfer-encoding" in headers:
             return Refusal(400, "the request has both Content-Length and Transfer-Encoding; send one")
         if not length.isascii() or not length.isdecimal() or len(length) > 9 or int(length) > LARGEST_BODY:
-            return Refusal(413, f"at most {LARGEST_BODY} bytes are accepted")
+            return Refusal(413, f"at most {LARGEST_BODY} bytes are accepted; send less")
         return None
 
 
@@ -196,7 +196,7 @@ def counted(receive: Receive) -> Receive:
         message = await receive()
         taken += len(message.get("body", b""))
         if taken > LARGEST_BODY:
-            raise Refusal(413, f"at most {LARGEST_BODY} bytes are accepted")
+            raise Refusal(413, f"at most {LARGEST_BODY} bytes are accepted; send less")
         return message
 
     return bounded

@@ -114,7 +114,7 @@ class Certificates:
         """Return a file of a run's certificate. Raises `Refusal` (404), `Refused` if it was tampered with."""
         register = self._read()
         if register is None or not any(name in one.files for one in self.of(run)):
-            raise Refusal(404, f"{run.name} has no such certificate")
+            raise Refusal(404, f"{run.name} has no such certificate; see its page")
         return register.file(name)
 
     def _read(self) -> Register | None:

@@ -210,7 +210,7 @@ class WishFolder:
             with (self.path / STARTED).open("x", encoding="utf-8") as file:
                 file.write(name)
         except FileExistsError:
-            raise Refusal(409, f"this was already started, as {self.started()}") from None
+            raise Refusal(409, f"this was already started; see the run {self.started()}") from None
 
     def unmark_started(self) -> None:
         """Delete the mark of `mark_started`, because the run did not begin."""

@@ -100,9 +100,9 @@ async def fields(request: Request, most: int = MOST_FIELDS) -> dict[str, str]:
         else:
             raise Refusal(415, "send a form or a JSON object")
     except ValueError:
-        raise Refusal(400, "the data are neither a form nor valid JSON") from None
+        raise Refusal(400, "send a form or valid JSON") from None
     if isinstance(given, dict) and len(given) > most:
-        raise Refusal(400, f"at most {most} fields are accepted")
+        raise Refusal(400, f"at most {most} fields are accepted; send fewer")
     if not isinstance(given, dict) or not all(isinstance(value, str) for value in given.values()):
         raise Refusal(400, "send a JSON object whose values are texts")
     return given
@@ -180,7 +180,7 @@ async def send_asset(request: Request) -> Response:
     """Send an asset, but only under its current address, which changes with its content."""
     name = request.path_params["name"]
     if name not in ASSETS or request.scope["path"] != asset(name):
-        raise Refusal(404, "no such file")
+        raise Refusal(404, "no such file; load the page again")
     return Response(read_asset(name), media_type=ASSETS[name], headers=KEPT)
 
 

@@ -194,11 +194,11 @@ def split_table(
                 body.append((line, _without_empty_end(cells, len(header))))
             line = reader.line_num + 1
     except csv.Error as error:
-        raise ReadingsError(f"{path}, line {reader.line_num}: not CSV ({error})") from error
+        raise ReadingsError(f"{path}, line {reader.line_num}: not CSV; save it as CSV ({error})") from error
     if not header:
         raise ReadingsError(f"{path}: empty; expected a header line such as {example}")
     if len(header) == 1 and (";" in header[0] or "\t" in header[0]):
-        raise ReadingsError(f"{path}, line 1: columns must be separated by commas (and decimals by a dot)")
+        raise ReadingsError(f"{path}, line 1: separate columns by commas, and write decimals with a dot")
     twice = sorted(map(shortened, repeated(header)))
     if twice:
         raise ReadingsError(f"{path}, line 1: column {', '.join(twice)} appears more than once; keep one")

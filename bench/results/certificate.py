@@ -192,6 +192,7 @@ class VerifyResult(ResultModel):
         for why in self.wrong:
             out.print(f"  {visible(why)}")
         if not self.intact:
+            out.print("do not rely on it; ask the laboratory that issued it for an intact file")
             return
         if self.unsigned is None:
             signer = self.signer

@@ -350,7 +350,8 @@ def ask_time_stamp(url: str, message: bytes) -> bytes:
         ) from error
     if told is None:
         raise NoTimeStamp(
-            f"{url}: no time stamp: the server refused it ({', '.join(response.status_string)})"
+            f"{url}: no time stamp: the server refused it; try again or use another "
+            f"({', '.join(response.status_string)})"
         )
     if told.nonce != asked.nonce or told.message_imprint.message != hashlib.sha256(message).digest():
         raise NoTimeStamp(f"{url}: no time stamp (it stamped other data); ask again, or use another server")
@@ -387,7 +388,7 @@ def read_time_stamp(response: bytes, message: bytes, authority: Path | None) -> 
         decoded = rfc3161.decode_timestamp_response(response)
         told = decoded.tst_info
     except ValueError as error:
-        raise NoTimeStamp("its time stamp is damaged") from error
+        raise NoTimeStamp("its time stamp is damaged; restore the seal from a copy") from error
     if told.message_imprint.message != hashlib.sha256(message).digest():
         raise NoTimeStamp("its time stamp belongs to another seal")
     if authority is None:

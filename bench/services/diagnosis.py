@@ -242,7 +242,7 @@ class DiagnosisResult(_WithPage):
     def write_next(self, path: str | Path) -> Path:
         """Write the procedure to carry out next; return its path. Raises `Refused` where nothing is proposed."""
         if self.next_measurement is None:
-            raise Refused(f"{path}: no procedure would show more")
+            raise Refused(f"{path}: no procedure would show more; repeat the same one with more passes")
         return self.next_measurement.write(Path(path)).procedure
 
     def written(self, *, accept_first: bool = False, report: bool = True) -> Self:

@@ -108,7 +108,7 @@ class InstrumentLook:
             remedy = "disconnect its input and test again; if it fails again, have it serviced"
             found.append(BenchError(self.name, f"its self-test failed: {self.self_test}", remedy))
         if self.to_do:
-            found.append(BenchError(self.name, "it was not left safe", self.to_do))
+            found.append(BenchError(self.name, "it could not be made safe", self.to_do))
         return found
 
     @property
@@ -180,7 +180,7 @@ def _look_at_all(
     except KeyboardInterrupt:
         if to_do := [f"{row.name} {row.to_do}" for row in rows if row.to_do]:
             raise BenchError(
-                "instruments", "stopped, and not everything was left safe", "; ".join(to_do)
+                "instruments", "stopped, but not everything could be made safe", "; ".join(to_do)
             ) from None
         raise
 

@@ -50,7 +50,7 @@ def fragment() -> str:
     remedies = {title: remedy for title, remedy in reversed(AREAS.values()) if remedy}
     rows: dict[str, dict[str, tuple[str, str, str]]] = {title: {} for title, _ in AREAS.values()}
     for one in messages():
-        if one.kind == "error":
+        if one.kind in ("error", "part"):
             title = next(words for top, (words, _) in AREAS.items() if one.path.startswith(f"{top}/"))
             cause = one.text.removesuffix(f"; {one.remedy}")
             rows[title].setdefault(

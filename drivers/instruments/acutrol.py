@@ -45,7 +45,8 @@ class AcutrolHead(MotorisedHead):
     ) -> None:
         if math.degrees(travel.tolerance_rad) < facts.FINEST_DEMAND_DEG:
             raise ValueError(
-                f"the tolerance of the head is finer than the {facts.FINEST_DEMAND_DEG:g}° to which a demand is "
+                f"widen the tolerance of the head: it is finer than the {facts.FINEST_DEMAND_DEG:g}° to "
+                "which a demand is "
                 "rounded"
             )
         super().__init__(name, session, clock, travel, identity=Identity(facts.MAKER, facts.MODEL))

@@ -47,7 +47,9 @@ class LeicaNivel:
         averages: int = facts.AVERAGES,
     ) -> None:
         if along[1] == across[1]:
-            raise ValueError(f"{name}: along and across are both axis {along[1]} of the sensor")
+            raise ValueError(
+                f"{name}: along and across need different axes, not both {along[1]} of the sensor"
+            )
         self.name = name
         self._clock = clock
         self._address = f"N{sensor}"

@@ -261,15 +261,15 @@ def _with_flag(flag: str) -> str:
 def _checked(steps_per_degree: float, travel: Travel) -> float:
     """Return `steps_per_degree`. Raises `ValueError` if whole steps cannot express the limits or the tolerance."""
     if not math.isfinite(steps_per_degree) or steps_per_degree == 0.0:
-        raise ValueError(f"the head needs a number of steps per degree, not {steps_per_degree:g}")
+        raise ValueError(f"state a number of steps per degree for the head, not {steps_per_degree:g}")
     farthest_deg = math.degrees(max(abs(travel.minimum_rad), abs(travel.maximum_rad)))
     if farthest_deg * abs(steps_per_degree) > facts.MOST_STEPS:
         raise ValueError(
-            f"at {steps_per_degree:g} steps per degree the limits of the head are more than "
+            f"at {steps_per_degree:g} steps per degree narrow the limits of the head: they are more than "
             f"{facts.MOST_STEPS} steps"
         )
     if 0.5 / abs(steps_per_degree) > math.degrees(travel.tolerance_rad):
         raise ValueError(
-            f"at {steps_per_degree:g} steps per degree a step of the head is coarser than its tolerance"
+            f"at {steps_per_degree:g} steps per degree widen the tolerance: a step of the head is coarser"
         )
     return steps_per_degree

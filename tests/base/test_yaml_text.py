@@ -104,8 +104,8 @@ def test_what_is_not_taken_is_told_with_its_line_and_place(text, data, slips):
         ("? [*x]\n: 1\n", "found undefined alias 'x'"),
         ("a: &x 1\nb: &x 2\n", "found duplicate anchor 'x'; first occurrence"),
         ("a: 1\n--- \nb: 2\n", "but found another document"),
-        ("[" * 101 + "]" * 101, "more than 100 deep"),
-        ("? " + "[" * 101 + "]" * 101 + "\n: 1\n", "more than 100 deep"),
+        ("[" * 101 + "]" * 101, "more than 100 levels deep"),
+        ("? " + "[" * 101 + "]" * 101 + "\n: 1\n", "more than 100 levels deep"),
     ],
 )
 def test_what_the_library_refuses_is_refused(text, told):

@@ -235,7 +235,7 @@ def test_an_instrument_that_was_not_left_safe_is_told() -> None:
     row = command.InstrumentLook("head", "COM1", "")
     command._look_at(Turning(), row, 10.0)
     assert [str(failure) for failure in row.failures] == [
-        "head: it was not left safe; press its emergency stop"
+        "head: it could not be made safe; press its emergency stop"
     ]
 
     class Interrupted(SystemClock):
@@ -255,7 +255,7 @@ def test_an_instrument_that_was_not_left_safe_is_told() -> None:
 
     begun = threading.Event()
     with pytest.raises(
-        BenchError, match="stopped, and not everything was left safe; head press its emergency"
+        BenchError, match="stopped, but not everything could be made safe; head press its emergency"
     ):
         command._look_at_all([Busy()], [row], 10.0, Interrupted())
 

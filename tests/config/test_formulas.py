@@ -70,7 +70,7 @@ def test_a_formula_is_read_in_si_and_written_back_the_same(tmp_path):
         ("default: 1 rev", "default: 3 rev", 7, "not in the grid"),
         ("lag: {grid: [0 min, 10 "
         "min]}", "lag: {grid: [1 V]}", 6, "state a time as the second argument of 'lagged'"),
-        ("travelled / turns", "time * turns", 6, "exp takes a plain number or an angle, but gets s"),
+        ("travelled / turns", "time * turns", 6, "exp needs a plain number or an angle, not s"),
         ("+ B", "+ time * B", 6, "stand on both sides of '\\+'"),
         ("travelled / turns", "turns * (time > 40 min)", None, None),
         ("travelled / turns", "turns * (time > 2400)", 6, "write the number with its unit, such as '2400 s'"),

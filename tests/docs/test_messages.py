@@ -65,8 +65,8 @@ def test_kinds_texts_and_remedies_of_a_module():
         ("prompt", 9, "Turn the head", ""),
         ("note", 10, "note: all done", ""),
         ("error", 11, "…: it is silent; switch it on", "switch it on"),
-        ("error", 12, "no … here", ""),
-        ("error", 12, "such a thing", ""),
+        ("part", 12, "no … here", ""),
+        ("part", 12, "such a thing", ""),
     ]
 
 

@@ -174,7 +174,7 @@ def test_a_garbled_reply_to_the_move_itself_ends_it_with_a_stop() -> None:
 @pytest.mark.parametrize(
     ("steps", "words"),
     [
-        (0.0, "needs a number of steps"),
+        (0.0, "state a number of steps"),
         (1e8, "more than 2147483647 steps"),
         (100.0, "coarser than its tolerance"),
     ],

@@ -208,7 +208,7 @@ def test_a_file_of_bad_rows_only_is_refused_with_the_reasons(read):
         (b"", "empty; expected a header line such as installation,pass,point,angle_deg,ux_v"),
         (b"\n\n", "empty; expected a header line"),
         (HEADER, "no readings"),
-        (HEADER.replace(",", ";") + "\n1;1;1;0;0,1;0,2;0,3\n", "columns must be separated by commas"),
+        (HEADER.replace(",", ";") + "\n1;1;1;0;0,1;0,2;0,3\n", "separate columns by commas"),
         (HEADER.replace("uy_v", "uy_g"), "signal columns in different units (v, g)"),
         (HEADER.replace(",point", ""), "column point is missing"),
         (HEADER.replace(",uy_v", ""), "column uy_v is missing"),

@@ -126,8 +126,8 @@ def test_instruments_with_one_serial_number_are_told():
 
     told = same_serials({"x": meter("MY1"), "y": meter("MY1"), "z": meter("MY1"), "head": meter("")})
     assert told == [
-        "x, y and z state one serial number, MY1 (34461A): if that is one instrument, the addresses in the "
-        "bench file are wrong"
+        "x, y and z state one serial number, MY1 (34461A): if they are one instrument, correct the "
+        "addresses in the bench file"
     ]
     assert same_serials({"x": meter("0"), "y": meter("0"), "z": meter("MY1")}) == []  # a 34401A states 0
 

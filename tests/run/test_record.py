@@ -110,9 +110,7 @@ def test_a_folder_that_another_program_made_meanwhile_is_told_as_one(tmp_path, m
 
     monkeypatch.setattr(Path, "rename", made_meanwhile)
     kind = "run" if as_run else "file or folder"
-    with pytest.raises(
-        RecordError, match=f"there is a {kind} of that name exists; choose another with --name"
-    ):
+    with pytest.raises(RecordError, match=f"a {kind} of that name exists; choose another with --name"):
         make(tmp_path / "run")
     assert [found.name for found in tmp_path.iterdir()] == ["run"]
 

@@ -44,7 +44,7 @@ def test_sigterm_is_heard_like_ctrl_c_and_a_second_signal_does_not_cut_the_way_o
         with pytest.raises(KeyboardInterrupt):
             os.kill(os.getpid(), signal.SIGTERM)
         os.kill(os.getpid(), signal.SIGINT)
-    assert "left safe" in capsys.readouterr().err
+    assert "making the bench safe" in capsys.readouterr().err
 
 
 def test_one_that_is_heard_while_the_bench_is_left_safe_stops_what_comes_after():

@@ -126,9 +126,15 @@ class EncoderLineSection(ReadOutHeadForm):
     def _fits(self) -> EncoderLineSection:
         match = re.fullmatch(self.pattern, self.example)
         if match is None:
-            raise ValueError(f"the pattern '{self.pattern}' does not match the example '{self.example}'")
+            raise ValueError(
+                f"the pattern '{self.pattern}' does not match the example; correct one of "
+                f"them: '{self.example}'"
+            )
         if re.fullmatch(r"[+-]? *\d+(?:\.\d+)?", match[encoder_line.ANGLE] or "") is None:
-            raise ValueError(f"the angle in the example is not a number, but '{match[encoder_line.ANGLE]}'")
+            raise ValueError(
+                "correct the pattern: the angle in the example is not a number, but "
+                f"'{match[encoder_line.ANGLE]}'"
+            )
         for error in self.errors:
             if re.fullmatch(self.pattern, error) is not None:
                 raise ValueError(

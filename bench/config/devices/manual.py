@@ -130,7 +130,7 @@ class ManualOutput(FileModel):
     @model_validator(mode="after")
     def _can_be_set(self) -> ManualOutput:
         if self.minimum >= self.maximum:
-            raise ValueError(f"the minimum {self.minimum:g} V is not below the maximum {self.maximum:g} V")
+            raise ValueError(f"the minimum {self.minimum:g} V must be below the maximum {self.maximum:g} V")
         if self.current == 0.0 or self.voltage_digit <= 0.0 or self.current_digit == 0.0:
             raise ValueError("state a value above 0")
         return self

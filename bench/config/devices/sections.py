@@ -272,7 +272,7 @@ class MotorisedHeadForm(HeadForm, WiredForm):
         if self.minimum + 2.0 * self.backoff >= self.maximum:
             raise ValueError(
                 f"between the minimum {low} and the maximum {high} no angle can be approached from both "
-                f"sides with a back-off of {math.degrees(self.backoff):g}°"
+                f"sides; widen them, or shorten the back-off of {math.degrees(self.backoff):g}°"
             )
         if self.backoff <= self.tolerance:
             raise ValueError("state a back-off above the tolerance")
@@ -384,7 +384,7 @@ class TemperatureRange(FileModel):
     @model_validator(mode="after")
     def _in_order(self) -> TemperatureRange:
         if self.minimum >= self.maximum:
-            raise ValueError(f"the minimum {self.minimum:g} °C is not below the maximum {self.maximum:g} °C")
+            raise ValueError(f"the minimum {self.minimum:g} °C must be below the maximum {self.maximum:g} °C")
         return self
 
     def refuse_outside(self, temperature_c: float, what: str) -> None:

@@ -123,7 +123,9 @@ _KEITHLEY_2000 = Device(
 
 def _on_a_card(number: int) -> int:
     if number // 100 not in multiplexer.SLOTS or number % 100 not in multiplexer.CARD_CHANNELS:
-        raise ValueError(f"a {multiplexer.CARD} has the channels {multiplexer.CHANNELS_TEXT}, not {number}")
+        raise ValueError(
+            f"a {multiplexer.CARD} has only the channels {multiplexer.CHANNELS_TEXT}, not {number}"
+        )
     return number
 
 

@@ -163,7 +163,7 @@ def _typed(given: Mapping[str, str]) -> FormState:
     """Return the form with what was typed. Raises `Refusal` for texts that no form of the panel sends."""
     for text in given.values():
         if len(text) > LONGEST and "\n" not in text:
-            raise Refusal(400, f"a field holds at most {LONGEST} characters")
+            raise Refusal(400, f"shorten the field to at most {LONGEST} characters")
     file, start, name = given.get("file", ""), given.get("start", ""), given.get("new_name", "").strip()
     state = _begun(file, start, name)
     for name, text in given.items():

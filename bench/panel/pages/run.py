@@ -146,7 +146,7 @@ async def answer(request: Request) -> Response:
     await _doing(require_holder, run.folder, person)
     prompt_id, text = sent.get("id", ""), sent.get("text", "")
     if len(text) > LONGEST:
-        raise Refusal(413, f"an answer has at most {LONGEST} characters")
+        raise Refusal(413, f"shorten the answer to at most {LONGEST} characters")
     asked = await panel_of(request).followers.prompt(run.folder)
     if asked is None or asked.prompt.id != prompt_id:
         raise Refusal(409, "this question is closed: it was answered, or another one is open")
@@ -164,7 +164,7 @@ async def wish(request: Request) -> Response:
     if word != STOP:
         await _doing(require_holder, run.folder, person)
     if len(reason) > LONGEST_REASON:
-        raise Refusal(413, f"a reason has at most {LONGEST_REASON} characters")
+        raise Refusal(413, f"shorten the reason to at most {LONGEST_REASON} characters")
     try:
         asked = parse_wish(f"{word} {reason}")
     except ValueError as mistake:

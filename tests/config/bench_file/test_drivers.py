@@ -94,7 +94,7 @@ def test_shipped_drivers_are_listed_in_their_old_order():
         ("bench-motorised", "backoff: 1 deg", "backoff: 4 arcsec", "  head:",
          "state a back-off above the tolerance"),
         ("bench-motorised", "steps_per_degree: 4266.6667", "steps_per_degree: 10", "  head:",
-         "a step of the head is coarser than its tolerance"),
+         "widen the tolerance: a step of the head is coarser"),
         ("bench-motorised", "steps_per_degree: 4266.6667", "steps_per_degree: 1e7", "  head:",
          "exceed the controller's range of steps"),
         ("bench-motorised", "    axis: 1\n", "    axis: 1\n    identity: (\n", "",
@@ -138,7 +138,7 @@ def test_each_mistake_in_a_drivers_section_is_one_sentence(
     [
         ("{fault: cutt, at: 1}", "got 'cutt'; did you mean 'cut'?"),
         ("{fault: cut}", "say when 'cut' strikes: give probability, at or matching"),
-        ("{fault: cut, at: 1, probability: 0.5}", "with a probability or at an exchange, not both"),
+        ("{fault: cut, at: 1, probability: 0.5}", "with a probability or at an exchange; remove one"),
         ("{fault: cut, probability: 2}", "expected 1.0 or less, got '2'"),
         ("{fault: cut, at: 0}", "expected 1 or more, got '0'"),
         ("{fault: cut, at: 1, seconds: 3}", "'cut' has no duration; remove 'seconds'"),

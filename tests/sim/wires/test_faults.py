@@ -90,7 +90,7 @@ def test_underscores_do_for_dashes() -> None:
         ({"fault": "cut", "at": 0}, "counted from 1"),
         ({"fault": "cut", "at": 1.5}, "whole number"),
         ({"fault": "cut", "at": 1, "probability": 0.1}, "not both"),
-        ({"fault": "late", "at": 1}, "needs seconds"),
+        ({"fault": "late", "at": 1}, "state 'seconds'"),
         ({"fault": "late", "at": 1, "seconds": -1}, "not negative"),
         ({"fault": "cut", "at": 1, "seconds": 1}, "no duration"),
         ({"fault": "cut", "at": 1, "error": 5}, "leave out error"),
