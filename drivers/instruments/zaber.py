@@ -270,6 +270,6 @@ def _checked(steps_per_degree: float, travel: Travel) -> float:
         )
     if 0.5 / abs(steps_per_degree) > math.degrees(travel.tolerance_rad):
         raise ValueError(
-            f"at {steps_per_degree:g} steps per degree widen the tolerance: a step of the head is coarser"
+            f"at {steps_per_degree:g} steps per degree a step of the head is coarser than its tolerance; widen it"
         )
     return steps_per_degree

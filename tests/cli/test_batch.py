@@ -103,7 +103,7 @@ def test_another_command_in_the_folder_is_refused(bench, runs):
     calibrate(bench)
     err = refused(calibrate(bench, "--estimator", "robust"))
     assert err.startswith(
-        "bench: out: its batch was started differently: --estimator was gls; go on as it was begun"
+        "bench: out: its batch was started differently: --estimator was gls; use the same options"
     )
     refused(bench("batch", "diagnose", "--over", "runs/*", "--out", "out"), "the command was calibrate")
 
@@ -112,9 +112,9 @@ def test_what_no_run_could_be_asked_is_refused_at_once(bench, runs):
     for options, told in {
         ("--estimator", "best"): "best",
         ("--model", "no.yaml"): "--model no.yaml: no such file; check the name",
-        ("--g", "1"): "--g 1: local gravity",
+        ("--g", "1"): "--g 1: give local gravity",
         ("--limit", "-1"): "give a positive limit",
-        ("--bench", "nowhere"): "nowhere: no such file; check the name",
+        ("--bench", "nowhere"): "nowhere: there is no such file",
         ("--json", "no/where.json"): "no/where.json",
     }.items():
         refused(calibrate(bench, *options), told)

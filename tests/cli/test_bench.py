@@ -143,7 +143,7 @@ def test_a_second_stop_at_a_point_after_its_redo_says_so_and_proposes_the_pass(s
     status, out, _ = bench("resume", "run", stdin="untouched\n?\nredo pass\n0 0 2\n90 0 1\n")
     assert status == 0
     told = " ".join(out.split())
-    assert "The same reading again after it was redone: an earlier setting of the pass may be what" in told
+    assert "The same reading again after it was redone: an earlier setting of the pass may be wrong" in told
     assert "redo the pass (try this first), redo the point, mount" in told
     run = Run(Path("runs/run"))
     assert run.history.state == "finished"

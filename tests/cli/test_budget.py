@@ -159,7 +159,7 @@ def test_a_singular_block_has_no_budget(bench):
     Path("unit.json").write_text(json.dumps(result))
     refused(
         bench("budget", "--coefficients", "unit.json", "--trials", 0),
-        "unit.json: K is singular: channels x and y answer alike",
+        "unit.json: K is singular: channels x and y respond equally",
     )
 
 
@@ -224,4 +224,4 @@ def test_verify_prints_the_rule_and_what_it_accepts(bench):
         "conditional pass",
         status=1,
     )
-    refused(bench(*arguments, "--rule", "kind"), "no decision rule 'kind'")
+    refused(bench(*arguments, "--rule", "kind"), "unknown decision rule 'kind'")

@@ -87,7 +87,7 @@ def test_what_the_check_says_of_a_run(there, monkeypatch):
 
     assert said(4, 2.0).state == "in control"
     assert said(4, 25.0).state == "too old"
-    assert "25.0 h old; it counts for 24 h" in said(4, 25.0).sentence or "1 d" in said(4, 25.0).sentence
+    assert "25.0 h old; it is valid for 24 h" in said(4, 25.0).sentence or "1 d" in said(4, 25.0).sentence
     assert said(5, 1.0).state == "out of control"
     assert said(0, 1.0).state == "missing"
     assert "measure it again" in said(1, 1.0).sentence
@@ -171,7 +171,7 @@ def test_a_reference_from_elsewhere_stands_in_for_a_baseline(there, tmp_path):
     found = chart_of(runs, section, of_bench=tmp_path / "my.yaml")
     assert found.chart.reference.name == "ours.json"
     assert len(found.chart.later) == 5
-    with pytest.raises(Refused, match=r"none\.json: no result of"):
+    with pytest.raises(Refused, match=r"none\.json: not a result of"):
         chart_of(
             runs, section.model_copy(update={"reference": ("none.json",)}), of_bench=tmp_path / "my.yaml"
         )

@@ -355,6 +355,6 @@ def test_the_simulated_bench_refuses_what_it_cannot_have(bench):
     )
     refused(
         bench("run", "quick", "--dry-run", "--name", "s", "--model", "slip.yaml"),
-        "quadratic_nonlinearity of 1 pass 2: the simulated bench has effects of whole mountings",
+        "quadratic_nonlinearity of 1 pass 2: the simulated bench cannot have an effect in single passes",
     )
     assert not Path("runs/s").exists()

@@ -69,7 +69,7 @@ def test_what_is_gone_or_was_found_in_these_is_no_proof(bench, named):
     printed(
         bench("confirm", measured("cold.csv", 3), "--model", named["model"]), "cold.csv: GONE: ", status=1
     )
-    refused(bench("confirm", "warm.csv", "--model", named["model"]), "found in these very readings")
+    refused(bench("confirm", "warm.csv", "--model", named["model"]), "found in these same readings")
 
 
 def test_the_copy_without_what_stands_apart_is_searched_to_the_same_end(bench):

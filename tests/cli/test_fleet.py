@@ -94,7 +94,7 @@ def test_degrees_of_equivalence_with_figure_and_exit_status(laboratory):
 def test_a_reference_that_there_is_not_is_told(laboratory):
     refused(
         laboratory("fleet", "compare", "--reference", "median"),
-        "--reference median: known are weighted-mean, mandel-paule, dersimonian-laird",
+        "--reference median: choose from weighted-mean, mandel-paule, dersimonian-laird",
     )
 
 
@@ -115,7 +115,7 @@ def test_a_units_history_and_what_is_expected_of_it(laboratory):
     assert abs(expected["value"] - VECTOR[0]) < 1e-3
     assert expected["u"] > U
     assert "at 2027-01-01" in out
-    refused(laboratory("fleet", "drift"), "the question names 8: add unit=")
+    refused(laboratory("fleet", "drift"), "a drift is of one unit, not 8: add unit=")
 
 
 def test_the_capability_holds_what_benches_differ_by(laboratory):
@@ -282,7 +282,7 @@ def test_a_short_history_is_due_by_the_interval_and_says_so(synced):
     keeps_to("catalogue-due", found)
     (row,) = (one for one in found["units"] if one["unit"] == "block A 18")
     assert (row["due"], row["basis"]) == ("2026-08-28", "interval")
-    assert "the interval of 100 days counts" in row["why"]
+    assert "the interval of 100 days applies" in row["why"]
     assert "2 units due" in out
     _, out, _ = synced("catalogue", "due", "--before", "2026-08-28", "--interval", "100", "--json", "-")
     assert "block A 18" not in [one["unit"] for one in json.loads(out)["units"]]
@@ -305,7 +305,7 @@ def test_real_calibrations_are_not_mixed_with_simulated_ones(synced):
         ("unit 99", "no such unit"),
         ("unit 1*", "name one unit"),
         ("unit 17 --limit 0", "give a number above zero"),
-        ("ask --of people", "known are runs"),
+        ("ask --of people", "choose from runs"),
         ("sync nowhere", "no such folder"),
         ("sync runs --catalogue mysql://host/name", "in PostgreSQL"),
         ("sync runs --catalogue runs", "is a folder"),

@@ -194,7 +194,7 @@ def test_whoever_read_must_be_known_and_a_run_behind_the_file_takes_nothing(lear
     np.testing.assert_array_equal(asked.covariance, own.covariance)
     Path("r4.csv.json").unlink()
     unknown = program.calibrate("r4.csv", bench="mine.yaml")
-    assert any("not who read here: it is not used" in note for note in unknown.notes)
+    assert any("do not name their voltmeters: not used" in note for note in unknown.notes)
     behind = program.calibrate("r1.csv", bench="mine.yaml")
     assert any("is not used: these readings are among them" in note for note in behind.notes)
     assert behind.source.known_meters is None

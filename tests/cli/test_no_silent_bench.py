@@ -125,7 +125,7 @@ def test_a_bench_file_that_is_asked_for_goes_before_the_one_that_is_told(exporte
     result = result_of(exported, "calibrate", "f.csv")
     assert result["bench"]["why"] == "named by BENCH_FILE"
     assert any(
-        "mine.yaml in place of the bench file that f.csv was measured with" in n for n in result["notes"]
+        "mine.yaml instead of the bench file that f.csv was measured with" in n for n in result["notes"]
     )
 
 
@@ -187,7 +187,7 @@ def test_another_file_is_not_written_over_and_what_an_import_is_of_is_kept(expor
     Path("g.csv.json").write_text('{"my": "notes"}', encoding="utf-8")
     status, _, err = exported("export", "finished", "--csv", "g.csv")
     assert (status, Path("g.csv").exists()) == (2, False)
-    assert "g.csv.json: another program wrote this file" in err
+    assert "g.csv.json: this program did not write this file" in err
     status, out, _ = exported("import", "f.csv", "--name", "again")
     assert (status, out.splitlines()[0][:35]) == (0, "bench file: paper-stand, as f.csv.j")
     result = result_of(exported, "calibrate", "again")

@@ -32,7 +32,7 @@ def test_a_token_is_told_once(bench):
     [
         (["token"], "name the person: bench panel token NAME"),
         (["revoke", "ben"], "ben: has no token"),
-        (["token", "ben", "--role", "king"], "there are viewer, operator, supervisor"),
+        (["token", "ben", "--role", "king"], "choose from viewer, operator, supervisor"),
         (["link"], "no panel serves this folder"),
         (["--host", "192.0.2.1"], "there is none; make one with 'bench panel token NAME --role operator'"),
         (["--address", "https://bench.lab"], "there is none"),

@@ -290,7 +290,7 @@ REFUSED = (
     ),
     ("plan-points --u all=1e-4 --cost-setting 0s", "--cost-setting: give at least 1 s"),
     ("budget --estimator kalman", "no estimator 'kalman'"),
-    ("budget --rule lenient", "no decision rule 'lenient'"),
+    ("budget --rule lenient", "unknown decision rule 'lenient'"),
     ("budget --limit -1", "give a positive limit of g"),
     ("budget --trials 10", "--trials: 10 trials are too few"),
     ("budget --g 98", "local gravity between"),

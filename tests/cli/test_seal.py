@@ -74,7 +74,7 @@ def test_a_head_noted_elsewhere_betrays_them(bench, run, attack):
 
 
 def test_a_head_that_is_none_is_refused(bench, run):
-    assert bench("show", "one", "--head", "12ab")[2].startswith("bench: --head 12ab: a head is the SHA-256")
+    assert bench("show", "one", "--head", "12ab")[2].startswith("bench: --head 12ab: give the SHA-256")
 
 
 @pytest.mark.parametrize("attack", ATTACKS)
@@ -125,7 +125,7 @@ def test_another_key_and_a_changed_seal_are_told(bench, run, key):
 )
 def test_a_damaged_seal_is_told(bench, run, text):
     (run / "seal.json").write_text(text)
-    printed(bench("show", "one", "--verify"), "seal.json: damaged, not a seal", status=1)
+    printed(bench("show", "one", "--verify"), "seal.json: damaged (not a seal)", status=1)
 
 
 def test_a_run_that_has_not_ended_is_not_sealed(bench):
@@ -190,7 +190,7 @@ def test_a_time_stamp_says_not_later_than_when(bench, run, key):
     assert "--authority FILE tells whose it is" in bench("show", "one", "--verify")[1]
     out = printed(
         bench("show", "one", "--verify", "--authority", "authority.pem"),
-        "the record is not later than 2026-03-01T12:00:00+00:00",
+        "the record existed by 2026-03-01T12:00:00+00:00",
     )
     assert NOTHING_OUTSIDE not in out
     printed(bench("show", "one", "--authority", "other.pem"), "not by the authority in other.pem", status=1)

@@ -68,7 +68,7 @@ def test_a_curve_that_is_no_polynomial_is_told_and_not_accepted(bench, polynomia
     ("options", "told"),
     [
         (("--degree", "many"), "--degree many: give 'auto' or a whole number"),
-        (("--step", "500"), "a step of 500 K does not suit"),
+        (("--step", "500"), "a step of 500 K does not fit"),
         (("--reference", "99"), "--reference"),
     ],
 )
@@ -136,4 +136,4 @@ def test_terms_that_are_left_out_show_as_lack_of_fit(bench, turns):
 
 
 def test_a_mistake_is_one_line(bench, turns):
-    refused(bench("tumble", "turn-12.csv", "--terms", "K2,K9"), "terms K9: each once, of K2, K3, Koq")
+    refused(bench("tumble", "turn-12.csv", "--terms", "K2,K9"), "terms K9: give each once, from K2, K3, Koq")

@@ -73,11 +73,13 @@ def test_swapped_and_reversed_wires_are_named(bench, measured):
     write_csv(replace(measured, signal=measured.signal * [-1, 1, 1]), Path("reversed.csv"))
     for file, says in (
         ("swapped", "perhaps two channels or installations are swapped"),
-        ("reversed", "wires reversed?"),
+        ("reversed", "wires is reversed"),
     ):
         printed(bench("calibrate", f"{file}.csv", "--strict"), says, status=1)
         assert bench("calibrate", f"{file}.csv")[0] == 0
-    assert "swapped?" in bench("calibrate", "swapped.csv", "--json", "-")[2]  # standard output is JSON alone
+    assert (
+        "are swapped" in bench("calibrate", "swapped.csv", "--json", "-")[2]
+    )  # standard output is JSON alone
 
 
 def test_readings_rounded_coarsely_do_not_make_a_small_uncertainty(bench, measured):
@@ -165,7 +167,7 @@ def test_coefficients_that_are_no_numbers_are_refused(bench, measured):
     good = json.loads(Path("runs/good/calibrate.json").read_text())
     good["coefficients"]["Kxx"]["value"] = float("nan")
     Path("nan.json").write_text(json.dumps(good))
-    refused(bench("verify", "good", "--coefficients", "nan.json"), "no number")
+    refused(bench("verify", "good", "--coefficients", "nan.json"), "not a number")
 
 
 def test_coefficients_of_a_simulation_are_told_from_those_of_a_block(bench, measured):

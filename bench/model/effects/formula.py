@@ -204,7 +204,7 @@ def _as_float(value: int | float) -> float:
     try:
         return float(value)
     except OverflowError:
-        raise ExpressionError("use a smaller number in the formula") from None
+        raise ExpressionError("a number in the formula is too large; use a smaller one") from None
 
 
 class ValueReading:
