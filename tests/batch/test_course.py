@@ -147,7 +147,7 @@ def test_another_command_is_told_with_all_that_differs(runs, tmp_path):
     with pytest.raises(Refused) as told:
         carried_out(tmp_path / "out", runs, Rows(), Job(CALIBRATE, g_m_s2=9.81), over=["elsewhere/*"])
     assert (
-        "--estimator was robust; --g was not given; --over was runs/*; go on as it was begun"
+        "--estimator was robust; --g was not given; --over was runs/*; use the same options"
         in told.value.typed
     )
 
@@ -225,7 +225,7 @@ def test_a_query_asks_the_catalogue(runs, tmp_path):
 @pytest.mark.parametrize(
     ("over", "told"),
     [
-        (["there/*"], "--over there/*: no run lies there"),
+        (["there/*"], "--over there/*: no run is there"),
         (["unit=Q-17", "runs/*"], "--over runs/*: a pattern and a query together (unit=Q-17)"),
         ([""], "--over: name the runs"),
     ],

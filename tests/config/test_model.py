@@ -139,7 +139,7 @@ def test_mountings_and_shapes(tmp_path):
         ("warm_up\n    parameters: {tau: 0 min}", "expected tau to be above 0, got '0 min'"),
         ("warm_up\n    parameters: {tau: -5 min}", "expected tau to be above 0, got '-5 min'"),
         ("warm_up\n    parameters: {tau: 5 uV}", "expected a value of tau such as '20 min', got '5 uV'"),
-        ("warm_up\n    parameters: {tau: {value: 5 min, u: 1 min}}", "tau is a shape: a fit holds it as it is"),
+        ("warm_up\n    parameters: {tau: {value: 5 min, u: 1 min}}", "tau is a shape, which a fit keeps fixed"),
         ("warm_up\n    parameters: {tau: {x: 5 min}}", "tau has one value, not one for each channel"),
         ("thermal_bias\n    parameters: {lag: -1 min}", "expected lag to be 0 or more, got '-1 min'"),
         ("hysteresis\n    installations: 2\n    parameters: {}", "installations"),

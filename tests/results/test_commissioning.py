@@ -57,4 +57,4 @@ def test_what_is_wrong_stands_first_with_what_to_do_and_is_escaped():
 def test_an_evening_that_ended_early_says_why():
     page = render_commissioning(result(2, ended="stopped by a signal"))
     assert "Not gone through to its end: stopped by a signal." in page
-    assert "could not be done" in page
+    assert "could not be tested" in page

@@ -119,7 +119,7 @@ class Devices:
         elif device.name in self.places:
             first = self.places[device.name]
             self.doubled[device.name] = (
-                f"the driver '{device.name}' is in {first} and by {place}; remove one of them"
+                f"the driver '{device.name}' is in {first} and in {place}; remove one of them"
             )
             self.found.pop(device.name, None)
         else:

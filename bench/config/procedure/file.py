@@ -167,7 +167,7 @@ _TURN_RAD: Final = math.tau + 1e-9
 
 def _within_a_turn(angle_rad: float) -> float:
     if abs(angle_rad) > _TURN_RAD:
-        raise ValueError(f"state an angle within ±360°, not at {math.degrees(angle_rad):g}°")
+        raise ValueError(f"state an angle within ±360°, not {math.degrees(angle_rad):g}°")
     return angle_rad
 
 

@@ -82,7 +82,7 @@ def test_all_mistakes_are_told_at_once(tmp_path):
         "voltmeters[1].certificate.values[1].gain: 'k' is missing",
         "voltmeters[1].certificate.values[2]: state 'gain', 'offset' or both for this range",
         "voltmeters[2].certificate.valid_until: the certificate is of 2026-01-01: but expired before",
-        "voltmeters[2].certificate.values[1].gain.correction: a correction of the gain is within ±1 %",
+        "voltmeters[2].certificate.values[1].gain.correction: state a gain correction within ±1 %",
         "voltmeters[2].certificate.values[1].gain.drift: expected a drift of the gain such as '8 ppm/year'",
         "voltmeters[2].certificate.values[1].gain.k: expected more than 0.0, got '0'",
         "voltmeters[3].certificate: the certificate states 11 V, but the meter has the ranges 0.1 V, 1 V, 10 V",
@@ -130,8 +130,8 @@ def test_an_expired_certificate_is_said_from_the_day_after(tmp_path):
     (after,) = standings(bench, DAY + datetime.timedelta(days=1))
     assert list(on_the_day.remarks()) == []
     assert list(after.remarks()) == [
-        "voltmeter.y: its certificate C-1 of 2026-01-01, Met Lab, expired on 2026-06-01: its values count, with "
-        "the drift since; have it calibrated"
+        "voltmeter.y: its certificate C-1 of 2026-01-01, Met Lab, expired on 2026-06-01: its values are "
+        "used with the drift since; have it calibrated"
     ]
 
 

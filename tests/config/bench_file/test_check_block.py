@@ -44,9 +44,9 @@ def test_a_bench_file_need_not_have_one():
         ("smoothing: 0", "0.03"),
         ("limits: guessed", "stated"),
         ("between_runs: [voltmeter_gain]", "mounting_roll"),
-        ("drift: {Kxw: {per_year: 1 uV/g, u: 1 uV/g}}", "Kxw is no coefficient"),
+        ("drift: {Kxw: {per_year: 1 uV/g, u: 1 uV/g}}", "Kxw is not a coefficient"),
         ("drift: {Kxx: {per_year: 1 uV, u: 1 uV/g}}", "scale factor"),
-        ("drift: {Kxx: {per_year: 1 uV/g, u: -1 uV/g}}", "not negative"),
+        ("drift: {Kxx: {per_year: 1 uV/g, u: -1 uV/g}}", "of 0 or more"),
         ("reference: [a]\n  baseline_days: {first: 2026-01-01, last: 2026-01-02}", "remove one"),
     ],
 )

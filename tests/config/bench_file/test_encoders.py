@@ -50,7 +50,7 @@ def test_with_seven_bits_no_pseudo_terminal_stands_for_its_port():
             {"pattern": "(?P<angle>.*)", "example": "POS=45", "errors": {}},
             "correct the pattern: the angle in the example is not a number, but 'POS=45'",
         ),
-        ("encoder-line", {"errors": {"POS=+999.99999": "none"}}, r"fits the error 'POS=\+999.99999'"),
+        ("encoder-line", {"errors": {"POS=+999.99999": "none"}}, r"matches the error 'POS=\+999.99999'"),
         ("encoder-line", {"unit": "counts"}, "state 'counts_per_turn' if, and only if, the unit is counts"),
         (
             "encoder-line",

@@ -78,7 +78,7 @@ def test_what_can_never_settle_is_a_mistake(mistakes):
 """
     )
     expected = [
-        "4 steps[1].settle: the precision is above 0",
+        "4 steps[1].settle: state a precision above 0",
         "5 steps[2].settle: the timeout is at least the window and one interval",
         "6 steps[3].settle: state an interval above 0 and at most the window",
         "7 steps[4].settle.precision: expected a voltage such as '0.3 mV', got '0.1 K'",
@@ -139,13 +139,13 @@ def test_what_stands_wrong_about_inputs_and_temperatures_is_told(mistakes):
         "4 steps[1].input: state 'voltage' if, and only if, the source is 'reference'",
         "5 steps[2].input: state 'voltage' if, and only if, the source is 'reference'",
         "6 steps[3].input.source: expected short or reference, got 'open'",
-        "10 steps[4].installation.steps[1].input.steps[1].turn: a turn stands inside an input",
-        "10 steps[4].installation.steps[1].input.steps[2].input: an input stands inside an input",
-        "11 steps[4].installation.steps[2].turn.steps[1].temperatures: a list of temperatures stands inside the",
-        "12 steps[4].installation.steps[3].read: a pause stands between readings",
-        "12 steps[4].installation.steps[3].read: a read stands outside of a turn",
+        "10 steps[4].installation.steps[1].input.steps[1].turn: a turn is inside an input",
+        "10 steps[4].installation.steps[1].input.steps[2].input: an input is inside an input",
+        "11 steps[4].installation.steps[2].turn.steps[1].temperatures: a list of temperatures is inside the",
+        "12 steps[4].installation.steps[3].read: 'pause' is between readings",
+        "12 steps[4].installation.steps[3].read: a read is outside of a turn",
         "13 steps[5].temperatures.steps[1].temperatures.at: expected a list of at least 1",
-        "13 steps[5].temperatures.steps[1].temperatures: a list of temperatures stands inside another",
+        "13 steps[5].temperatures.steps[1].temperatures: a list of temperatures is inside another",
     ]
     for start in expected:
         assert any(mistake.startswith(start) for mistake in told), (start, told)
@@ -216,7 +216,7 @@ def test_a_bench_refuses_what_its_instruments_cannot_do(load, tmp_path):
         "step 0002/input: the reference of 20 V exceeds the voltmeters' range of 10 V",
         "the block is given 1 g along an axis, but measures no more than 0.5 g",
         "step 0006/temperature: 80 °C is outside what the block may be given, -40 to 60 °C",
-        "step 0001/settle: the temperature is to settle, but a person reads it and cannot be asked again and again",
+        "step 0001/settle: the procedure waits for a temperature, but a person reads it",
     ]
     chamber = next(line for line in text.splitlines() if line.startswith("  chamber:"))
     path.write_text(text.replace(chamber + "\n", ""), encoding="utf-8")
