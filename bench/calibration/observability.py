@@ -29,7 +29,7 @@ class DirectionKind(StrEnum):
     UNSEEN = "no reading depends on it"
     TURN = "a common turn of the block's axes"
     ALIKE = "the readings cannot tell them apart"
-    MIXED = "goes into coefficients without a trace"
+    MIXED = "is indistinguishable from a change of coefficients"
 
 
 @dataclass(frozen=True)
@@ -381,8 +381,7 @@ MOST_NAMED: Final = 8
 
 GAIN: Final = "voltmeter gain: 1 ppm of it is 1 ppm of every coefficient, and no reading shows it"
 GRAVITY: Final = (
-    "local gravity: coefficients are per local g; a wrong value of it changes none of them, but "
-    "whatever is computed from them in m/s^2"
+    "local gravity: a wrong value changes only what is computed in m/s^2, as coefficients are per local g"
 )
 
 
@@ -398,8 +397,8 @@ def require_rank(force: Floats) -> None:
     lost = [f"K{i}{axis}" for i in "xyz" for axis in axes]
     raise CalibrationError(
         f"{len(force)} readings do not determine {', '.join(lost) or 'the biases'}: the acceleration along "
-        f"{', '.join(axes) or 'every axis'} hardly changes in them; add the other installation "
-        "(or further angles) to the procedure"
+        f"{', '.join(axes) or 'every axis'} hardly changes; add the other installation or further angles "
+        "to the procedure"
     )
 
 
@@ -415,7 +414,7 @@ def assumptions(problem: Problem, block: Block, gain: Floats, unit: str) -> tupl
     sentences += _undetermined(columns.without(beyond).observability(block), unit)
     sentences += [
         GAIN,
-        f"voltmeter offset: it goes whole into the biases, {unit} for {unit}, and no reading shows it",
+        f"voltmeter offset: it adds fully to the biases, {unit} for {unit}, and no reading shows it",
         GRAVITY,
     ]
     return tuple(sentences)
@@ -469,10 +468,10 @@ def _shown(columns: Sensitivities, oriented: int, block: Block, name: str) -> st
         for d in columns.observability(block).directions
         if d.kind is DirectionKind.TURN and d.only and d.others[0].startswith(f"{SYMBOLS[name]}[")
     ]
-    what = " and ".join(pairs) or "what is no common turn of the block's axes"
+    what = " and ".join(pairs) or "the part other than a common turn of the block's axes"
     return (
         f"of it the readings that joined by |a| = 1 g would show {what}, if the bench file stated its size; "
-        "until then it goes into the coefficients"
+        "until then it changes the coefficients"
     )
 
 
@@ -506,10 +505,10 @@ def _undetermined(found: Observability, unit: str) -> list[str]:
         axes = ", ".join(axis_in_words(d.axis) for d in turns)
         sentences.append(
             f"{names}: in some combination a common turn of the block's axes (about {axes}), which no "
-            "reading shows; only the limits of the bench file hold it"
+            "reading shows; only the bench file limits it"
         )
     return sentences + [
-        f"{d.text(unit)}; only the limits of the bench file hold it"
+        f"{d.text(unit)}; only the bench file limits it"
         for d in found.directions
         if d.kind is not DirectionKind.TURN
     ]

@@ -180,7 +180,7 @@ class LackOfFit:
             return ()
         return (
             f"not accepted: the readings contradict the model (p < {NOT_ACCEPTED_P:g}); 'bench diagnose {source}' "
-            "finds which mistake or which effect it is",
+            "finds the mistake or the effect",
         )
 
 

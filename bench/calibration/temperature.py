@@ -1,7 +1,7 @@
 """Readings at several temperatures, sorted into plateaus, and the coefficients as functions of temperature.
 
 A mounting has one set of stand angles. It lasts while the installation stays the same, at any temperature. If the
-block is mounted anew at the same temperature, a change of the column `series` marks the new mounting.
+block is mounted again at the same temperature, a change of the column `series` marks the new mounting.
 """
 
 from __future__ import annotations
@@ -97,7 +97,7 @@ def sort_readings(tables: Sequence[Readings]) -> ThermalReadings:
     units = sorted({table.unit for table in tables})
     if len(units) > 1:
         raise CalibrationError(
-            f"the readings are in different units ({', '.join(units)}); give files of one unit"
+            f"the readings are in different units ({', '.join(units)}); use files in one unit"
         )
     parts, mountings, visits, branches, means = [], [], [], [], []
     last_mounting = last_visit = 0
@@ -115,7 +115,7 @@ def sort_readings(tables: Sequence[Readings]) -> ThermalReadings:
     if not sum(len(part) for part in parts):
         raise CalibrationError(
             f"{', '.join(table.source for table in tables)}: no reading in an installation of known "
-            "orientation; a calibration needs installations 1 and 2"
+            "orientation; measure installations 1 and 2"
         )
     return ThermalReadings(
         parts[0] if len(parts) == 1 else together([JoinedPart(part) for part in parts]),
@@ -134,7 +134,7 @@ def _walk(rows: Readings) -> tuple[Ints, Ints, Ints, Floats]:
         raise CalibrationError(
             f"{rows.source}: {int(unknown.sum())} readings have no temperature_c (the first: installation "
             f"{rows.installation[i]}, series {rows.series[i]}, pass {rows.pass_number[i]}, point {rows.point[i]}); "
-            "fill in the temperature of the block, or leave these readings out"
+            "fill in the temperature of the block, or remove these readings"
         )
     n = len(rows)
     mounting, visit, branch = (np.zeros(n, dtype=np.int64) for _ in range(3))
@@ -294,7 +294,7 @@ class TemperatureModel:
             worst = temperature[self.outside(temperature)][0]
             raise CalibrationError(
                 f"{worst:g} °C is outside the range of the temperature model, {self.minimum_c:.1f} to "
-                f"{self.maximum_c:.1f} °C; measure there, polynomials are not to be extended"
+                f"{self.maximum_c:.1f} °C; measure at that temperature; polynomials must not be extrapolated"
             )
         force = np.empty_like(rows)
         covariance = np.empty((len(rows), 3, 3))
@@ -386,7 +386,7 @@ def make_table(model: TemperatureModel, reach_g: float, step_k: float | None = N
     if step_k is not None:
         if not (np.isfinite(step_k) and span / MOST_STEPS <= step_k <= span):
             raise CalibrationError(
-                f"a step of {step_k:g} K does not suit a table from {low:.1f} to {high:.1f} °C; state one "
+                f"a step of {step_k:g} K does not fit a table from {low:.1f} to {high:.1f} °C; state one "
                 f"between {span / MOST_STEPS:.2g} and {span:.3g} K"
             )
         return _table(model, reach_g, int(np.ceil(span / step_k - 1e-9)))
@@ -493,7 +493,7 @@ def facts(model: TemperatureModel, table: CompensationTable, of: str) -> list[st
         f"{error.bias:.2g} g,",
         f"and {error.per_g:.2g} for each g of acceleration; single precision at most {error.single:.2g} g up to "
         f"{error.reach_g:g} g.",
-        "The uncertainty of the calibration is not in these figures; it stands in the JSON result.",
+        "The uncertainty of the calibration is not included; the JSON result has it.",
     ]
 
 

@@ -148,5 +148,5 @@ def _method(asked: str | None) -> str | None:
 
     known = {method.lower().replace(" ", "-"): method for method in METHODS}
     if asked is not None and asked not in known:
-        raise Refused(f"--reference {asked}: known are {', '.join(known)}")
+        raise Refused(f"--reference {asked}: choose from {', '.join(known)}")
     return None if asked is None else known[asked]

@@ -82,7 +82,7 @@ def _use_devices(ctx: typer.Context, folders: list[str] | None) -> None:
     """Search these folders before those in the environment (BENCH_DEVICES) for the duration of the command."""
     for folder in folders or ():
         if not Path(folder).is_dir():
-            raise typer.BadParameter(f"{folder}: there is no such folder")
+            raise typer.BadParameter(f"{folder}: no such folder; create it or name another")
     if folders:
         ctx.with_resource(_devices_of(folders))
 
@@ -140,7 +140,7 @@ class WithEstimators(BenchCommand):
 def _writable(target: str | None) -> str | None:
     """Return the target of `--json`. Raises `Refused`, before anything is computed, if its folder is missing."""
     if target not in {None, "-"} and not Path(str(target)).absolute().parent.is_dir():
-        raise Refused(f"--json {target}: there is no such folder")
+        raise Refused(f"--json {target}: no such folder; create it or name another")
     return target
 
 

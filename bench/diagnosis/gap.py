@@ -378,7 +378,7 @@ def _held_out(
 
 
 def restrict(linear: LinearSystem, rows: Mask) -> LinearSystem:
-    """Return the system with some of its rows; settings are numbered anew."""
+    """Return the system with some of its rows; settings are numbered again."""
     setting = linear.setting[rows]
     present = {number: i for i, number in enumerate(dict.fromkeys(setting[setting >= 0].tolist()))}
     return replace(

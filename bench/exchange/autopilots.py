@@ -191,7 +191,7 @@ def _outside(name: str, values: Floats, low: float, high: float, program: str) -
     """Return comment lines on the values outside the range that `program` allows for a parameter."""
     return [
         f"{name.format(axis)} = {value:.4g} is outside {low:g} to {high:g}, which {program} allows: "
-        "take out more before it, by the electronics or by other scale factors (--nominal)"
+        "remove more before it, in the electronics or with other scale factors (--nominal)"
         for axis, value in axis_rows(values)
         if not low <= value <= high
     ]
@@ -234,7 +234,7 @@ def kalibr_notes(result: BlockResult, nominal: Floats | None = None) -> list[str
     form = lower_triangular(sensor_of(result, nominal))
     arcsec = math.degrees(form.turn_rad) * 3600
     return [
-        "Kalibr reads M alone, six of the twelve: the bias is left to its own estimate, and a comes on other axes,",
+        "Kalibr reads M alone, six of the twelve: it estimates the bias itself, and a comes on other axes,",
         f"turned against the block's mounting axes by {arcsec:.4g} arcsec: a vector of 1 g is off by up to "
         f"{2e3 * float(np.sin(form.turn_rad / 2)):.3g} mg, |a| by nothing.",
         "bias (m/s^2) and C_accel_block (the turn) stand in the file; a reader that takes them loses nothing",

@@ -180,11 +180,11 @@ def compare(snapshots: Sequence[Snapshot]) -> Comparison:
     than two calibrations, their units differ, or a covariance is singular.
     """
     if len(snapshots) < 2:
-        raise CalibrationError("a comparison needs two calibrations or more; name another run or result")
+        raise CalibrationError("a comparison needs two or more calibrations; name another run or result")
     units = sorted({snapshot.unit for snapshot in snapshots})
     if len(units) > 1:
         listed = ", ".join(f"{snapshot.name} in {snapshot.unit}" for snapshot in snapshots)
-        raise CalibrationError(f"coefficients in different units cannot be compared ({listed})")
+        raise CalibrationError(f"use coefficients in one unit to compare ({listed})")
     for snapshot in snapshots:
         _require_regular(snapshot)
     dates = [snapshot.when for snapshot in snapshots if snapshot.when is not None]
@@ -223,7 +223,7 @@ def _require_regular(snapshot: Snapshot) -> None:
     if not np.all(u > 0) or np.linalg.cond(snapshot.covariance / np.outer(u, u)) > MOST_CONDITION:
         raise CalibrationError(
             f"{snapshot.name}: its covariance is singular, so not all twelve coefficients were found from "
-            "readings; calibrate from installations of known orientation"
+            "readings; calibrate in installations of known orientation"
         )
 
 
@@ -270,17 +270,15 @@ def _notes(snapshots: Sequence[Snapshot], *, dated: bool) -> tuple[str, ...]:
     if len(blocks) > 1:
         notes.append(f"THESE ARE DIFFERENT BLOCKS, as recorded: {', '.join(blocks)}")
     elif any(not snapshot.block for snapshot in snapshots):
-        notes.append(
-            "not every result says which block it is of; that it is the same one is taken for granted"
-        )
+        notes.append("not every result names its block; they are assumed to be of one block")
     if not dated:
         notes.append(
-            "not every calibration has a date: the first named is the reference; no drift is computed"
+            "not every calibration has a date: the first one is the reference, and no drift is computed"
         )
     if any(_one_and_the_same(a, b) for a, b in combinations(snapshots, 2)):
         notes.append(
-            "two of these agree to a hundredth of their uncertainty in everything: do they come from the same "
-            "readings?"
+            "two of these agree within a hundredth of their uncertainty; check whether they come from the "
+            "same readings"
         )
     if len({snapshot.simulated for snapshot in snapshots}) > 1:
         notes.append("some of these were found on simulated instruments, some on real ones")
@@ -288,8 +286,8 @@ def _notes(snapshots: Sequence[Snapshot], *, dated: bool) -> tuple[str, ...]:
     if others:
         listed = ", ".join(f"{g:.6g}" for g in others)
         notes.append(
-            f"local gravity differs ({snapshots[0].g_m_s2:.6g} m/s² here, {listed} elsewhere): scale factors are "
-            "converted to the gravity of the first, so that they are compared per m/s²"
+            f"local gravity differs ({snapshots[0].g_m_s2:.6g} m/s² here, {listed} elsewhere): scale "
+            "factors are converted to the first one's gravity"
         )
     notes.append(_on_meters(snapshots))
     return tuple(notes)
@@ -299,21 +297,21 @@ def _on_meters(snapshots: Sequence[Snapshot]) -> str:
     bare = [snapshot.name for snapshot in snapshots if snapshot.same_meters is None]
     if bare:
         return (
-            f"{', '.join(bare)}: no errors of the meters in its uncertainty; with the same meters they cancel, "
-            "with other ones they pass for a change"
+            f"{', '.join(bare)}: its uncertainty excludes errors of the meters; with other meters, these "
+            "appear as a change"
         )
     parts = [_drifted(snapshots[0], later) for later in snapshots[1:]]
     if max(parts) == 0.0:
         return (
-            "the same meters, by identity and address, on the same day: their gain and offset cancel and are in no "
-            "uncertainty here"
+            "the same meters, by identity and address, on the same day: their gain and offset cancel and "
+            "are not in the uncertainty"
         )
     if all(snapshot.meters == snapshots[0].meters != () for snapshot in snapshots):
         return (
-            "the same meters, by identity and address: their gain and offset count as far as they may have drifted "
-            f"({METERS_DRIFT.days} days: all)"
+            "the same meters, by identity and address: the uncertainty includes the drift of their gain "
+            "and offset ({METERS_DRIFT.days} days: all)"
         )
-    return "not known to be the same meters: their gain and offset are in every uncertainty"
+    return "perhaps other meters: every uncertainty includes their gain and offset"
 
 
 def _drifted(first: Snapshot, later: Snapshot) -> float:

@@ -71,21 +71,20 @@ def _on_baseline(chart: ControlChart) -> list[str]:
     runs = len(chart.baseline)
     if chart.reference is not None:
         notes.append(
-            f"judged by the reference {chart.reference.name}: what lasts in the u of this bench (limits of its "
-            "meters, temperature) is in every limit, so that only large changes show; a baseline of the bench's "
-            "own runs sees smaller ones"
+            f"judged by the reference {chart.reference.name}: constant parts of u (meters, temperature) "
+            "widen every limit; a baseline of the bench's own runs shows smaller changes"
         )
     elif runs < FEW_RUNS:
         notes.append(
-            f"the baseline has {runs} run{'s' * (runs > 1)}: the limits are as wide as so few make them; they "
-            "come closer with more"
+            f"the baseline has {runs} run{'s' * (runs > 1)}: the limits are wide for so few runs and "
+            "narrow with more"
         )
     if chart.alone is not None:
         worst = int(np.argmin(chart.alone))
         if runs * chart.alone[worst] < ALIKE_P:
             notes.append(
-                f"{chart.baseline[worst].name} stands apart from the other runs of the baseline "
-                f"({probability(min(1.0, runs * float(chart.alone[worst])))}): find out why, or leave it out"
+                f"{chart.baseline[worst].name} differs from the other runs of the baseline "
+                f"({probability(min(1.0, runs * float(chart.alone[worst])))}): find the cause, or leave it out"
             )
     return notes
 
@@ -99,20 +98,19 @@ def _on_components(chart: ControlChart) -> list[str]:
     if more:
         notes.append(
             f"between the runs of the baseline {listed(more)} scatter{'s' * (len(more) == 1)} more than stated u: "
-            "something comes anew with each run that the bench file does not state so large"
+            "something differs from run to run by more than the bench file states"
         )
     if found.birge_p < ALIKE_P:
-        taken = (
-            "believe stated u all the same" if chart.design.basis == "stated" else "are as the scatter shows"
-        )
+        taken = "still use stated u" if chart.design.basis == "stated" else "follow the scatter"
         notes.append(
             f"the baseline scatters {np.sqrt(found.birge2):.2f} times as much as stated u "
             f"({probability(found.birge_p)}); the limits {taken}"
         )
     if chart.design.basis != "scatter" and found.alike_p < ALIKE_P:
         notes.append(
-            f"stated u is not as right for every coefficient ({probability(found.alike_p)}): false alarms are more "
-            "frequent than stated; name under 'between_runs' what comes anew with each run, or take limits from "
+            f"stated u does not fit every coefficient equally ({probability(found.alike_p)}): false "
+            "alarms are more "
+            "frequent than stated; name under 'between_runs' what changes with each run, or take limits from "
             "scatter (14 runs or more)"
         )
     return notes
@@ -124,8 +122,8 @@ def _on_meters(chart: ControlChart) -> list[str]:
     if not other:
         return []
     return [
-        f"not known to be measured with the meters of the baseline: {listed(other)}; the limits of both meters "
-        "are in u there; take a new baseline with the new meters"
+        f"not known to be measured with the meters of the baseline: {listed(other)}; u then includes the "
+        "limits of both; measure a new baseline with the new meters"
     ]
 
 
@@ -136,8 +134,8 @@ def _on_drift(chart: ControlChart) -> list[str]:
     if not names:
         return []
     return [
-        f"{listed(names)} of the check block drift{'s' * (len(names) == 1)} beyond what is stated: if it is the "
-        "block and not the bench, add it under 'drift' with its u"
+        f"{listed(names)} of the check block drift{'s' * (len(names) == 1)} more than stated; if the "
+        "block drifts, not the bench, add it under 'drift' with its u"
     ]
 
 
@@ -262,7 +260,7 @@ def control_chart(
 ) -> ControlChart:
     """Judge `later` runs of a check block against its `baseline` runs, or against a `reference` calibration.
 
-    `drift` is the known drift of the block. `restarted` is the time of a repair, at which the EWMA starts anew.
+    `drift` is the known drift of the block. `restarted` is the time of a repair, at which the EWMA starts again.
     Raises `CalibrationError` if the baseline has too few runs for limits.
     """
     baseline = tuple(sorted(baseline, key=lambda run: run.when))
@@ -356,7 +354,7 @@ class _Judging:
     def ewma(
         self, runs: Sequence[CheckRun], shewhart: JudgedDeviations, restarted: datetime | None
     ) -> JudgedDeviations:
-        """Return the EWMA of the runs that T² does not reject; it starts anew at `restarted`."""
+        """Return the EWMA of the runs that T² does not reject; it starts again at `restarted`."""
         kept = shewhart.p_joint >= self.design.alpha
         after = np.array([restarted is not None and run.when >= restarted for run in runs], dtype=bool)
         p = len(COEFFICIENTS)

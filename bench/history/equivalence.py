@@ -124,9 +124,7 @@ def equivalence(of: Participants, method: str | None = None) -> Equivalence:
     Raises `CalibrationError` if no unit was measured on two benches.
     """
     if not of.between_dof:
-        raise CalibrationError(
-            "no unit was measured on two benches, so that no bench is held against another"
-        )
+        raise CalibrationError("no unit was measured on two benches; measure one on both to compare them")
     plain = _by(of, 0.0, WEIGHTED_MEAN)
     if method == WEIGHTED_MEAN or (method is None and plain.consistent):
         return plain
@@ -312,9 +310,7 @@ def compare_benches(
     found = tuple(equivalence(one, method) for one in taking)
     by_pair = tuple(pairs(one) for one in taking)
     days = int((measured.when.max() - measured.when.min()) / np.timedelta64(1, "D"))
-    drifted = (
-        f"over {days} days: what a unit changed by between its calibrations counts as a difference of benches"
-    )
+    drifted = f"over {days} days: changes of a unit between its calibrations appear as differences of benches"
     return BenchComparison(
         benches=tuple(benches.tolist()),
         units=tuple(units.tolist()),

@@ -44,7 +44,9 @@ class ComparedCalibrations:
     def __post_init__(self) -> None:
         """Refuse an empty table."""
         if not len(self.unit):
-            raise CalibrationError("no calibration with a unit, a bench and all twelve coefficients is left")
+            raise CalibrationError(
+                "no calibration with unit, bench and all twelve coefficients is left; widen the question"
+            )
 
     def __len__(self) -> int:
         """Return the number of calibrations."""

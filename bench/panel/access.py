@@ -114,7 +114,7 @@ class Person:
     def require(self, least: Role) -> None:
         """Raise `Refusal` (403) if the person's role is below `least`."""
         if not self.role.includes(least):
-            raise Refusal(403, f"{self.name} is signed in as {self.role}; this takes the role {least}")
+            raise Refusal(403, f"{self.name} is signed in as {self.role}; this needs the role {least}")
 
 
 class Refusal(Exception):
@@ -176,14 +176,14 @@ class Gate:
         if len(headers.getlist("host")) > 1 or not self._settings.allows_host(host):
             return Refusal(403, f"this panel is at {self._settings.url}")
         if scope["method"] not in METHODS:
-            return Refusal(405, "the panel knows GET and POST")
+            return Refusal(405, "the panel accepts GET and POST only; use its pages")
         if scope["method"] == "POST" and not self._settings.allows_origin(headers.get("origin", ""), host):
-            return Refusal(403, "this change was asked for by a page that is not the panel's")
+            return Refusal(403, "another web page asked for this change; use the panel itself")
         length = headers.get("content-length", "0")
         if "content-length" in headers and "transfer-encoding" in headers:
-            return Refusal(400, "a request has Content-Length or Transfer-Encoding, not both")
+            return Refusal(400, "the request has both Content-Length and Transfer-Encoding; send one")
         if not length.isascii() or not length.isdecimal() or len(length) > 9 or int(length) > LARGEST_BODY:
-            return Refusal(413, f"at most {LARGEST_BODY} bytes are taken")
+            return Refusal(413, f"at most {LARGEST_BODY} bytes are accepted; send less")
         return None
 
 
@@ -196,7 +196,7 @@ def counted(receive: Receive) -> Receive:
         message = await receive()
         taken += len(message.get("body", b""))
         if taken > LARGEST_BODY:
-            raise Refusal(413, f"at most {LARGEST_BODY} bytes are taken")
+            raise Refusal(413, f"at most {LARGEST_BODY} bytes are accepted; send less")
         return message
 
     return bounded
@@ -221,7 +221,7 @@ def private_folder(folder: Path) -> Path:
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
         found = folder.lstat()
         if not stat.S_ISDIR(found.st_mode):
-            raise RecordError(f"{folder}: is a link, and the panel keeps its secrets in a folder; remove it")
+            raise RecordError(f"{folder}: is a link where the panel needs a folder; remove it")
         if os.name == "posix" and stat.S_IMODE(found.st_mode) & 0o077:
             folder.chmod(0o700)
     except OSError as error:
@@ -254,7 +254,7 @@ class KeptList:
             self._rows, self._stamp = [], None
         except (OSError, ValueError) as error:
             raise RecordError(
-                f"{self._path}: cannot be read; put a copy in its place, or remove it and make new tokens"
+                f"{self._path}: cannot be read; restore it from a copy, or remove it and make new tokens"
             ) from error
         return list(self._rows)
 
@@ -270,7 +270,9 @@ class KeptList:
                     write_whole(self._path, to_text(rows))
                     self._path.chmod(0o600)
         except OSError as error:
-            raise RecordError(f"{self._path}: cannot be written ({error.strerror}); free the disk") from error
+            raise RecordError(
+                f"{self._path}: cannot be written ({error.strerror}); free disk space"
+            ) from error
 
 
 TOKENS: Final = "tokens.json"
@@ -302,7 +304,7 @@ class Access:
         token = secrets.token_urlsafe(32)
         with self._tokens.changed() as rows:
             if any(row["name"] == name for row in rows):
-                raise RecordError(f"{name}: has a token already; 'bench panel revoke {name}' first")
+                raise RecordError(f"{name}: already has a token; use 'bench panel revoke {name}' first")
             rows.append(
                 {"name": name, "role": role.value, "sha256": _hash(token), "made": self._now().isoformat()}
             )
@@ -403,9 +405,7 @@ def checked_person(name: str) -> str:
     """Return a person's name, stripped. Raises `RecordError` if it is empty, too long or not printable."""
     name = name.strip()
     if not name or len(name) > LONGEST_NAME or not name.isprintable() or visible(name) != name:
-        raise RecordError(
-            f"{visible(name)!r}: a name is text that can be printed, of 1 to {LONGEST_NAME} characters"
-        )
+        raise RecordError(f"{visible(name)!r}: give a name of 1 to {LONGEST_NAME} characters")
     return name
 
 

@@ -228,8 +228,8 @@ OUTPUT: Final = "server.log"
 LOOKS_S: Final = 2.0
 
 OPEN_WIRE: Final = (
-    "this is plain HTTP: what goes over the network can be read and changed on the way, tokens too; put a "
-    "proxy with TLS before it and say --address https://… (documentation, 'The panel: TLS')"
+    "this is plain HTTP: others on the network can read and change everything, tokens too; put a proxy "
+    "with TLS before it and give --address https://… (documentation, 'The panel: TLS')"
 )
 
 
@@ -247,7 +247,7 @@ def serve(settings: Settings, tell: Callable[[str], None]) -> None:
         lock.acquire(timeout=LOOKS_S)  # `is_serving` in another program may hold it for a moment
     except Timeout:
         raise RecordError(
-            f"{settings.runs}: a panel serves this folder already at {url_of(settings.runs)}; "
+            f"{settings.runs}: a panel already serves this folder at {url_of(settings.runs)}; "
             "'bench panel link' makes a one-time link to it"
         ) from None
     with lock, _listening(settings) as listener:
@@ -289,11 +289,11 @@ def check(settings: Settings) -> None:
     address = urlsplit(settings.address)
     if settings.address and (address.scheme not in {"http", "https"} or not address.netloc or address.path):
         raise RecordError(
-            f"--address {settings.address}: give what a browser types, such as https://bench.lab"
+            f"--address {settings.address}: give the address as typed in a browser, such as https://bench.lab"
         )
     if not settings.loopback and not Access(settings.runs / STATE).tokens():
         raise RecordError(
-            "beyond this computer only who has a token comes in, and nobody has one: make one with "
+            "access from other computers needs a token, and there is none; make one with "
             "'bench panel token NAME --role operator'"
         )
 
@@ -344,9 +344,7 @@ def is_serving(runs: Path) -> bool:
 def link_of(runs: Path) -> str:
     """Return a one-time link to the panel that serves a folder. Raises `Refused` if none does."""
     if not is_serving(runs):
-        raise Refused(
-            f"{runs}: no panel serves this folder now; 'bench panel' begins one, and prints its link"
-        )
+        raise Refused(f"{runs}: no panel serves this folder; 'bench panel' starts one and prints its link")
     return new_link(runs)
 
 
@@ -375,7 +373,7 @@ def begin_panel(runs: Path, ports: Sequence[int] = (PORT, 0)) -> Started:
                 return started
         except Refusal as refusal:
             trouble = refusal.text
-    raise RecordError(f"{runs}: no panel begins there: {trouble or 'it takes too long'}")
+    raise RecordError(f"{runs}: no panel started there: {trouble or 'it takes too long'}")
 
 
 def new_link(runs: Path, after: str = "/") -> str:
@@ -386,7 +384,7 @@ def new_link(runs: Path, after: str = "/") -> str:
     url = url_of(runs)
     if not is_loopback((urlsplit(url).hostname or "").strip("[]")):
         raise RecordError(
-            f"links sign in on the bench's computer alone, and this panel is at {url or 'no address'}"
+            f"links work on the bench's computer only, but this panel is at {url or 'no address'}"
         )
     secret = Access(runs / STATE).new_link(login_name())
     return f"{url}/sign-in?link={secret}" + (f"&next={quote(after)}" if after != "/" else "")

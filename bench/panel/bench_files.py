@@ -85,7 +85,7 @@ def shipped_file(name: str) -> Path:
     """Return the shipped bench file with this name. Raises `Refusal` (404) if there is none."""
     path = shipped_files().get(name)
     if path is None:
-        raise Refusal(404, "no bench file of that name is shipped; choose one from the list")
+        raise Refusal(404, "no shipped bench file has that name; choose one from the list")
     return path
 
 
@@ -95,12 +95,12 @@ def new_path(name: str) -> Path:
     A name is letters, digits, `-` and `_`; it must not be that of another bench file.
     """
     if NAME.fullmatch(name) is None:
-        raise Refusal(400, "a name is up to 60 letters, digits, - and _, and begins with a letter or digit")
+        raise Refusal(400, "give up to 60 letters, digits, - and _, beginning with a letter or digit")
     path = Path(CONFIG) / f"{name}.yaml"
     if not path.resolve().is_relative_to(Path().resolve()):
         raise Refusal(409, "the folder 'config' leads out of the working folder; remove that link")
     if path.exists() or path.is_symlink() or name in own_files() or name in shipped_files():
-        raise Refusal(409, f"there is a bench file {name} already; choose another name")
+        raise Refusal(409, f"the bench file {name} exists; choose another name")
     return path
 
 
@@ -110,9 +110,7 @@ def read_bench(path: Path) -> BenchText:
         content = read_regular(path, MEGABYTE)
         return BenchText(path, content.decode("utf-8-sig").replace("\r\n", "\n"), sha256(content))
     except OSError as error:
-        raise Refusal(
-            409, f"{path}: cannot be read ({error.strerror}); look at it on this computer"
-        ) from error
+        raise Refusal(409, f"{path}: cannot be read ({error.strerror}); check it on this computer") from error
     except UnicodeDecodeError as error:
         raise Refusal(409, f"{path}: is not UTF-8 text; save it as UTF-8") from error
 

@@ -43,7 +43,7 @@ class RunsFolder:
     def run(self, name: str) -> Run:
         """Return the run with this name. Raises `Refusal` (404) if there is none."""
         if not self._holds(name):
-            raise Refusal(404, "there is no run of that name")
+            raise Refusal(404, "no run has that name; see the list of runs")
         return Run(self.path / name)
 
     def _holds(self, name: str) -> bool:
@@ -114,7 +114,7 @@ class Certificates:
         """Return a file of a run's certificate. Raises `Refusal` (404), `Refused` if it was tampered with."""
         register = self._read()
         if register is None or not any(name in one.files for one in self.of(run)):
-            raise Refusal(404, f"{run.name} has no such certificate")
+            raise Refusal(404, f"{run.name} has no such certificate; see its page")
         return register.file(name)
 
     def _read(self) -> Register | None:
@@ -125,7 +125,9 @@ class Certificates:
             try:
                 register.read_lines()
             except OSError as error:
-                raise Refused(f"{self._folder}: cannot be read ({error.strerror})") from error
+                raise Refused(
+                    f"{self._folder}: cannot be read ({error.strerror}); check name and permissions"
+                ) from error
             self._register = register
             return register
 

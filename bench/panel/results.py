@@ -249,8 +249,8 @@ _WORDS: Final = {
     "agrees": "model and readings agree",
     "mistake": "a mistake in procedure or wiring",
     "named": "an effect that the model lacks, named",
-    "confounded": "something is missing, and several explain it equally",
-    "unknown": "something is missing that nothing known explains",
+    "confounded": "an effect is missing, and several explain it equally",
+    "unknown": "no known effect explains the readings",
 }
 
 
@@ -262,7 +262,7 @@ def _diagnosis(told: Mapping[str, Any]) -> DiagnosisTold:
         if one.get("channels"):
             text += f" (channels {', '.join(map(str, one['channels']))})"
         if one.get("cannot_tell_from"):
-            text += ", not to be told from " + ", ".join(
+            text += ", indistinguishable from " + ", ".join(
                 str(o).replace("_", " ") for o in one["cannot_tell_from"]
             )
         effects.append(text)
@@ -281,7 +281,7 @@ def figure_of(run: Run, name: str) -> bytes:
                 end = page.find(b"</svg>", found.end())
                 if end > 0:
                     return _as_file(page[found.start() : end + len(b"</svg>")])
-    raise Refusal(404, f"the report of {run.name} has no such figure")
+    raise Refusal(404, f"the report of {run.name} has no such figure; choose one of the page")
 
 
 def _as_file(svg: bytes) -> bytes:

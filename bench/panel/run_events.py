@@ -75,7 +75,8 @@ class RunView:
             self._take(event)
         except (ValueError, KeyError, TypeError, IndexError, AttributeError) as error:
             raise RecordError(
-                f"event {event.number} of the record cannot follow here ({error}); see 'bench show RUN --verify'"
+                f"event {event.number} of the record cannot follow here ({error}); check it with 'bench "
+                "show RUN --verify'"
             ) from error
 
     def _take(self, event: Event) -> None:
@@ -234,7 +235,7 @@ class Tail:
             return
         except OSError as error:
             raise RecordError(
-                f"{self._path}: cannot be read ({error.strerror}); see that it is there"
+                f"{self._path}: cannot be read ({error.strerror}); check that it exists"
             ) from error
 
     def _event(self, line: bytes) -> Event:
@@ -249,5 +250,5 @@ class Tail:
 
     def _broken(self) -> RecordError:
         return RecordError(
-            f"{self._path}, line {self._count + 1}: cannot be believed; 'bench show RUN --verify' says more"
+            f"{self._path}, line {self._count + 1}: cannot be trusted; 'bench show RUN --verify' shows why"
         )

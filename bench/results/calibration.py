@@ -371,7 +371,7 @@ def coefficients_table(found: Calibration) -> Table:
 
 def sources_table(found: Calibration) -> Table:
     """Return a table of the error sources that the readings do not show, with the largest contribution of each."""
-    shown = table("u holds also", ">u", "from", ">most", "in")
+    shown = table("further contributions to u", ">u", "from", ">most", "in")
     for source in found.sources:
         u = u_of(source.covariance)
         if not np.any(u > 0):
@@ -400,7 +400,7 @@ def print_calibration(name: str, found: Calibration, notes: Sequence[str], out: 
     if find_estimator(found.estimator).drops_outliers and not found.outliers:
         out.print("outliers: none found")
     for outlier in found.outliers:
-        out.print(f"outlier: {outlier.text()}; it has no weight")
+        out.print(f"outlier: {outlier.text()}; its weight is 0")
     if found.free is not None:
         without = ", without the outliers" if found.outliers else ""
         rms_ug = found.modulus_rms_g * 1e6
@@ -425,6 +425,6 @@ def _noise_in_words(found: Calibration) -> str:
 
 def fit_in_a_line(found: Calibration) -> str:
     """Return whether the model fits the readings, with the figures of the test."""
-    how = "; u holds what repeats share" if found.shared else ""
+    how = "; u includes errors that repeats share" if found.shared else ""
     how = f"; u is {found.birge:.2g} times that of the noise" if found.birge > 1 else how
     return fit_in_words(found.lack_of_fit, f"THE MODEL DOES NOT FIT the readings{how}")

@@ -155,7 +155,7 @@ def print_compare(result: CompareResult, out: Console) -> None:
     elif result.changed:
         verdict = "CHANGED: no single coefficient, but all of them together"
     else:
-        verdict = "nothing changed beyond its uncertainty"
+        verdict = "no change beyond the uncertainty"
     out.print(f"{verdict}; all calibrations alike: {probability(result.p_constant)}", style="bold")
 
 
@@ -335,7 +335,7 @@ def print_benches(result: BenchesResult, out: Console) -> None:
         "d = bench less reference, U with k=2"
     )
     if result.alone:
-        out.print(f"not compared, no unit joins them: {', '.join(result.alone)}")
+        out.print(f"not compared, as no unit connects them: {', '.join(result.alone)}")
     shown = table(
         "coefficient", ">chi2", ">dof", ">Birge", ">dark", "reference", ">worst bench", ">d", ">U", ">E_n"
     )
@@ -354,7 +354,7 @@ def print_benches(result: BenchesResult, out: Console) -> None:
         )
         out.print(f"beyond U (k=2): {told}", style="bold")
     else:
-        out.print("no bench is off by more than U (k=2)", style="bold")
+        out.print("no bench differs by more than U (k=2)", style="bold")
     _print_together(result.together, out)
 
 

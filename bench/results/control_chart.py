@@ -89,7 +89,7 @@ class VariabilityPart(ResultModel):
     """The variability of a coefficient in the baseline, as standard deviations."""
 
     noise: float = Field(description="from the noise of readings")
-    stated: float = Field(description="u of one run from all that comes anew with it")
+    stated: float = Field(description="u of one run from everything that changes between runs")
     scatter: float = Field(description="between runs")
     f: float = Field(description="(scatter/stated)²")
     p: float = Field(description="chance of more")
@@ -173,7 +173,7 @@ class CheckBlockChart:
         """Return a sentence on the verdict of the last run."""
         if not self.chart.verdicts:
             first = self.chart.baseline[-1].name
-            return f"NO VERDICT yet: {first} is the first, and nothing is there to hold it against"
+            return f"NO VERDICT yet: {first} is the first run, and there is nothing to compare with"
         last = self.chart.verdicts[-1]
         if last.accepted:
             return f"IN CONTROL: {last.run}"
@@ -339,7 +339,7 @@ def _coefficients_table(result: ChartResult) -> Table:
 MOST_SHOWN: Final = 60
 """Number of runs, the latest, that the page draws and lists."""
 BASIS_IN_WORDS: Final = {
-    "stated": "stated u, believed as it stands",
+    "stated": "stated u, unchanged",
     "scaled": "stated u, times one factor for all coefficients that the baseline shows",
     "scatter": "the scatter of the baseline alone (Hotelling's T²)",
 }

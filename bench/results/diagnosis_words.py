@@ -110,7 +110,7 @@ def parameters_in_words(effect: NamedEffect) -> Iterator[str]:
     for one in effect.together:
         yield (
             f"{one.combination} of {one.parameter} of {' and '.join(one.of)} = "
-            f"{_with_u(one.value, one.u, one.unit)}: the readings tell this, and hardly either by itself"
+            f"{_with_u(one.value, one.u, one.unit)}: only this combination is well determined"
         )
 
 
@@ -192,7 +192,7 @@ LEAD: Final[Mapping[str, str]] = {
     "agrees": "Nothing found",
     "mistake": "A mistake in procedure or wiring",
     "named": "Found and named",
-    "confounded": "Found, but not told apart",
+    "confounded": "Found, but several names fit",
     "unknown": "Something unknown",
 }
 """The words for each verdict."""
@@ -312,15 +312,15 @@ def what_to_do(full: FullDiagnosis, files: Files) -> Iterator[str]:
             f"; until then the corrected copy is {files.copy}" if files.copy else ""
         )
     if model is not None:
-        yield f"Take the model: bench calibrate {source} --model {model}"
-        yield f"Put it to the proof with new readings: bench confirm NEW --model {model}"
+        yield f"Use the model: bench calibrate {source} --model {model}"
+        yield f"Test it with new readings: bench confirm NEW --model {model}"
     if diagnosis.of_copy == "confounded":
         if full.next_measurement is not None:
             yield f"Measure {full.next_measurement.procedure}: {full.next_measurement.why}"
         elif diagnosis.gap.reason:
             yield "Measure the same again, with more passes, and diagnose both: bench diagnose … --together"
     elif diagnosis.of_copy == "unknown":
-        yield "Measure the same again: what comes back is of the bench or the block; below stands where it acts"
+        yield "Measure the same again: what returns belongs to the bench or the block; see below where it acts"
     elif diagnosis.verdict == "agrees":
         yield f"Nothing; the coefficients stand: bench calibrate {source}"
 
@@ -488,7 +488,7 @@ def form_in_words(diagnosis: Diagnosis) -> Iterator[str]:
     if not form.terms and any(not effect.in_catalogue for effect in diagnosis.effects):
         yield "no term of the dictionary describes it"
     if form.instead_of and form.terms:
-        yield f"as plausible without a name, in the place of {', '.join(dict.fromkeys(form.instead_of))}:"
+        yield f"as plausible without a name, instead of {', '.join(dict.fromkeys(form.instead_of))}:"
     elif form.instead_of:
         yield "what is left beside the names speaks for something without a name that is too small to describe"
     for term in form.terms:

@@ -163,7 +163,7 @@ def fit_in_words(fit: LackOfFit) -> FitInWords:
             "unknown",
             "",
             "cannot be judged: too few repeats",
-            "Whether the model fits cannot be judged: the readings hold too few repeats to tell "
+            "Whether the model fits cannot be judged: the readings have too few repeats to separate "
             "misfit from scatter.",
         )
     figures = f"χ² = {fit.chi2:.1f} for {fit.dof} degrees of freedom, {probability(fit.p)}"

@@ -129,8 +129,8 @@ def print_stability(found: Stability, out: Console) -> None:
         out.print(f"channel {channel}: {average.tau_s:.3g} s: {average.why}")
         if terms.p < MISFIT_P:
             misfit = (
-                f"channel {channel}: the five noise terms alone do not make this curve "
-                f"({probability(terms.p)}): vibration or another line is in it; their uncertainties "
+                f"channel {channel}: the five noise terms do not explain this curve "
+                f"({probability(terms.p)}): it may contain vibration or another line; their uncertainties "
                 "are widened"
             )
             print_notes(out, [misfit])
@@ -139,7 +139,7 @@ def print_stability(found: Stability, out: Console) -> None:
         return
     out.print(
         f"a reading that integrates for {found.advice.tau_s:.3g} s at {found.line_frequency_hz:g} Hz "
-        f"(settling and the meter's own pauses come on top):"
+        f"(plus settling and the meter's pauses):"
     )
     out.print(found.advice.line())
 

@@ -173,9 +173,9 @@ def parse_wish(text: str) -> RunControl:
         wish = Wish(word.lower())
     except ValueError:
         known = ", ".join(f"{SIGN}{w.value}" for w in Wish)
-        raise ValueError(f"{SIGN}{word} is no wish; there are {known}") from None
+        raise ValueError(f"{SIGN}{word} is unknown; possible are {known}") from None
     if wish is Wish.SKIP and not reason.strip():
-        raise ValueError(f"say why: {SIGN}skip REASON")
+        raise ValueError(f"give a reason: {SIGN}skip REASON")
     return RunControl(wish, reason.strip(), by_person=True)
 
 
@@ -260,7 +260,7 @@ def _read_answer(line: bytes, number: int) -> LeftAnswer:
         return LeftAnswer(prompt_id, text, WishAuthor.from_json(told), number)
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         beginning = line[:100].decode("utf-8", "backslashreplace").strip()
-        flaw = f"line {number} of {ANSWERS} is no answer"
+        flaw = f"line {number} of {ANSWERS} is not an answer"
         return LeftAnswer("", beginning, WishAuthor(where="panel"), number, flaw)
 
 
@@ -414,7 +414,7 @@ def _problem_with_choice(prompt: Prompt, given: str) -> str:
     for beginning in open_ended:
         reason = words[len(beginning) :]
         if words.lower().startswith(beginning) and reason:
-            return f"say why in place of {REASON}" if reason == REASON else ""
+            return f"give the reason instead of {REASON}" if reason == REASON else ""
     fits = words.lower() in prompt.choices if open_ended else given in prompt.choices
     return "" if fits else f"choose one of {', '.join(prompt.choices)}, not {given!r}"
 
@@ -442,7 +442,7 @@ def _between(prompt: Prompt, value: float) -> float:
     if prompt.maximum is not None and value > prompt.maximum:
         raise ValueError(f"{value:g} is above the most, {prompt.maximum:g} {prompt.unit}".rstrip())
     if not math.isfinite(value):
-        raise ValueError("a number is wanted")
+        raise ValueError("type a number")
     return value
 
 

@@ -24,7 +24,7 @@ def sentence(event: Event) -> str:
         case EventType.EARLY_SIGN:
             return f"{'stopped' if data.get('confident') else 'look'}: {data['sentence']}"
         case EventType.WENT_ON:
-            return f"gone on in spite of '{' or '.join(data['causes'])}': {data['reason']}"
+            return f"continued in spite of '{' or '.join(data['causes'])}': {data['reason']}"
         case EventType.SAME_SERIAL | EventType.CERTIFICATE:
             return f"look: {data['words']}"
         case EventType.STEP_FAILED:
@@ -33,13 +33,14 @@ def sentence(event: Event) -> str:
             ahead_s = data["ahead_s"]
             way = "ahead" if ahead_s > 0 else "back"
             return (
-                f"look: the computer's clock went {duration(abs(ahead_s))} {way}: it slept, or its time was set; "
-                "what drifts went on, so take the last point again where that matters"
+                f"look: the computer's clock went {duration(abs(ahead_s))} {way}: it slept, or its time "
+                "was set; redo the last point if drift matters"
             )
         case EventType.CHAMBER_SLOW:
             return (
                 f"look: the {data['chamber']} has gone from {data['start_c']:.1f} °C to {data['air_c']:.1f} °C in "
-                f"{duration(data['after_s'])}, sent to {data['target_c']:g} °C: see that it conditions and is shut"
+                f"{duration(data['after_s'])}, sent to {data['target_c']:g} °C: check that it conditions "
+                "and is closed"
             )
         case EventType.POWER:
             return _power_in_words(data)
@@ -47,8 +48,8 @@ def sentence(event: Event) -> str:
             return f"the block is warm, {duration(data['after_s'])} after it was switched on"
         case EventType.REMOUNTED if data.get("why") == "power":
             return (
-                f"the block was without power: its further readings in installation {data['installation']} are "
-                f"another visit, series {data['now_series']}"
+                f"the block lost power: its further readings in installation {data['installation']} count "
+                f"as another visit, series {data['now_series']}"
             )
         case EventType.CHOSEN:
             return chosen_in_words(data)
@@ -62,7 +63,7 @@ def said(event: Event) -> str:
     by = _by(event.data) or (f" by {event.data['by']}" if event.data.get("by") else "")
     if event.type == EventType.ANSWERED:
         return f"answered{by}: {event.data['answer']}"
-    return f"an answer{by} is not taken: {event.data['why']}"
+    return f"an answer{by} is not accepted: {event.data['why']}"
 
 
 def _of_somebody(event: Event) -> str:
@@ -82,8 +83,8 @@ def _of_somebody(event: Event) -> str:
 
 _DONE: Final[Mapping[str, str]] = {
     EventType.RUN_PAUSED: "paused",
-    EventType.RUN_CONTINUED: "gone on",
-    EventType.REDO: "taken again",
+    EventType.RUN_CONTINUED: "continued",
+    EventType.REDO: "repeated",
 }
 
 
@@ -108,7 +109,7 @@ def _power_in_words(data: Mapping[str, Any]) -> str:
         case "on":
             return f"the block is switched on: {rails}"
         case "found on":
-            return f"the block was found on, and as it is to be: {rails}"
+            return f"the block was found on with the stated settings: {rails}"
         case "off":
             return "the block is switched off"
         case _:
@@ -118,7 +119,7 @@ def _power_in_words(data: Mapping[str, Any]) -> str:
 def duration(seconds: float) -> str:
     """Return a rounded duration: 7500 -> "2 h 05 min", 180 -> "3 min", 40 -> "40 s"."""
     if not math.isfinite(seconds):
-        return "for ever"
+        return "without end"
     if seconds >= 3600:
         minutes = round(seconds / 60)
         return f"{minutes // 60} h {minutes % 60:02d} min"
@@ -129,7 +130,7 @@ def duration(seconds: float) -> str:
 
 _STOPS: Final[Mapping[str, str]] = {
     "reached": "enough",
-    "used up": "not reached, and nothing is left to measure",
+    "used up": "not reached; no setting is left to measure",
     "time": "the time is up",
 }
 
@@ -140,7 +141,7 @@ def chosen_in_words(data: Mapping[str, Any]) -> str:
     now = _goal_in_words(data.get("now"))
     if data["stop"]:
         why = _STOPS.get(data["stop"], data["stop"])
-        words = f"{why}: {now or 'the coefficients are not determined'}; {so_far}"
+        words = f"{why}: {now or 'the coefficients are not yet determined'}; {so_far}"
         needless = data.get("not_needed", 0)
         return f"{words}; {needless} are not needed" if needless else words
     coming, in_all = data["next"], data["in_all"]
@@ -148,7 +149,7 @@ def chosen_in_words(data: Mapping[str, Any]) -> str:
     count = len(coming["points"])
     words = f"next: {count} point{'s' * (count != 1)} in installation {place}, {duration(coming['takes_s'])}"
     if coming.get("tells_apart"):
-        words += ", to tell apart what may explain the misfit"
+        words += ", to separate possible causes of the misfit"
     if (then := coming.get("then")) is not None:
         words += f", for {size_in_words(then['u'], then['unit'])}"
         if (gained := _per_minute(data.get("now"), coming)) is not None:

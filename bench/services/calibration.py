@@ -95,7 +95,7 @@ def with_prior(
         )
     if joined.used:
         notes.append(
-            f"prior of type {prior.kind} ({len(prior.units)} units, {path}) counts beside the readings: they agree "
+            f"prior of type {prior.kind} ({len(prior.units)} units, {path}) is used with the readings: they agree "
             f"(p = {joined.p:.2g}); residuals and noise are those of the readings alone"
         )
     else:
@@ -103,7 +103,7 @@ def with_prior(
         off = ", ".join(f"{COEFFICIENTS[k]} by {joined.pull[k]:+.1f} u" for k in worst)
         notes.append(
             f"prior of type {prior.kind} NOT USED: it contradicts the readings (p = {joined.p:.1g}, below "
-            f"{CONFLICT_P:g}; {off}); this unit, its mounting or the type is another"
+            f"{CONFLICT_P:g}; {off}); check unit, mounting and type"
         )
     part = PriorPart.from_object(
         joined,
@@ -131,7 +131,7 @@ def _refuse_other(prior: Prior, found: Calibration, source: Source, path: Path) 
     name = " ".join(filter(None, (unit.type, unit.serial)))
     if found.triangular is not None:
         raise Refused(
-            "--prior: free positions alone leave the block's orientation open, and a prior states it"
+            "--prior: free positions alone leave the block's orientation open; add oriented readings"
         )
     if (unit.type or "") != prior.kind:
         raise Refused(
@@ -141,10 +141,10 @@ def _refuse_other(prior: Prior, found: Calibration, source: Source, path: Path) 
         raise Refused(f"{path}: coefficients in {prior.signal}/g, but the readings are in {found.unit}")
     if source.simulated != prior.simulated:
         its, here = ("simulated", "real") if prior.simulated else ("real", "simulated")
-        raise Refused(f"{path}: made of {its} calibrations, this one is {here}: they are not mixed")
+        raise Refused(f"{path}: made of {its} calibrations, this one is {here}: use one kind")
     if unit.serial and name in prior.units:
         raise Refused(
-            f"{path}: {name} is among the units behind it, and would count twice; make one without it: bench fleet "
+            f"{path}: {name} is among its units and would count twice; make one without it: bench fleet "
             f"prior 'type={prior.kind}' 'unit!={name}' --prior-out FILE"
         )
 
@@ -359,8 +359,8 @@ def _with_note_on_temperatures(source: Source) -> Source:
     if len(found) < SEVERAL_TEMPERATURES:
         return source
     note = (
-        f"readings span {found[-1] - found[0]:.0f} K at {len(found)} temperatures, and these coefficients mix "
-        "them: see bench compensate"
+        f"readings span {found[-1] - found[0]:.0f} K at {len(found)} temperatures, and these coefficients "
+        "mix them; use 'bench compensate'"
     )
     return replace(source, readings=replace(source.readings, notes=(*source.readings.notes, note)))
 

@@ -169,7 +169,7 @@ def test_files_of_one_temperature_each_make_one_model():
     assert model.readings == 3 * 54
     assert [plateau.branch for plateau in model.plateaus] == [0, 0, 0]
     assert model.hysteresis is None
-    assert any("hysteresis is not known" in note for note in model.notes)
+    assert any("excludes hysteresis" in note for note in model.notes)
     error = model.coefficients(GRID_C[8:25]) - coefficients(polynomials, GRID_C[8:25])
     u = np.sqrt([np.diag(model.covariance_at(t)) for t in GRID_C[8:25]])
     assert np.max(np.abs(error) / u) < 5.0
@@ -193,12 +193,12 @@ def one_temperature(rng):
 @pytest.mark.parametrize(
     ("make", "arguments", "told"),
     [
-        (one_temperature, {}, r"which is one temperature; measure at three or more"),
+        (one_temperature, {}, r"too narrow a range; measure at three or more"),
         (lambda rng: simulate(rng, truth(rng)), {"reference_c": 90.0}, r"90 °C, lies outside .*--reference"),
         (
             lambda rng: simulate(rng, truth(rng)),
             {"degree": 5},
-            r"polynomials of degree 5 .*state a lower degree",
+            r"polynomials of degree 5 .*give a lower degree",
         ),
         (
             lambda rng: simulate(rng, truth(rng), cycle=(0.0, 23.0), cycle_2=(23.0,)),
@@ -281,7 +281,7 @@ def test_nodes_hold_the_inverse_of_the_polynomials(model, table):
 
 @pytest.mark.parametrize("step_k", [0.0, -1.0, 1e-4, 200.0, float("nan")])
 def test_a_step_that_is_none_is_refused(model, step_k):
-    with pytest.raises(CalibrationError, match=r"a step of .* does not suit a table from -2"):
+    with pytest.raises(CalibrationError, match=r"a step of .* does not fit a table from -2"):
         make_table(model, REACH_G, step_k)
 
 

@@ -174,7 +174,7 @@ def test_other_blocks_simulations_and_copies_are_noted():
 
 
 def test_what_cannot_be_compared_is_refused():
-    with pytest.raises(CalibrationError, match="two calibrations or more"):
+    with pytest.raises(CalibrationError, match="two or more calibrations"):
         compare([snapshot(TRUTH)])
     with pytest.raises(CalibrationError, match=r"different units .*\(x in V, y in counts\)"):
         compare([snapshot(TRUTH), snapshot(TRUTH, name="y", unit="counts")])
@@ -214,7 +214,7 @@ def test_the_command_compares_results_and_files_writes_and_judges(bench, tmp_pat
         (tmp_path / f"{name}.json").write_text(json.dumps(result))
     status, out, err = bench("compare", "r0.json", "r1.csv", "--strict", "--json", "alike.json")
     assert (status, err) == (0, "")
-    assert "nothing changed beyond its uncertainty" in out
+    assert "no change beyond the uncertainty" in out
     alike = json.loads((tmp_path / "alike.json").read_text())
     assert (alike["changed"], alike["drift"]) == (False, None)
     assert len(alike["compared"][0]["coefficients"]) == 12
@@ -243,13 +243,13 @@ def test_runs_bring_their_dates_and_their_block(bench, tmp_path):
     for found in (result["first"], result["compared"][0]):
         assert datetime.fromisoformat(found["made_at"]) == datetime.fromisoformat(told["created"])
     assert "not every" not in out
-    assert "two of these agree to a hundredth" in out
+    assert "two of these agree within a hundredth" in out
 
 
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (("r0.csv",), "two calibrations or more"),
+        (("r0.csv",), "two or more calibrations"),
         (("r0.csv", "no.json"), "no.json: no run of that name"),
         (("r0.csv", "r1.csv", "--date", "2026-01-01"), "--date: 1 given for 2 calibrations"),
         (
@@ -275,5 +275,5 @@ def test_one_set_of_readings_written_and_read_again_is_recognised(bench, tmp_pat
     table.signal[:] = np.round(table.signal, 6)
     write_csv(table, tmp_path / "b.csv")
     write_csv(simulate(np.random.default_rng(6), 1e-4), tmp_path / "c.csv")
-    assert "do they come from the same readings?" in bench("compare", "a.csv", "b.csv")[1]
-    assert "do they come from the same readings?" not in bench("compare", "a.csv", "c.csv")[1]
+    assert "whether they come from the same readings?" in bench("compare", "a.csv", "b.csv")[1]
+    assert "whether they come from the same readings?" not in bench("compare", "a.csv", "c.csv")[1]

@@ -102,7 +102,7 @@ def test_averaging_ends_where_the_terms_flatten():
     freedom = curve.freedom(np.zeros(len(curve.tau_s)))
     terms = NoiseTerms(np.array([0.0, white**2, 0.0, walk**2, 0.0]), np.zeros((5, 5)), freedom, 1.0)
     found = averaging(curve, terms)
-    assert found.why == "from here on longer averages gain little"
+    assert found.why == "longer averages gain little from here"
     assert found.tau_s == pytest.approx(white / walk, rel=0.02)
     assert averaging(curve, fit_terms(curve)).tau_s == pytest.approx(white / walk, rel=0.8)
 

@@ -132,7 +132,7 @@ def test_mistakes_stand_at_their_fields():
     assert "'resource' is missing" in found.at["instruments.voltmeters[2].resource"]
     assert "without a unit" in found.at["unit_under_test.range"][0]
     assert "carried by voltmeter 2 already" in found.at["instruments.voltmeters[3].channels"][0]
-    assert "no voltmeter carries channel z" in found.at["instruments.voltmeters"][0]
+    assert "no voltmeter reads channel z" in found.at["instruments.voltmeters"][0]
     assert found.elsewhere == []
 
 
@@ -225,7 +225,7 @@ def test_a_file_changed_meanwhile_is_not_written_over_until_the_difference_was_s
     typed = {"file": "mine", "line_frequency": "50 Hz", "description": "other", "do": "write"}
     reply = anna.post("/bench/form", sha256=shown, **typed)
     assert path.read_bytes() == theirs
-    assert "the file was changed since" in reply.text
+    assert "the file changed since" in reply.text
     assert "-line_frequency: 60 Hz\n+line_frequency: 50 Hz" in reply.text
     assert anna.post("/bench/form", sha256=hashed(reply.text), **typed).status_code == 303
     assert load_bench(path).description == "other"

@@ -373,7 +373,7 @@ def shown_of(content: bytes) -> ShownValues:
     """Return the values in an XML. Raises `NotIntact` if it is not a DCC or cannot be read completely."""
     root = etree.fromstring(content, nodes.parser())
     if root.tag != nodes.tag("dcc:digitalCalibrationCertificate"):
-        raise NoCertificate("it is no digital calibration certificate (DCC)")
+        raise NoCertificate("it is not a digital calibration certificate (DCC)")
     administrative = "dcc:administrativeData"
     covariance, coefficients = _coefficients(root)
     files = dict(_file(one) for one in root.findall(".//dcc:byteData", nodes.NAMESPACES))
@@ -465,5 +465,5 @@ def _numbers(node: Any, path: str) -> list[float]:
     except ValueError as error:
         raise NotIntact(f"a number of the digital certificate cannot be read ({error})") from error
     if not all(map(math.isfinite, numbers)):
-        raise NotIntact("a number of the digital certificate is none")
+        raise NotIntact("a number of the digital certificate is missing")
     return numbers

@@ -195,7 +195,7 @@ async def go(request: Request) -> Response:
 
 def _begun(panel: Panel, person: Person, wish: WishFolder) -> str:
     if not wish.found().startable:
-        raise Refusal(409, "what was found forbids it, or it is not checked yet")
+        raise Refusal(409, "the check found an obstacle, or is not finished")
     run = start_run(wish, panel.runs)
     if not read_holding(run.folder).holder:
         change(run.folder, "take", person)

@@ -279,7 +279,7 @@ def _simulated(
             faults=faults_of(bench),
         )
     except ValueError as error:
-        raise BenchError("simulation", str(error), "mend the faults in the bench file") from error
+        raise BenchError("simulation", str(error), "correct the faults in the bench file") from error
 
 
 TASK_TIME_S = 30.0
