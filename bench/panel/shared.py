@@ -24,6 +24,7 @@ from bench.panel.access import STATE, Access, Person, Refusal, Role, Settings
 from bench.panel.folder import Certificates, RunsFolder, RunsTable
 from bench.panel.holding import read_holding
 from bench.panel.launching import Started, Wishes
+from bench.panel.queue import DayQueue
 from bench.panel.stream import Followers
 from bench.run.events import sha256
 
@@ -41,6 +42,7 @@ class Panel:
         self.certificates = Certificates(settings.laboratory)
         self.streams: Counter[str] = Counter()
         self.access = Access(settings.runs / STATE)
+        self.queue = DayQueue(settings.runs / STATE)
 
 
 LOG: Final = logging.getLogger("uvicorn.error")
@@ -116,6 +118,7 @@ ASSETS: Final = {
     "panel.css": "text/css; charset=utf-8",
     "panel.js": "text/javascript; charset=utf-8",
     "bench.js": "text/javascript; charset=utf-8",
+    "fresh.js": "text/javascript; charset=utf-8",
     "waiting.js": "text/javascript; charset=utf-8",
     "plots.js": "text/javascript; charset=utf-8",
     "plots-chart.js": "text/javascript; charset=utf-8",
