@@ -121,6 +121,7 @@ LATE: Final = (
     "bench.services.check_block",
     "bench.services.execution",
     "bench.services.source",
+    "bench.services.until",
     "bench.results.control_chart",
     "bench.results.verification",
     "bench.results.residuals",

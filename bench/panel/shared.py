@@ -8,6 +8,7 @@ from collections import Counter
 from functools import cache
 from http import HTTPStatus
 from importlib.resources import files
+from pathlib import PurePath
 from typing import Any, Final
 from urllib.parse import parse_qsl, quote
 
@@ -26,7 +27,7 @@ from bench.panel.holding import read_holding
 from bench.panel.launching import Started, Wishes
 from bench.panel.queue import DayQueue
 from bench.panel.stream import Followers
-from bench.run.events import sha256
+from bench.run.events import RecordError, sha256
 
 
 class Panel:
@@ -156,6 +157,7 @@ def _environment() -> Environment:
         lstrip_blocks=True,
     )
     environment.filters["typeset"] = typeset
+    environment.filters["filename"] = lambda path: PurePath(str(path)).name
     environment.globals["asset"] = asset
     return environment
 
@@ -244,4 +246,9 @@ def by_record(request: Request, error: Exception) -> Response:
         if not (told := missing(error)):
             raise error
         return refused(request, Refusal(409, told))
+    name = request.path_params.get("name", "")
+    if isinstance(error, RecordError) and name and person_of(request) and not wants_json(request):
+        found = panel_of(request).runs.run(name)
+        told = str(error).replace(f"{found.folder.absolute()}/", "").replace(f"{found.folder}/", "")
+        return page(request, "damaged.html.j2", status=409, run=name, text=bounded(told))
     return refused(request, Refusal(409, str(error)))

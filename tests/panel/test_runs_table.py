@@ -12,6 +12,7 @@ from bench.catalogue.store import open_catalogue
 from bench.catalogue.sync import sync
 from bench.panel.access import Refusal, Role
 from bench.panel.folder import UNREAD, RunsFolder, RunsTable, read_page, state_at_the_end
+from bench.run.events import EVENTS
 from bench.run.folder import Run
 from bench.services.records import run_summary
 from tests.support.check_runs import measured, write_bench
@@ -84,6 +85,19 @@ def test_a_damaged_run_is_a_row_with_the_reason(runs):
     assert (rows["finished"].state, rows["broken"].state) == ("damaged", "damaged")
     assert "not JSON" in rows["finished"].detail
     assert Browser(runs, "anna").get("/").status_code == 200
+
+
+def test_the_page_of_a_damaged_run_says_what_to_do(runs):
+    file = runs / "finished" / EVENTS
+    file.write_bytes(file.read_bytes().replace(b"run_started", b"run_statted", 1))
+    anna = Browser(runs, "anna")
+    for page in ("/runs/finished/", "/runs/finished/verdict"):
+        reply = anna.get(page)
+        assert reply.status_code == 409
+        assert "The record of" in reply.text
+        assert "Copy the folder of the run" in reply.text
+        assert str(runs) not in reply.text
+    assert '<a href="/runs/finished/">what to do</a>' in anna.get("/").text
 
 
 def test_a_run_is_read_again_when_its_files_are_others_and_not_else(runs, monkeypatch):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import timedelta
@@ -31,6 +32,7 @@ from bench.panel.launching import (
     start,
     start_run,
 )
+from bench.panel.own_files import own_files
 from bench.panel.procedure_files import offered_procedures
 from bench.panel.shared import Panel, acting, looking, page, panel_of
 from bench.run.sentences import duration
@@ -56,6 +58,9 @@ def form(request: Request) -> Response:
     person = _operator(request)
     given = {name: request.query_params.get(name, "")[:LONGEST] for name in (*FORM, "after", "like")}
     given["operator"] = person.name
+    given["bench"] = (
+        given["bench"] or os.environ.get("BENCH_FILE", "") or next(iter(own_files(CONFIG)), "paper-stand")
+    )
     if given["like"]:
         given |= _files_of(panel_of(request).runs.run(given["like"]).manifest)
     after = None
