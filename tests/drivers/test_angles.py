@@ -69,7 +69,7 @@ def test_a_deviation_from_the_commanded_angle_may_be_typed(text: str, arcsec: fl
 
 @pytest.mark.parametrize("text", ['5"', "+5", '+5 5"', '+"', '+12345"', "+5'"])
 def test_a_deviation_has_its_sign_and_its_mark(text: str) -> None:
-    with pytest.raises(ValueError, match=r"type|away"):
+    with pytest.raises(ValueError, match=r"type|below"):
         read_angle(text, math.radians(90.0), 1e-3)
 
 
