@@ -332,7 +332,7 @@ def look_ahead(request: Check) -> Findings:
     """
     bench = None if request.bench is None else str(request.bench)
     plan, file = _load(request.procedure, bench)
-    found = _find(plan, file, runs_folder(request.runs))
+    found = findings_of(plan, file, runs_folder(request.runs))
     if not request.until:
         return found
     learned = learned_for_run(file, bench_path(bench), utc_now().isoformat(), simulated=None)
@@ -358,7 +358,8 @@ def _load(procedure: str, bench_name: str | None) -> tuple[Plan, BenchFile]:
     return plan, bench
 
 
-def _find(plan: Plan, bench: BenchFile, runs: Path) -> Findings:
+def findings_of(plan: Plan, bench: BenchFile, runs: Path) -> Findings:
+    """Return the findings of `bench check` on a plan; `runs` is the folder whose free space counts."""
     supply = bench.unit_under_test.supply
     needed, free = disk_needed_bytes(plan), _free_bytes(runs)
     problems = check(plan, bench)
