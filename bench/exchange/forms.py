@@ -26,7 +26,7 @@ from bench.exchange.autopilots import (
     px4_notes,
     px4_params,
 )
-from bench.exchange.result import CONVENTION, BlockResult, ReportedNumber
+from bench.exchange.result import CONVENTION, NINE, BlockResult, ReportedNumber
 from bench.model.geometry import COEFFICIENTS
 
 if TYPE_CHECKING:
@@ -50,16 +50,17 @@ def csv_text(result: BlockResult) -> str:
     def told(*lines: str) -> None:
         out.writelines(f"# {line}\r\n" for line in lines)
 
-    told(*result.head(), "U = K a + U0; a = N (U - U0)", CONVENTION)
+    told(*result.head(), "U = K a + U0; a = N (U - U0)", CONVENTION, NINE)
     writer.writerow(["name", "value", "u", "U", "unit"])
     inverse = result.inverse_rows[:9]
-    for row in (*result.coefficient_rows, *inverse, *result.misalignment_rows):
+    for row in (*result.coefficient_rows, *inverse, *result.misalignment_rows, *result.intrinsic_rows):
         writer.writerow([row.name, repr(row.value), repr(row.u), repr(row.U), row.unit])
     own = Derived(COEFFICIENTS, result.block.vector, result.covariance)
     for of, title in (
         (own, "covariance of the coefficients"),
         (result.inverse, "covariance of N and U0"),
         (result.misalignments, "covariance of the misalignment angles, rad^2"),
+        (result.intrinsic, "covariance of the nine, in their units"),
     ):
         told(title)
         writer.writerow(["covariance", *of.names])
@@ -158,15 +159,19 @@ def workbook(result: BlockResult) -> bytes:
     about = book.active
     about.title = "about"
     _write(about, [[name, text] for name, text in result.facts().items()])
-    _write(about, [["model", "U = K a + U0; a = N (U - U0)"], ["misalignments", CONVENTION]])
+    _write(
+        about, [["model", "U = K a + U0; a = N (U - U0)"], ["misalignments", CONVENTION], ["intrinsic", NINE]]
+    )
     about.column_dimensions["A"].width, about.column_dimensions["B"].width = 18, 110
     _numbers(book.create_sheet("coefficients"), result.coefficient_rows)
     _numbers(book.create_sheet("inverse"), result.inverse_rows)
     _numbers(book.create_sheet("misalignments"), result.misalignment_rows)
+    _numbers(book.create_sheet("intrinsic"), result.intrinsic_rows)
     for title, names, covariance in (
         ("covariance K U0", [row.name for row in result.coefficient_rows], result.covariance),
         ("covariance N U0", result.inverse.names, result.inverse.covariance),
         ("covariance alpha", result.misalignments.names, result.misalignments.covariance),
+        ("covariance intrinsic", result.intrinsic.names, result.intrinsic.covariance),
     ):
         rows = [[name, *row] for name, row in zip(names, covariance.tolist(), strict=True)]
         _write(book.create_sheet(title), [["", *names], *rows])
@@ -255,6 +260,8 @@ def print_coefficients(result: BlockResult, on: Console) -> None:
     on.print(_table(result.inverse_rows, result.k))
     on.print("misalignment angles of the input axes, K_ij = (-1)^n K_ii alpha_ji, n = 2 where j follows i")
     on.print(_table(result.misalignment_rows, result.k, 1.0 / ARCSEC, "arcsec"))
+    on.print(NINE)
+    on.print(_table(result.intrinsic_rows, result.k))
 
 
 def _table(rows: Iterable[ReportedNumber], k: float, times: float = 1.0, unit: str = "") -> Table:

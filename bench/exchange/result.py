@@ -13,11 +13,13 @@ from pydantic import Field
 from bench.base.arrays import Floats, u_of
 from bench.base.result_model import Matrix, ResultModel
 from bench.base.text import one_line
+from bench.calibration.intrinsic import intrinsic, intrinsic_unit
 from bench.calibration.result import Derived, inverse, misalignments
 from bench.model.geometry import COEFFICIENTS, Block
 
 SIMULATED = "SIMULATED: found on simulated instruments, of no real block"
 CONVENTION = "K_ij = (-1)^n K_ii alpha_ji, n = 2 where j follows i in x -> y -> z -> x, else 1"
+NINE = "S_i = |row i of K|, cos theta_ij = row_i row_j / (S_i S_j), b_i = U0_i / S_i: free of the mounting"
 COMBINED = "combined: the stand, the noise of the readings, and every other source that the bench has"
 OF_READINGS = "the stand and the noise of these readings alone; gain and offset of the meters are not in it"
 
@@ -62,6 +64,12 @@ class MisalignmentsPart(DerivedPart):
     convention: str
 
 
+class IntrinsicNumbersPart(DerivedPart):
+    """The nine numbers that do not depend on the mounting."""
+
+    definition: str
+
+
 class BlockPart(ResultModel):
     """The block, where it is stated."""
 
@@ -96,6 +104,7 @@ class CoefficientsResult(ResultModel):
     )
     inverse: InversePart
     misalignments: MisalignmentsPart
+    intrinsic: IntrinsicNumbersPart
 
 
 @dataclass(frozen=True)
@@ -142,6 +151,11 @@ class BlockResult:
         """The six angles of the input axes, rad."""
         return misalignments(self.block, self.covariance)
 
+    @cached_property
+    def intrinsic(self) -> Derived:
+        """The nine numbers that do not depend on the mounting."""
+        return intrinsic(self.block, self.covariance)
+
     @property
     def coefficient_rows(self) -> list[ReportedNumber]:
         """The twelve coefficients."""
@@ -159,6 +173,11 @@ class BlockResult:
     def misalignment_rows(self) -> list[ReportedNumber]:
         """The six angles."""
         return self._rows(self.misalignments, lambda _: "rad")
+
+    @property
+    def intrinsic_rows(self) -> list[ReportedNumber]:
+        """The nine."""
+        return self._rows(self.intrinsic, lambda name: intrinsic_unit(name, self.unit))
 
     @property
     def inverse_unit(self) -> str:
@@ -208,6 +227,7 @@ class BlockResult:
             order=list(COEFFICIENTS),
             inverse=_derived(self.inverse, self.inverse_rows, model="a = N (U - U0), a in g"),
             misalignments=_derived(self.misalignments, self.misalignment_rows, convention=CONVENTION),
+            intrinsic=_derived(self.intrinsic, self.intrinsic_rows, definition=NINE),
         ).to_dict()
 
 

@@ -17,6 +17,7 @@ from bench.calibration.budget.sources import assumed_stand
 from bench.calibration.budget.whole import sign
 from bench.calibration.calibrate import calibrate as estimate
 from bench.calibration.estimators import CLOSED_FORM, GLS
+from bench.calibration.intrinsic import Intrinsic, intrinsic_of
 from bench.calibration.mistakes import implausible, refuse_mixed_units, sheet_of
 from bench.calibration.result import COVERAGE_FACTOR, Calibration, CalibrationError
 from bench.calibration.temperature import separate_temperatures
@@ -194,6 +195,14 @@ class CalibrationResult:
             name: Coefficient(value, u, coefficient_unit(name, found.unit), own, dof)
             for name, value, u, own, dof in rows
         }
+
+    @cached_property
+    def intrinsic(self) -> Intrinsic | None:
+        """The nine numbers that do not depend on the mounting: `names`, `values`, `u`, `U`, `covariance` (9, 9).
+
+        None for a block with a dead channel.
+        """
+        return intrinsic_of(self.calibration)
 
     @property
     def covariance(self) -> Floats:
