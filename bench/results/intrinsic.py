@@ -114,14 +114,14 @@ def shown_rows(own: Intrinsic) -> list[list[str]]:
     rows = []
     for name, value, *sizes in zip(own.names, own.values, own.u_readings, own.u, own.U, strict=True):
         unit = intrinsic_unit(name, own.unit)
-        factor, small = _small(name, float(sizes[1]), own.unit)
+        factor, small = small_unit(name, float(sizes[1]), own.unit)
         of_value = [name, fixed(float(value), places(float(sizes[1]))), "°" if unit == "deg" else unit]
         rows.append([*of_value, *(uncertainty(float(size) / factor) for size in sizes), small])
     return rows
 
 
-def _small(name: str, u: float, unit: str) -> tuple[float, str]:
-    """Return the unit in which the u of one of the nine is shown, as a fraction of its own, and its name."""
+def small_unit(name: str, u: float, unit: str) -> tuple[float, str]:
+    """Return the unit for a difference of size `u` in one of the nine, as a fraction of its own, and its name."""
     if name.startswith("theta"):
         return 1.0 / 3600.0, "″"
     scale = scale_for(u, unit if name.startswith("S") else "g")
@@ -153,7 +153,7 @@ def ellipses(own: Intrinsic) -> str:
         for row, first in enumerate((0, 3, 6)):
             for column, (i, j) in enumerate(((0, 1), (0, 2), (1, 2))):
                 pair = [first + i, first + j]
-                scales = [_small(own.names[at], float(own.u[at]), own.unit) for at in pair]
+                scales = [small_unit(own.names[at], float(own.u[at]), own.unit) for at in pair]
                 size = np.array([scale for scale, _ in scales])
                 root = np.linalg.cholesky(own.covariance[np.ix_(pair, pair)]) / size[:, None]
                 outline, U = joint.k * root @ circle, own.U[pair] / size

@@ -14,7 +14,7 @@ from bench.model.geometry import Block
 from bench.services.face import load_bench
 from tests.support.paper_bench import STAND_U, U0, K
 from tests.support.results import calibration_json
-from tests.support.whole_truth import simulate_whole
+from tests.support.whole_truth import simulate_whole, turned
 
 
 def by_gram(vector):
@@ -24,15 +24,6 @@ def by_gram(vector):
     S = np.sqrt(np.diag(gram))
     angles = [np.arccos(gram[i, j] / (S[i] * S[j])) for i, j in ((0, 1), (0, 2), (1, 2))]
     return np.concatenate([S, np.degrees(1.0) * np.array(angles), bias / S])
-
-
-def turn(rng, limit_rad):
-    """A rotation by up to `limit_rad` about an axis drawn at random (Rodrigues)."""
-    axis = rng.normal(size=3)
-    axis /= np.linalg.norm(axis)
-    cross = np.cross(np.eye(3), axis)
-    angle = rng.uniform(0.0, limit_rad)
-    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
 
 
 def test_values_and_covariance_agree_with_the_gram_matrix_and_a_complex_step():
@@ -52,7 +43,7 @@ def test_a_common_turn_changes_none_of_the_nine_and_most_of_the_twelve():
     rng = np.random.default_rng(34)
     before = intrinsic(Block(K, U0), np.eye(12)).values
     for _ in range(20):
-        R = turn(rng, np.radians(2.0))
+        R = turned(rng, np.radians(2.0))
         assert intrinsic(Block(K @ R, U0), np.eye(12)).values == pytest.approx(before, rel=1e-13)
 
 
