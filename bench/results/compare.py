@@ -10,13 +10,13 @@ from pydantic import Field
 from rich.console import Console
 from rich.table import Table
 
-from bench.base.numbers import fixed, places, probability, quantity, scale_for
+from bench.base.numbers import fixed, places, probability, quantity
 from bench.base.result_model import Real, ResultModel
 from bench.base.tables import print_notes, table
 from bench.calibration.conformity import COVERAGE_FACTOR
 from bench.calibration.intrinsic import INTRINSIC
 from bench.history.comparison import Changes, Comparison, InNumbers, Snapshot
-from bench.history.equivalence import BenchComparison
+from bench.history.equivalence import BenchComparison, BenchesIn
 from bench.history.measured import STANDARD_GRAVITY
 from bench.model.geometry import COEFFICIENTS
 from bench.results.fleet import MOST_SHOWN, FleetResult, limit_in_words, signed_size
@@ -310,9 +310,9 @@ class EquivalencePart(ResultModel):
 
 
 class TogetherPart(ResultModel):
-    """A chi-square test of a difference in all twelve coefficients at once."""
+    """A chi-square test of a difference in all twelve coefficients, or all nine numbers, at once."""
 
-    chi2: float = Field(description="of the vector of twelve differences with its covariance")
+    chi2: float = Field(description="of the vector of differences with its covariance")
     dof: int
     p: float
     p_all_looks: float = Field(description="after Holm over all benches, or all pairs")
@@ -320,14 +320,14 @@ class TogetherPart(ResultModel):
 
 
 class PairTogether(TogetherPart):
-    """A chi-square test of the difference between two benches in all twelve coefficients at once."""
+    """A chi-square test of the difference between two benches in all numbers at once."""
 
     first: str
     second: str
 
 
 class AllTogether(ResultModel):
-    """Chi-square tests in all twelve coefficients at once, of each bench and of each pair of benches."""
+    """Chi-square tests in all numbers at once, of each bench and of each pair of benches."""
 
     benches: dict[str, TogetherPart] = Field(description="degrees of equivalence, by bench")
     pairs: list[PairTogether]
@@ -341,6 +341,14 @@ class BeyondPart(ResultModel):
     en: float
 
 
+class NineOfBenches(ResultModel):
+    """The comparison of the benches in the nine numbers that do not depend on the mounting."""
+
+    values: dict[str, EquivalencePart] = Field(description="by name, in unit/g, degrees and g")
+    together: AllTogether = Field(description="in all nine at once: this decides")
+    beyond: list[BeyondPart] = Field(description="beyond U (k = 2), the largest E_n first")
+
+
 class BenchesResult(FleetResult):
     """A comparison of benches by units that several of them measured."""
 
@@ -348,110 +356,145 @@ class BenchesResult(FleetResult):
     benches: list[str] = Field(description="that take part")
     units: list[str] = Field(description="measured on several of them")
     alone: list[str] = Field(description="benches that share no unit with another")
-    coefficients: dict[str, EquivalencePart] = Field(description="by name")
-    together: AllTogether
-    apart: list[BeyondPart] = Field(description="beyond U (k = 2), the largest E_n first")
+    intrinsic: NineOfBenches
+    coefficients: dict[str, EquivalencePart] = Field(description="the twelve, by name")
+    together: AllTogether = Field(description="in all twelve at once, which a turn of the block changes too")
+    apart: list[BeyondPart] = Field(description="of the twelve beyond U (k = 2), the largest E_n first")
+
+    @property
+    def off(self) -> tuple[str, ...]:
+        """The benches that the joint test of the nine finds off."""
+        return tuple(name for name, one in self.intrinsic.together.benches.items() if one.apart)
 
 
 def benches_result(found: BenchComparison) -> BenchesResult:
     """Return the result of a comparison of benches."""
-    names = [{"first": found.benches[p.first], "second": found.benches[p.second]} for p in found.pairs[0]]
+    nine, twelve = found.nine, found.twelve
     return BenchesResult.from_object(
         found,
         per_g_m_s2=STANDARD_GRAVITY,
-        coefficients={
-            name: EquivalencePart.from_object(
-                one,
-                degrees_of_equivalence={
-                    bench: DegreePart(d=d, u=u, U=COVERAGE_FACTOR * u, en=en)
-                    for bench, d, u, en in zip(found.benches, one.degree, one.u_degree, one.en, strict=True)
-                },
-                pairs=[PairPart.from_object(pair, **who) for pair, who in zip(both, names, strict=True)],
-            )
-            for name, one, both in zip(COEFFICIENTS, found.found, found.pairs, strict=True)
-        },
-        together=AllTogether(
-            benches={
-                name: TogetherPart.from_object(one)
-                for name, one in zip(found.benches, found.together, strict=True)
-            },
-            pairs=[
-                PairTogether.from_object(one, **who)
-                for one, who in zip(found.pairs_together, names, strict=True)
-            ],
+        intrinsic=NineOfBenches(
+            values=_equivalences(found, nine), together=_together(found, nine), beyond=_beyond(found, nine)
         ),
-        apart=[BeyondPart(bench=b, coefficient=c, en=en) for b, c, en in found.apart],
+        coefficients=_equivalences(found, twelve),
+        together=_together(found, twelve),
+        apart=_beyond(found, twelve),
     )
 
 
+def _equivalences(of: BenchComparison, numbers: BenchesIn) -> dict[str, EquivalencePart]:
+    names = _pairs_of(of, numbers)
+    return {
+        name: EquivalencePart.from_object(
+            one,
+            degrees_of_equivalence={
+                bench: DegreePart(d=d, u=u, U=COVERAGE_FACTOR * u, en=en)
+                for bench, d, u, en in zip(of.benches, one.degree, one.u_degree, one.en, strict=True)
+            },
+            pairs=[PairPart.from_object(pair, **who) for pair, who in zip(both, names, strict=True)],
+        )
+        for name, one, both in zip(numbers.names, numbers.found, numbers.pairs, strict=True)
+    }
+
+
+def _together(of: BenchComparison, numbers: BenchesIn) -> AllTogether:
+    names = _pairs_of(of, numbers)
+    return AllTogether(
+        benches={
+            name: TogetherPart.from_object(one)
+            for name, one in zip(of.benches, numbers.together, strict=True)
+        },
+        pairs=[
+            PairTogether.from_object(one, **who)
+            for one, who in zip(numbers.pairs_together, names, strict=True)
+        ],
+    )
+
+
+def _pairs_of(of: BenchComparison, numbers: BenchesIn) -> list[dict[str, str]]:
+    return [{"first": of.benches[p.first], "second": of.benches[p.second]} for p in numbers.pairs[0]]
+
+
+def _beyond(of: BenchComparison, numbers: BenchesIn) -> list[BeyondPart]:
+    return [BeyondPart(bench=b, coefficient=c, en=en) for b, c, en in numbers.apart(of.benches)]
+
+
 def print_benches(result: BenchesResult, out: Console) -> None:
-    """Print the consistency and the worst bench for each coefficient, and the benches beyond U."""
+    """Print the consistency and the worst bench for each number, and the verdict by the joint test of the nine."""
     out.print(
         f"{len(result.benches)} benches on {len(result.units)} common units, {result.calibrations} calibrations; "
         "d = bench less reference, U with k=2"
     )
     if result.alone:
         out.print(f"not compared, no unit joins them: {', '.join(result.alone)}")
-    shown = table(
-        "coefficient", ">chi2", ">dof", ">Birge", ">dark", "reference", ">worst bench", ">d", ">U", ">E_n"
-    )
-    for name, one in result.coefficients.items():
-        worst, degree = max(one.degrees_of_equivalence.items(), key=lambda of: of[1].en)
-        shown.add_row(
-            name, f"{one.chi2:.1f}", str(one.dof), f"{one.birge:.2f}",
-            limit_in_words(one.dark, result.signal), one.method, worst,
-            signed_size(degree.d, result.signal), quantity(degree.U, result.signal), f"{degree.en:.2f}",
-        )  # fmt: skip
-    out.print(shown)
-    print_notes(out, result.notes)
-    if result.apart:
-        told = ", ".join(
-            f"{one.bench} in {one.coefficient} (E_n {one.en:.1f})" for one in result.apart[:MOST_SHOWN]
+    for numbers in (result.intrinsic.values, result.coefficients):
+        shown = table(
+            "number", ">chi2", ">dof", ">Birge", ">dark", "reference", ">worst bench", ">d", ">U", ">E_n"
         )
-        out.print(f"beyond U (k=2): {told}", style="bold")
-    else:
-        out.print("no bench is off by more than U (k=2)", style="bold")
-    _print_together(result.together, out)
+        for name, one in numbers.items():
+            worst, degree = max(one.degrees_of_equivalence.items(), key=lambda of: of[1].en)
+            size, unit = unit_of_change(name, result.signal)
+            shown.add_row(
+                name, f"{one.chi2:.1f}", str(one.dof), f"{one.birge:.2f}",
+                limit_in_words(None if one.dark is None else one.dark * size, unit), one.method, worst,
+                signed_size(degree.d * size, unit), quantity(degree.U * size, unit), f"{degree.en:.2f}",
+            )  # fmt: skip
+        out.print(shown)
+    print_notes(out, result.notes)
+    told = [f"{one.bench} in {one.coefficient} (E_n {one.en:.1f})" for one in result.intrinsic.beyond]
+    if told:
+        out.print(f"beyond U (k=2): {', '.join(told[:MOST_SHOWN])}", style="bold")
+    _print_together(result.intrinsic.together, "nine", out)
+    _print_together(result.together, "twelve", out)
 
 
-def _print_together(found: AllTogether, out: Console) -> None:
-    """Print the benches and pairs of benches that differ in all twelve coefficients taken together."""
+def unit_of_change(name: str, unit: str) -> tuple[float, str]:
+    """Return the factor and the unit in which differences of a number are printed: angles in seconds of arc."""
+    if name.startswith("theta"):
+        return 3600.0, "″"
+    return 1.0, "g" if name in INTRINSIC[6:] else unit
+
+
+def _print_together(found: AllTogether, count: str, out: Console) -> None:
+    """Print the benches and pairs of benches that differ in all `count` numbers taken together."""
     benches: Iterable[tuple[str, TogetherPart]] = found.benches.items()
     pairs = ((f"{pair.first} and {pair.second}", pair) for pair in found.pairs)
     apart = [(name, one) for name, one in (*benches, *pairs) if one.apart]
     for name, one in sorted(apart, key=lambda row: row[1].p_all_looks)[:MOST_SHOWN]:
         out.print(
-            f"all twelve together, {name}: chi2 {one.chi2:.1f} for {one.dof}, p {one.p_all_looks:.2g} in all looks"
+            f"all {count} together, {name}: chi2 {one.chi2:.1f} for {one.dof}, p {one.p_all_looks:.2g} in all "
+            "looks",
+            style="bold" if count == "nine" else None,
         )
     if not apart:
-        out.print("all twelve together: no bench and no pair differs beyond its covariance (5 %, all looks)")
+        out.print(
+            f"all {count} together: no bench and no pair differs beyond its covariance (5 %, all looks)"
+        )
 
 
 def equivalence_figure(of: BenchComparison) -> str:
-    """Return an SVG file of the degrees of equivalence, with bars U (k = 2).
+    """Return an SVG file of the degrees of equivalence in the nine, with bars U (k = 2).
 
     Benches beyond U are red crosses. The band is the dark uncertainty.
     """
-    benches, found, signal = of.benches, of.found, of.signal
-    rows = np.arange(len(benches))
+    benches, rows = of.benches, np.arange(len(of.benches))
 
     def draw(figure: Figure) -> None:
-        grid = figure.subplots(4, 3, sharey=True)
-        for axes, name, one in zip(grid.flat, COEFFICIENTS, found, strict=True):
+        grid = figure.subplots(3, 3, sharey=True)
+        for axes, name, one in zip(grid.flat, of.nine.names, of.nine.found, strict=True):
             U = COVERAGE_FACTOR * one.u_degree
-            scale = scale_for(float(np.max(np.abs(one.degree) + U)), signal)
+            size, unit = small_unit(name, float(np.max(np.abs(one.degree) + U)), of.signal)
             if one.dark > 0:
-                axes.axvspan(-one.dark / scale.size, one.dark / scale.size, color="#DDE2E6", zorder=0)
+                axes.axvspan(-one.dark / size, one.dark / size, color="#DDE2E6", zorder=0)
             axes.axvline(0.0, color=GREY, linewidth=0.7)
             for beyond, marker, colour in ((one.en <= 1.0, "o", BLUE), (one.en > 1.0, "X", VERMILION)):
                 axes.errorbar(
-                    one.degree[beyond] / scale.size, rows[beyond], xerr=U[beyond] / scale.size,
+                    one.degree[beyond] / size, rows[beyond], xerr=U[beyond] / size,
                     fmt=marker, color=colour, capsize=2.0,
                 )  # fmt: skip
-            unit = scale.unit if name.startswith("U0") else scale.per_g
             axes.set_title(f"{symbol(name)} / {unit}")
             axes.set_yticks(rows, benches)
             axes.set_ylim(len(benches) - 0.5, -0.5)
         figure.supxlabel("degree of equivalence: bench less reference, bars k = 2", fontsize=8)
 
-    return svg_file("equivalence", (7.4, 2.4 + 0.9 * len(benches)), draw)
+    return svg_file("equivalence", (7.4, 2.4 + 0.7 * len(benches)), draw)

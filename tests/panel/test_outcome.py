@@ -115,7 +115,7 @@ def test_what_changed_since_then_is_said_with_its_u(runs, judged):
     moved = outcome(judged).change
     assert moved.changed
     assert moved.rows[0].startswith("Sx: ")
-    assert "Changed beyond the uncertainty: 1 of the nine" in moved.sentence
+    assert "Changed beyond the uncertainty: 4 of the nine" in moved.sentence
 
 
 @pytest.mark.parametrize("what", ["report", "diagnosis", "else"])
