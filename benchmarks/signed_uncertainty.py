@@ -44,7 +44,7 @@ from bench.calibration import calibrate
 from bench.calibration.budget.sources import assumed_stand
 from bench.calibration.budget.whole import delta_g_contributions, sign
 from bench.calibration.components import ASKED_P
-from bench.calibration.intrinsic import intrinsic
+from bench.calibration.intrinsic import intrinsic, least_dof
 from bench.calibration.result import COVERAGE_FACTOR, Calibration, Noise
 from bench.config.bench_file.stand import UncertaintySection
 from bench.history.comparison import Snapshot, compare
@@ -170,9 +170,15 @@ def pairs(case: str, seed: int, numbers: range) -> tuple[int, int, int, int]:
     for k in numbers:
         rng = np.random.default_rng([seed, 100 + CASES.index(case), k])
         bench = Bench.drawn(rng, case)
-        first = own(case).of(simulate_whole(rng, case, bench, change=turn(rng)).readings)
-        second = own(case).of(simulate_whole(rng, case, bench, change=turn(rng)).readings)
-        unchanged = compare([_snapshot(first, "a"), _snapshot(second, "b")])
+        first = _snapshot(own(case).of(simulate_whole(rng, case, bench, change=turn(rng)).readings), "a")
+        turned_by = turn(rng)
+
+        def second(change: Floats, k: int = k, bench: Bench = bench) -> Snapshot:
+            """The second calibration, with a change of the block, and the same noise whatever that is."""
+            other = np.random.default_rng([seed, 100 + CASES.index(case), k, 1])
+            return _snapshot(own(case).of(simulate_whole(other, case, bench, change=change).readings), "b")
+
+        unchanged = compare([first, second(turned_by)])
         differ += unchanged.changed
         if k % ONE_IN:
             continue
@@ -180,8 +186,7 @@ def pairs(case: str, seed: int, numbers: range) -> tuple[int, int, int, int]:
         j = int(rng.integers(9))
         at = intrinsic(Block(K, U0), np.eye(12)).jacobian
         change = np.linalg.pinv(at)[:, j] * 6 * unchanged.nine.changes[0].u[j]
-        moved = own(case).of(simulate_whole(rng, case, bench, change=change + turn(rng)).readings)
-        found += compare([_snapshot(first, "a"), _snapshot(moved, "c")]).changed
+        found += compare([first, second(turned_by + change)]).changed
     return len(numbers), differ, changed, found
 
 
@@ -194,7 +199,7 @@ def _snapshot(found: Calibration, name: str) -> Snapshot:
     return Snapshot(
         name, TODAY, "block 1", found.unit, found.g_m_s2, found.block.vector, found.covariance,
         same_meters=found.covariance_same_meters, meters=("1", "2", "3"), block_terms=found.block_terms,
-        wander=found.wander,
+        wander=found.wander, dof=least_dof(found),
     )  # fmt: skip
 
 

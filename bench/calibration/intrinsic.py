@@ -106,6 +106,12 @@ def intrinsic_of(found: Calibration) -> Intrinsic | None:
     )  # fmt: skip
 
 
+def least_dof(found: Calibration) -> float:
+    """Return the least of the effective degrees of freedom of the nine; infinite for a block without nine."""
+    own = intrinsic_of(found)
+    return float("inf") if own is None else float(np.min(own.dof))
+
+
 def _held(own: Derived, unseen: Floats) -> tuple[str, ...]:
     """Return the numbers that change along `unseen` (12, d), changes of K of relative size 1."""
     change = own.jacobian @ unseen

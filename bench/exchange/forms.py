@@ -26,6 +26,7 @@ from bench.exchange.autopilots import (
     px4_notes,
     px4_params,
 )
+from bench.exchange.checks import TOLERANCE, c_self_test, how_to_test, judged, own_test, picture
 from bench.exchange.result import CONVENTION, NINE, BlockResult, ReportedNumber
 from bench.model.geometry import COEFFICIENTS
 
@@ -50,7 +51,8 @@ def csv_text(result: BlockResult) -> str:
     def told(*lines: str) -> None:
         out.writelines(f"# {line}\r\n" for line in lines)
 
-    told(*result.head(), "U = K a + U0; a = N (U - U0)", CONVENTION, NINE)
+    told(*result.head(), "U = K a + U0; a = N (U - U0)", CONVENTION, NINE, *picture(result.unit))
+    told(how_to_test("FILE.csv"), *own_test(_CSV_TEST))
     writer.writerow(["name", "value", "u", "U", "unit"])
     inverse = result.inverse_rows[:9]
     for row in (*result.coefficient_rows, *inverse, *result.misalignment_rows, *result.intrinsic_rows):
@@ -67,7 +69,19 @@ def csv_text(result: BlockResult) -> str:
         writer.writerows(
             [name, *map(repr, row)] for name, row in zip(of.names, of.covariance.tolist(), strict=True)
         )
+    told("check vectors: signals, and the accelerations N (U - U0) in g that must follow")
+    writer.writerow(["check", "Ux", "Uy", "Uz", "ax", "ay", "az"])
+    rows = np.hstack(result.check).tolist()
+    writer.writerows([str(number), *map(repr, row)] for number, row in enumerate(rows, 1))
     return out.getvalue()
+
+
+_CSV_TEST: Final = (
+    "import csv, sys; rows = [r for r in csv.reader(open(sys.argv[1], newline='')) if r[0][:1] != '#']; "
+    "n = {r[0]: float(r[1]) for r in rows[1:37]}; c = [[float(x) for x in r[1:]] for r in rows if r[0].isdigit()]",
+    "def a(u): return [sum(n['N' + i + j] * (u[k] - n['U0' + j]) for k, j in enumerate('xyz')) for i in 'xyz']",
+    judged(),
+)
 
 
 def c_header(result: BlockResult) -> str:
@@ -79,8 +93,13 @@ def c_header(result: BlockResult) -> str:
         [
             *result.head(),
             f"a = N (U - U0): a in local g, U in {result.unit}.",
+            *picture(result.unit),
+            "coefficients_self_test() returns 0 when this file is as it was written.",
             "U of the coefficients: " + ", ".join(f"{row.name} {row.U:.2g}" for row in result.inverse_rows),
         ]
+    )
+    tested = c_self_test(
+        "coefficients", np.hstack(result.check), "coefficients_specific_force(row, a);", "double a[3];"
     )
     return f"""/*
 {head}
@@ -140,6 +159,7 @@ static inline void coefficients_force_covariance(const double u[3], double c[3][
         }}
 }}
 
+{tested}
 #endif
 """
 
@@ -162,6 +182,7 @@ def workbook(result: BlockResult) -> bytes:
     _write(
         about, [["model", "U = K a + U0; a = N (U - U0)"], ["misalignments", CONVENTION], ["intrinsic", NINE]]
     )
+    _write(about, [["signs" if not k else "", line] for k, line in enumerate(picture(result.unit))])
     about.column_dimensions["A"].width, about.column_dimensions["B"].width = 18, 110
     _numbers(book.create_sheet("coefficients"), result.coefficient_rows)
     _numbers(book.create_sheet("inverse"), result.inverse_rows)
@@ -176,6 +197,7 @@ def workbook(result: BlockResult) -> bytes:
         rows = [[name, *row] for name, row in zip(names, covariance.tolist(), strict=True)]
         _write(book.create_sheet(title), [["", *names], *rows])
     _conversion(book.create_sheet("a from U"), result)
+    _checks(book.create_sheet("check"), result)
     if result.simulated:
         for sheet in book.worksheets:
             sheet.oddHeader.center.text = "SIMULATED"
@@ -247,6 +269,27 @@ def _conversion(sheet: Worksheet, result: BlockResult) -> None:
     inner = "+".join(f"{letters[k]}8*SUMPRODUCT({row})" for k, row in enumerate(rows))
     sheet["B6"] = f"={result.k!r}*SQRT({inner})"
     sheet.column_dimensions["A"].width = 44
+
+
+def _checks(sheet: Worksheet, result: BlockResult) -> None:
+    """Fill in the check vectors, formulas that compute them from the sheet "inverse", and the verdict in B1."""
+    _write(
+        sheet,
+        [
+            ["this file is"],
+            ["check", "Ux", "Uy", "Uz", "ax", "ay", "az", "ax here", "ay here", "az here", "off"],
+        ],
+    )
+    for row, values in enumerate(np.hstack(result.check).tolist(), 3):
+        _write(sheet, [[row - 2, *values]])
+        for i, column in enumerate("HIJ"):
+            terms = [
+                f"inverse!$B${2 + 3 * i + j}*({u}{row}-inverse!$B${11 + j})" for j, u in enumerate("BCD")
+            ]
+            sheet[f"{column}{row}"] = "=" + "+".join(terms)
+        off = [f"ABS({here}{row}-{told}{row})" for here, told in zip("HIJ", "EFG", strict=True)]
+        sheet[f"K{row}"] = f"=MAX({','.join(off)})"
+    sheet["B1"] = f'=IF(MAX(K3:K22)<={TOLERANCE:g},"as it was written","NOT AS IT WAS WRITTEN")'
 
 
 # --- for a person -------------------------------------------------------------------------------------

@@ -42,7 +42,8 @@ class Snapshot:
     covariance without the part that cancels if the same meters measure again, None if there is no such part;
     `meters` are the meters' identities, empty if unknown. Each column of `block_terms` (12, q) is the error due to
     one u of K2 or K3 of the block, which is the same in each of its calibrations. `wander` (3,) is the rms wander
-    of each bias about its mean in the run. A snapshot in the nine has nine in place of twelve, biases last, too.
+    of each bias about its mean in the run. `dof` is the least of the effective degrees of freedom of the nine. A
+    snapshot in the nine has nine in place of twelve, biases last, too.
     """
 
     name: str
@@ -57,6 +58,7 @@ class Snapshot:
     meters: tuple[str, ...] = ()
     block_terms: Floats | None = None
     wander: Floats | None = None
+    dof: float = np.inf
 
     def per(self, g_m_s2: float) -> Snapshot:
         """Return the snapshot with scale factors converted to another local g; per m/s² they stay the same."""
@@ -272,7 +274,18 @@ def _of_free_positions(snapshot: Snapshot) -> bool:
 def _changes(first: Snapshot, later: Snapshot, difference: Floats, u: Floats, p: Floats) -> Changes:
     en = np.abs(difference) / (COVERAGE_FACTOR * u)
     chi2 = _chi2(difference, first.covariance + later.covariance)
-    return Changes(later, difference, u, en, p, chi2, float(special.chdtrc(len(difference), chi2)))
+    joint = _p_of(chi2, len(difference), min(first.dof, later.dof))
+    return Changes(later, difference, u, en, p, chi2, joint)
+
+
+def _p_of(chi2: float, count: int, dof: float) -> float:
+    """Return the p-value of a chi-square of `count` numbers whose u has `dof` degrees of freedom.
+
+    chi2/count is then F distributed, as the joint coverage factor sqrt(p F) has it.
+    """
+    if np.isinf(dof):
+        return float(special.chdtrc(count, chi2))
+    return float(special.fdtrc(count, dof, chi2 / count))
 
 
 def _require_regular(snapshot: Snapshot) -> None:
@@ -297,7 +310,7 @@ def _constant(snapshots: Sequence[Snapshot]) -> float:
     weights = [np.linalg.inv(snapshot.covariance) for snapshot in snapshots]
     mean = np.linalg.solve(sum(weights), sum(w @ s.vector for w, s in zip(weights, snapshots, strict=True)))
     chi2 = sum(_chi2(s.vector - mean, s.covariance) for s in snapshots)
-    return float(special.chdtrc(len(mean) * (len(snapshots) - 1), chi2))
+    return _p_of(chi2, len(mean) * (len(snapshots) - 1), min(s.dof for s in snapshots))
 
 
 def _drift(snapshots: Sequence[Snapshot], dates: Sequence[datetime]) -> DriftLines:

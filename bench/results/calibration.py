@@ -239,6 +239,9 @@ class CalibrateResult(ResultModel):
     effects: dict[str, EstimatePart] = Field(
         description="parameters of the effects of the model file, where one was given"
     )
+    temperature_effects: list[str] = Field(
+        default=[], description="effects of the model by which temperature is taken out of the coefficients"
+    )
     not_observable: list[str] = Field(
         description="what is assumed because these readings cannot show it, and what it costs if it is wrong"
     )

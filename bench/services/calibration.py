@@ -258,12 +258,17 @@ class CalibrationResult:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as `bench calibrate --json` writes it."""
+        from bench.services.coefficients import TEMPERATURE_EFFECTS
+
         source = self.source
         return calibrate_result(
             self.calibration,
             **source.made_from(),
             **({} if source.run is None else {"record": source.run.record_head}),
             **({} if self.prior is None else {"prior": self.prior}),
+            temperature_effects=[
+                one.effect.name for one in source.model.effects if one.effect.name in TEMPERATURE_EFFECTS
+            ],
             meters=source.meters,
             notes=[*self._said, *source.readings.notes],
             skipped_rows=source.readings.skipped,
@@ -281,17 +286,23 @@ class CalibrationResult:
         return block_result(self.to_dict(), self.source.name)
 
     def write(
-        self, path: str | Path, form: str, *, nominal: tuple[float, float, float] | None = None
+        self,
+        path: str | Path,
+        form: str,
+        *,
+        nominal: tuple[float, float, float] | None = None,
+        without_temperature: bool = False,
     ) -> tuple[str, ...]:
         """Write the coefficients as `bench coefficients --as FORM` does; return what the form cannot hold.
 
         `form` is "json", "csv", "c", "excel", "kalibr", "px4" or "ardupilot". The last three are for signals in
-        m/s^2; `nominal` are the scale factors (unit/g) by which the signals were converted. Raises `Refused` for
-        another form, `OSError`.
+        m/s^2; `nominal` are the scale factors (unit/g) by which the signals were converted. A calibration whose
+        model takes temperature out is written only `without_temperature`. Raises `Refused` for another form,
+        `OSError`.
         """
         from bench.services.coefficients import write_form
 
-        return write_form(self.derived, Path(path), form, nominal)
+        return write_form(self.derived, Path(path), form, nominal, without_temperature=without_temperature)
 
     def print_on(self, out: Console) -> None:
         """Print the coefficients, the noise, the fit, and the notes."""

@@ -332,4 +332,4 @@ def test_a_name_from_outside_is_text_in_every_form(form):
         assert any("=1+1" in str(cell.value) for cell in cells)
         return
     assert not [line for line in made.splitlines() if line.startswith("#error")]
-    assert made.count("*/") == (0 if form != "c" else 6)
+    assert made.count("*/") == (0 if form != "c" else 8)
