@@ -70,10 +70,13 @@ READ_CHECKS: Final = (
 """The statement of a test that reads the lines of `check_lines`."""
 
 
-def judged(g: str = "1.0", at: int = 3) -> str:
-    """Return the last line of a test: `a` maps the first `at` numbers of a check to an acceleration of size `g`."""
+def judged(g: str = "1.0", at: int = 3, count: int = COUNT) -> str:
+    """Return the last line of a test: `a` maps the first `at` numbers of a check to an acceleration of size `g`.
+
+    `count` is the number of checks that the file must have.
+    """
     worst = (
-        f"max([abs(p - q) for r in c for p, q in zip(a(r[:{at}]), r[{at}:])] + [9e9] * (len(c) != {COUNT}))"
+        f"max([abs(p - q) for r in c for p, q in zip(a(r[:{at}]), r[{at}:])] + [9e9] * (len(c) != {count}))"
     )
     return f"assert {worst} <= {TOLERANCE:g} * {g}, 'FAILED: this file is not as it was written'"
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+from itertools import cycle
 from typing import Final
 
 import numpy as np
@@ -42,9 +43,14 @@ def facts(model: TemperatureModel, table: CompensationTable, of: str) -> list[st
 
 
 def table_checks(model: TemperatureModel, table: CompensationTable) -> Floats:
-    """Return the check vectors (20, 7): temperature, deg C, signals, and the table's accelerations, g."""
-    t = np.linspace(model.minimum_c, model.maximum_c, len(POSITIONS))
-    forces = zip(t.tolist(), POSITIONS, strict=True)
+    """Return the check vectors (n, 7): temperature, deg C, signals, and the table's accelerations, g.
+
+    They are 20, or as many as the steps of the table, so that each of its rows counts.
+    """
+    steps = table.nodes - 1
+    even = np.linspace(model.minimum_c, model.maximum_c, len(POSITIONS), dtype=np.float64)
+    t: Floats = even if steps <= len(even) else table.first_c + table.step_k * (np.arange(steps) + 0.5)
+    forces = zip(t.tolist(), cycle(POSITIONS))
     signal = np.stack([model.block(at).output(a[None])[0] for at, a in forces])
     return np.column_stack([t, signal, table.double_force(signal, t)])
 
@@ -55,18 +61,16 @@ INTERPOLATED: Final = (
     "return [sum(m[3 * i + j] * (r[1 + j] - m[9 + j]) for j in range(3)) for i in range(3)]"
 )
 """The line of a test that interpolates `t`, rows of temperature and twelve entries, and corrects a signal."""
-JSON_TEST: Final = (
-    "import json, sys; d = json.load(open(sys.argv[1])); b = d['table']; c = d['check']; "
-    "t = [[b['first_c'] + k * b['step_k'], *row] for k, row in enumerate(b['rows'])]",
-    INTERPOLATED,
-    judged(at=4),
-)
-_CSV_TEST: Final = (
-    "import csv, sys; t = [[float(x) for x in r] for r in csv.reader(l for l in open(sys.argv[1]) if l[0] != '#') "
-    f"if r[0] != 'temperature_c']; {READ_CHECKS}",
-    INTERPOLATED,
-    judged(at=4),
-)
+
+
+def json_test(count: int) -> list[str]:
+    """Return the three lines that test a result of `bench compensate --json` with `count` check vectors."""
+    return [
+        "import json, sys; d = json.load(open(sys.argv[1])); b = d['table']; c = d['check']; "
+        "t = [[b['first_c'] + k * b['step_k'], *row] for k, row in enumerate(b['rows'])]",
+        INTERPOLATED,
+        judged(at=4, count=count),
+    ]
 
 
 def c_header(model: TemperatureModel, table: CompensationTable, of: str) -> str:
@@ -164,12 +168,16 @@ def table_csv(model: TemperatureModel, table: CompensationTable, of: str) -> str
     checks = table_checks(model, table)
     at = np.stack([np.interp(checks[:, 0], written[:, 0], column) for column in written[:, 1:].T], axis=1)
     checks[:, 4:] = np.einsum("nij,nj->ni", at[:, :9].reshape(-1, 3, 3), checks[:, 1:4] - at[:, 9:])
+    read = (
+        "import csv, sys; t = [[float(x) for x in r] for r in csv.reader(l for l in open(sys.argv[1]) "
+        f"if l[0] != '#') if r[0] != 'temperature_c']; {READ_CHECKS}"
+    )
     out = io.StringIO()
     told = [
         *facts(model, table, one_line(of)),
         *check_lines(checks[:, :4], checks[:, 4:], "T / deg C, U, then a = N (U - U0)", "g"),
         how_to_test("FILE.csv"),
-        *own_test(_CSV_TEST),
+        *own_test((read, INTERPOLATED, judged(at=4, count=len(checks)))),
     ]
     out.writelines(f"# {line}\r\n" for line in told)
     writer = csv.writer(out, lineterminator="\r\n")

@@ -12,6 +12,7 @@ from bench.calibration.intrinsic import INTRINSIC, intrinsic, intrinsic_of, join
 from bench.model import ForwardModel
 from bench.model.geometry import Block
 from bench.services.face import load_bench
+from benchmarks.intrinsic_campaign import run
 from tests.support.paper_bench import STAND_U, U0, K
 from tests.support.results import calibration_json
 from tests.support.whole_truth import simulate_whole, turned
@@ -107,3 +108,14 @@ def test_the_joint_factor_is_that_of_chi_square_or_of_f(count, k):
     assert joint_factor(count).k == pytest.approx(k, abs=5e-4)
     few = joint_factor(count, 20.0).k
     assert few == pytest.approx(np.sqrt(count * stats.f(count, 20).ppf(0.95)), rel=1e-9)
+
+
+@pytest.mark.slow
+def test_turned_blocks_and_drawn_stands_scatter_as_stated():
+    """Seed 3, 12 runs each of the campaign: z of nine numbers, known to four standard errors."""
+    for turned_too in (True, False):
+        error, u, joint, moved = run(3, turned_too, range(12))
+        # of 108 values about a third are independent of one another
+        assert np.mean((error / u) ** 2) == pytest.approx(1.0, abs=4 * np.sqrt(2 / 36))
+        assert np.all(joint < 1.8)
+        assert bool(np.max(np.abs(moved)) > 1e-3) is turned_too

@@ -13,7 +13,7 @@ import pytest
 from bench.calibration import CalibrationError, calibrate
 from bench.calibration.temperature import inverse_entries, make_table
 from bench.calibration.temperature_fit import temperature_model
-from bench.exchange.compensation import JSON_TEST, c_header, table_checks, table_csv
+from bench.exchange.compensation import c_header, json_test, table_checks, table_csv
 from bench.model.geometry import COEFFICIENTS, Block
 from bench.results.compensation import table_part
 from tests.support.paper_bench import STAND_U, TRUTH
@@ -354,11 +354,9 @@ def test_what_is_exported_tests_itself_with_temperature(model, table, tmp_path):
     at = re.search(r"compensation_table.*?\{\s*\{-?", header, re.DOTALL).end()
     assert compiled_test(tmp_path, "compensation", with_a_digit_changed(header, at)) > 0
     text = table_csv(model, table, "block 1")
-    data = {
-        "table": table_part(table).to_dict(),
-        "check": table_checks(model, table).tolist(),
-        "python": JSON_TEST,
-    }
+    checks = table_checks(model, table)
+    assert len(checks) == table.nodes - 1
+    data = {"table": table_part(table).to_dict(), "check": checks.tolist(), "python": json_test(len(checks))}
     for name, made, first in (
         ("x.csv", text, r"\n-2\d\.\d+,-?"),
         ("x.json", json.dumps(data), r'"rows": \[\[-?'),

@@ -4,15 +4,17 @@ import json
 import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
 
-def own_test(path):
+def own_test(path: Path) -> int:
     """The exit status of the test that a file carries, run as its own text says."""
     text = path.read_text(encoding="utf-8")
     if path.suffix == ".json":
-        lines = json.loads(text).get("check", {}).get("python") or json.loads(text)["python"]
+        data = json.loads(text)
+        lines = data["python"] if "python" in data else data["check"]["python"]
     else:
         lines = [line[8:] for line in text.splitlines() if line.startswith("# test: ")]
     assert len(lines) == 3
@@ -20,7 +22,7 @@ def own_test(path):
     return done.returncode
 
 
-def compiled_test(folder, name, text):
+def compiled_test(folder: Path, name: str, text: str) -> int:
     """What `<name>_self_test()` of a header returns, compiled strictly."""
     compiler = shutil.which("gcc")
     if compiler is None:
@@ -32,9 +34,9 @@ def compiled_test(folder, name, text):
     return subprocess.run([folder / "main"], check=False).returncode  # noqa: S603
 
 
-def with_a_digit_changed(text, at):
-    """The text with the eighth significant digit of the number that begins at `at` changed."""
+def with_a_digit_changed(text: str, at: int) -> str:
+    """The text with the seventh significant digit of the number that begins at `at` changed."""
     digits = [k for k in range(at, min(at + 24, len(text))) if text[k].isdigit()]
     first = next(k for k in digits if text[k] != "0")
-    k = [d for d in digits if d >= first][7]
+    k = [d for d in digits if d >= first][6]
     return text[:k] + str((int(text[k]) + 1) % 10) + text[k + 1 :]
