@@ -3,11 +3,11 @@
     python -m benchmarks.intrinsic_campaign --runs 1000
     python -m benchmarks.signed_uncertainty --pairs 2000 --cases all
 
-Each run is the paper's procedure on a stand whose angles are drawn from its bench file (the limits of the paper as
-three sigma, the third mounting angle as the second), with the noise of a voltmeter; geometry and truth are those of
-tests/support. In half of the runs the block is turned by 0 to 2 degrees about any axis, alike in both installations:
-its twelve change, its nine do not. u is that of the readings and the stand, which hold all that is drawn. For each of
-the nine, and in the turned and in the other runs: root mean square of (estimate - truth)/u, and coverage of k = 2
+Each run is the paper's procedure on a stand whose angles are drawn from its bench file (the limits of the paper
+as three sigma, the third mounting angle as the second), with the noise of a voltmeter; geometry and truth are those
+of tests/support. In half of the runs the block is turned by 0 to 2 degrees about any axis, alike in both
+installations: its twelve change, its nine do not. u is that of the readings and the stand, which hold all that is
+drawn. For each of the nine, and in the turned and in the other runs: root mean square of (estimate - truth)/u, and coverage of k = 2
 (promised: 0.93 to 0.97, within the binomial limits of 99.9 %). All nine and all twelve are in their joint ellipsoid
 of 95 % (promised: 0.93 at least). How far the turns move the twelve stands beside. Pairs of calibrations of turned
 blocks, compared, are the subject of the second command. Exit status 1 where a promise is broken.
@@ -36,7 +36,7 @@ LEAST, MOST = 0.93, 0.97
 
 
 def run(seed: int, turned: bool, numbers: range) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return errors and u of the nine (runs, 9), the joint distance over its factor (runs, 2), changes (runs, 12)."""
+    """Return errors and u of the nine (runs, 9), joint distances over their k (runs, 2), changes (runs, 12)."""
     rows = []
     bench = own("roll")
     for k in numbers:
@@ -47,13 +47,11 @@ def run(seed: int, turned: bool, numbers: range) -> tuple[Floats, Floats, Floats
         nine = intrinsic(found.block, found.covariance)
         error = nine.values - TRUE
         off = (error, nine.covariance), (found.block.vector - drawn.truth, found.covariance)
-        joint = [
-            np.sqrt(e @ np.linalg.solve(c, e)) / joint_factor(len(e), found.noise.reading_dof).k
-            for e, c in off
-        ]
-        rows.append((error, nine.u, np.array(joint), change))
-    error, u, joint, moved = (np.array(column) for column in zip(*rows, strict=True))
-    return error, u, joint, moved
+        dof = found.noise.reading_dof
+        apart = [np.sqrt(e @ np.linalg.solve(c, e)) / joint_factor(len(e), dof).k for e, c in off]
+        rows.append((error, nine.u, np.array(apart), change))
+    errors, u, joint, moved = (np.array(column) for column in zip(*rows, strict=True))
+    return errors, u, joint, moved
 
 
 def show(what: str, parts: list[tuple[Floats, ...]], runs: int) -> list[str]:

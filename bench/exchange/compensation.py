@@ -48,8 +48,9 @@ def table_checks(model: TemperatureModel, table: CompensationTable) -> Floats:
     They are 20, or as many as the steps of the table, so that each of its rows counts.
     """
     steps = table.nodes - 1
-    even = np.linspace(model.minimum_c, model.maximum_c, len(POSITIONS), dtype=np.float64)
-    t: Floats = even if steps <= len(even) else table.first_c + table.step_k * (np.arange(steps) + 0.5)
+    even = np.linspace(model.minimum_c, model.maximum_c, len(POSITIONS))
+    middles = table.first_c + table.step_k * (np.arange(steps) + 0.5)
+    t = np.array(even if steps <= len(even) else middles, dtype=np.float64)
     forces = zip(t.tolist(), cycle(POSITIONS))
     signal = np.stack([model.block(at).output(a[None])[0] for at, a in forces])
     return np.column_stack([t, signal, table.double_force(signal, t)])

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -249,9 +249,8 @@ def spectrum_of(record: StaticRecord) -> Spectrum:
 
     n = len(record.signal)
     length = min(max(n // SEGMENTS, 8), LONGEST_SEGMENT, n)
-    frequency, density = welch(
-        record.signal, 1.0 / record.interval_s, nperseg=length, detrend="linear", axis=0
-    )
+    trend: Any = "linear"  # which the stubs of scipy lack
+    frequency, density = welch(record.signal, 1.0 / record.interval_s, nperseg=length, detrend=trend, axis=0)
     return Spectrum(frequency[1:], density[1:], max(1, (n - length) // (length - length // 2) + 1))
 
 
