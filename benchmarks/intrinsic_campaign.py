@@ -7,10 +7,11 @@ Each run is the paper's procedure on a stand whose angles are drawn from its ben
 as three sigma, the third mounting angle as the second), with the noise of a voltmeter; geometry and truth are those
 of tests/support. In half of the runs the block is turned by 0 to 2 degrees about any axis, alike in both
 installations: its twelve change, its nine do not. u is that of the readings and the stand, which hold all that is
-drawn. For each of the nine, and in the turned and in the other runs: root mean square of (estimate - truth)/u, and coverage of k = 2
-(promised: 0.93 to 0.97, within the binomial limits of 99.9 %). All nine and all twelve are in their joint ellipsoid
-of 95 % (promised: 0.93 at least). How far the turns move the twelve stands beside. Pairs of calibrations of turned
-blocks, compared, are the subject of the second command. Exit status 1 where a promise is broken.
+drawn. For each of the nine, in the turned and in the other runs: root mean square of (estimate - truth)/u, and
+coverage of k = 2 (promised: 0.93 to 0.97, within binomial limits of 99.9 %). All nine and all twelve are in their
+joint ellipsoid of 95 % (promised: 0.93 at least). How far the turns move the twelve stands beside. Pairs of
+calibrations of turned blocks, compared, are the subject of the second command. Exit status 1 where a promise is
+broken.
 """
 
 from __future__ import annotations
