@@ -117,7 +117,7 @@ def _on_components(chart: ControlChart) -> list[str]:
         notes.append(
             f"stated u is not as right for every coefficient ({probability(found.alike_p)}): false alarms are more "
             "frequent than stated; name under 'between_runs' what comes anew with each run, or take limits from "
-            "scatter (14 runs or more)"
+            "scatter (11 runs or more)"
         )
     return notes
 
