@@ -18,7 +18,13 @@ from bench.calibration.free import first_guess_free, triangular
 from bench.calibration.gls import Estimator, WeightingTask
 from bench.calibration.linear import linear_estimate
 from bench.calibration.noise import KnownStand, require_told
-from bench.calibration.observability import GAIN, GRAVITY, assumptions, require_rank
+from bench.calibration.observability import (
+    GAIN,
+    GRAVITY,
+    assumptions,
+    require_rank,
+    unseen_coefficients,
+)
 from bench.calibration.outliers import FittedRows
 from bench.calibration.result import (
     Calibration,
@@ -122,6 +128,7 @@ def calibrate(
         stand=_stand(problem, fit) if by.weighs_all else {},
         effects=_effects(problem, fit) if by.weighs_all else {},
         assume=partial(_assumed, problem, fit.block, fit.gain, readings.unit),
+        unseen=partial(unseen_coefficients, problem, fit.block),
         free=chosen.free if len(chosen.free) else None,
         modulus_error=fit.modulus,
         outliers=found,

@@ -70,7 +70,7 @@ def new_path(kind: str, name: str) -> Path:
     A name is letters, digits, `-` and `_`; it must not be that of another file of the kind.
     """
     if NAME.fullmatch(name) is None:
-        raise Refusal(400, "a name is up to 60 letters, digits, - and _, and begins with a letter or digit")
+        raise Refusal(400, "give up to 60 letters, digits, - and _, beginning with a letter or digit")
     path = Path(kind) / f"{name}.yaml"
     if not path.resolve().is_relative_to(Path().resolve()):
         raise Refusal(409, f"the folder '{kind}' leads out of the working folder; remove that link")
@@ -86,7 +86,7 @@ def read_file(path: Path) -> FileText:
         return FileText(path, content.decode("utf-8-sig").replace("\r\n", "\n"), sha256(content))
     except OSError as error:
         raise Refusal(
-            409, f"{path}: cannot be read ({error.strerror}); look at it on this computer"
+            409, f"{path}: cannot be read ({error.strerror}); check it on this computer"
         ) from error
     except UnicodeDecodeError as error:
         raise Refusal(409, f"{path}: is not UTF-8 text; save it as UTF-8") from error

@@ -183,3 +183,17 @@ def test_what_is_issued_and_signed_is_intact_until_it_is_changed(bench):
     assert "Kxx" not in out
     keeps_to("certificate-verify", json.loads(Path("verdict.json").read_text()))
     assert bench("certificate", "verify", "none.pdf")[0] == 2
+
+
+def test_a_result_that_used_temperature_is_written_without_it_only_on_request(bench, tmp_path):
+    told = json.loads((RECORDS / "calibrate.json").read_text())
+    told["temperature_effects"] = ["thermal_bias"]
+    (tmp_path / "warm.json").write_text(json.dumps(told))
+    status, _, err = bench("coefficients", "warm.json", "--as", "csv")
+    assert status == 2
+    assert "used temperature (thermal_bias" in err
+    assert "--without-temperature" in err
+    status, out, _ = bench("coefficients", "warm.json", "--as", "csv", "--without-temperature")
+    assert status == 0
+    assert "WITHOUT TEMPERATURE, as asked: thermal_bias" in out
+    assert "WITHOUT TEMPERATURE" in (tmp_path / "coefficients" / "warm.csv").read_text()
