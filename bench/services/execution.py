@@ -64,6 +64,7 @@ from bench.services.own_effects import effects_for_record, knowing_effects_on_re
 from bench.services.requests.measuring import ResumeRequest, RunRequest
 from bench.services.requests.shared import name_to_type, runs_folder
 from bench.services.traceability import remarks
+from bench.services.validated import refuse_unvalidated_run
 from bench.services.verification import NOTHING_ASKED, VerdictOptions, judgement_of
 from drivers.clock import Haste, utc_now
 from drivers.interfaces import BenchError
@@ -118,6 +119,8 @@ def new_run(request: RunRequest) -> NewRun:
     model = None if request.model is None else Path(request.model)
     if dry_run:
         simulated_truth(file, model)
+    else:
+        refuse_unvalidated_run(file, bench_file_path, request.laboratory)
     inputs = {
         PLAN: json.dumps(plan.to_json(), indent=1).encode(),
         PROCEDURE: procedure_path.read_bytes(),

@@ -76,6 +76,7 @@ class BenchFile(FileModel):
     effects: tuple[EffectEntry, ...] = ()
     learned: str | None = None
     simulation: SimulationSection = SimulationSection()
+    require_validation: bool = False
 
     @field_validator("line_frequency")
     @classmethod

@@ -315,6 +315,50 @@ class ReadCertificate:
     ] = None
 
 
+# --- validation ---------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class Validate:
+    """The validation of an installation: to be made, accepted, withdrawn or listed."""
+
+    bench: Annotated[
+        str | None,
+        Option(
+            "Bench file, by path or name (default: BENCH_FILE, else paper-stand).",
+            metavar="FILE",
+            completes="bench_files",
+            common=True,
+        ),
+    ] = None
+    quick: Annotated[bool, Option("Take a minute: fewer simulated files, one kill.", common=True)] = False
+    against: Annotated[
+        str | None,
+        Option("Also recompute past runs (a path pattern or catalogue query) and list changes beyond 0.1 u.",
+               metavar="OLD", common=True),
+    ] = None  # fmt: skip
+    out: Annotated[
+        Path | None,
+        Option("Folder for page, PDF and result (default: validation-DATE).", metavar="DIR", common=True),
+    ] = None
+    key: Annotated[Path | None, Option("Private key (Ed25519) that signs the seal.", metavar="FILE")] = None
+    laboratory: LaboratoryField = None
+    accept: Annotated[
+        Path | None,
+        Option("Accept the validation in DIR as authorised person: it is registered.", metavar="DIR", common=True),
+    ] = None
+    withdraw: Annotated[
+        str | None, Option("Withdraw the accepted validation NUMBER.", metavar="NUMBER")
+    ] = None
+    by: Annotated[
+        str | None, Option("Authorised person, as named in the laboratory file.", metavar="NAME", common=True)
+    ] = None
+    reason: Annotated[str | None, Option("Reason, for the register.", metavar="TEXT", common=True)] = None
+    register: Annotated[bool, Option("List the register of validations.")] = False
+    runs: RunsField = None
+    catalogue: CatalogueField = None
+
+
 # --- the panel ----------------------------------------------------------------------------------------
 
 
