@@ -237,9 +237,7 @@ def finish(problem: Problem, fit: Fit, covariance: Floats, noise: Noise) -> Fit:
     step[places.unknowns] = found[places.own]
     block = Block.from_vector(fit.block.vector + step[:FIXED])
     further = others + step[FIXED:]
-    return _result(
-        problem, system, block, further, noise, places, found, solved.covariance, gain, fit.shifts
-    )
+    return _result(problem, system, block, further, noise, places, found, solved.covariance, gain, fit.shifts)
 
 
 def noise_floor(signal: Floats, resolution: float, free: FreeRows | None = None) -> float:

@@ -110,12 +110,12 @@ class Bodies:
         return {name: hashlib.sha256(body).hexdigest() for name, body in vars(self).items()}
 
 
-def authorised(laboratory: Laboratory, name: str) -> Person:
-    """Return the person called `name`. Raises `Refused` if this person may not authorise certificates."""
+def authorised(laboratory: Laboratory, name: str, option: str = "--authorised-by") -> Person:
+    """Return the person called `name`. Raises `Refused`, naming the option, if this person may not authorise."""
     person = laboratory.person(name)
     if person is None:
         names = ", ".join(one.name for one in laboratory.authorised)
-        raise Refused(f"--authorised-by {name}: the laboratory file names {names}; nobody else may authorise")
+        raise Refused(f"{option} {name}: the laboratory file names {names}; nobody else may authorise")
     return person
 
 

@@ -19,6 +19,7 @@ COMMANDS: Final = {
     "control": "Pause, continue, skip or stop a run that another program carries out.",
     "init": "Copy the shipped procedures and bench files, to edit them.",
     "check": "Check a procedure against a bench; list its steps and time.",
+    "validate": "Validate this installation: reference data, instruments, records, certificates, machine.",
     "instruments": "Test all instruments of a bench: identity, self-test, reading.",
     "panel": "Serve the operator's panel in a browser.",
     "simulate": "Serve the simulated instruments of a bench file until Ctrl-C.",

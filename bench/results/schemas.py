@@ -44,6 +44,8 @@ RESULTS: Final = {
     "source-failed": "parts.FailedPart",
     "stability": "stability.StabilityResult",
     "tumble": "tumble.TumbleResult",
+    "validate": "validation.ValidationResult",
+    "validate-register": "validation.ValidationRegisterResult",
     "verify": "verification.VerifyResult",
 }
 """The model of each result by schema name: module (in `bench.results`, or in full) and class."""

@@ -14,10 +14,10 @@ from bench.base.tables import table
 from bench.results.tables import page
 
 NOT_PROVEN: Final = (
-    "that real instruments keep what their simulations keep: 'bench instruments --commission' and their certificates do",
+    "that real instruments do as simulated ones: 'bench instruments --commission' and certificates show it",
     "that the block, the head and the stand are as the bench file states: the check block and the budget do",
     "that the clock is right: no time server was asked",
-    "that nobody changed the program after this: 'require_validation: true' compares at each run and certificate",
+    "that nobody changed the program later: 'require_validation: true' compares at each run and certificate",
     "that the laboratory's method suits the customer's purpose (7.2.2): that is the laboratory's judgement",
     "that the random parts would pass with every seed: their seeds are fixed",
 )
@@ -88,7 +88,7 @@ class AgainstPart(ResultModel):
 
 
 class ValidationResult(ResultModel):
-    """The result of `bench validate`; `passed` only if no check failed, changes that wait for acceptance included."""
+    """The result of `bench validate`; `passed` if no check failed and no change waits to be accepted."""
 
     passed: bool
     quick: bool
@@ -102,7 +102,9 @@ class ValidationResult(ResultModel):
     checks: list[ValidationCheck]
     against: AgainstPart | None
     not_proven: list[str]
-    accepted_before: str = Field(description="number of the accepted validation that this one was compared with")
+    accepted_before: str = Field(
+        description="number of the accepted validation that this one was compared with"
+    )
     files: list[str] = Field([], description="what was written")
 
     @property
@@ -122,7 +124,9 @@ class ValidationResult(ResultModel):
         if self.failed:
             return f"NOT VALID: {len(self.failed)} of {count} checks failed"
         if self.changes:
-            return f"CHANGED: {count - len(self.changes)} checks passed, {len(self.changes)} changes wait for acceptance"
+            return (
+                f"CHANGED: {len(self.changes)} changes wait to be accepted, all else of {count} checks passed"
+            )
         return f"PASSED: all {count} checks; it becomes a validation when an authorised person accepts it"
 
     def print_on(self, out: Console) -> None:
@@ -198,7 +202,9 @@ class RegisteredValidation(ResultModel):
     bench: str
     bench_sha256: str
     result_sha256: str = Field(description="of the kept result")
-    holds: bool = Field(description="whether it is the latest for its program and bench file and was not withdrawn")
+    holds: bool = Field(
+        description="whether it is the latest for its program and bench file and was not withdrawn"
+    )
 
 
 class ValidationRegisterResult(ResultModel):
@@ -212,5 +218,7 @@ class ValidationRegisterResult(ResultModel):
         """Print a line for each entry, and the head of the chain."""
         for one in self.validations:
             state = "" if one.holds else ", holds no longer"
-            out.print(f"{one.number}  {one.time[:16]}  {one.kind} by {one.by}: {one.reason} ({one.bench}{state})")
+            out.print(
+                f"{one.number}  {one.time[:16]}  {one.kind} by {one.by}: {one.reason} ({one.bench}{state})"
+            )
         out.print(f"{len(self.validations)} entries, chain of hashes whole, head {self.head}")

@@ -1,4 +1,4 @@
-"""Is this program validated? Its fingerprint, the register of validations, and the refusal that a laboratory demands.
+"""The fingerprint of the program, the register of validations, and the refusal that a laboratory demands.
 
 The register is the folder `validations` beside the laboratory file. An entry says that a named person accepted the
 result of `bench validate` for a program (its fingerprint) and a bench file (its SHA-256).
@@ -60,13 +60,12 @@ def packages() -> Iterator[metadata.Distribution]:
         with suppress(metadata.PackageNotFoundError):
             one = metadata.distribution(name)
             yield one
-            waiting += [
-                match[0] for match in map(_REQUIREMENT.match, _needed(one, of_program=name == DISTRIBUTION)) if match
-            ]  # fmt: skip
+            needed = _needed(one, of_program=name == DISTRIBUTION)
+            waiting += [match[0] for match in map(_REQUIREMENT.match, needed) if match]
 
 
 def _needed(one: metadata.Distribution, *, of_program: bool) -> list[str]:
-    """Return the requirements of a distribution: those of the program's extras for use, of others without extras."""
+    """Return the requirements of a distribution: for the program with the extras for use, for others without."""
     ours = re.compile(r"extra == ['\"](?:test|browser|docs|mutation|dev)['\"]")
     other = ours if of_program else re.compile(r"extra\s*==")
     return [text for text in one.requires or () if not other.search(text)]
@@ -158,7 +157,7 @@ def demanded_by(laboratory: Path | None) -> bool:
 
 
 def refuse_unvalidated_run(bench: BenchFile, path: Path, laboratory: Path | None = None) -> None:
-    """Raise `Refused` for a run on real instruments that the bench or laboratory file wants validated, and is not."""
+    """Raise `Refused` for a real run that the bench or laboratory file wants validated, and that is not."""
     laboratory = laboratory_known(laboratory)
     if bench.require_validation or demanded_by(laboratory):
         by = path if bench.require_validation else laboratory
@@ -173,7 +172,11 @@ def refuse_unvalidated_certificate(laboratory: Path) -> None:
 
 def _refuse(laboratory: Path | None, by: str, bench: Path | None) -> None:
     of_bench = "" if bench is None else f" --bench {bench}"
-    way = f"'bench validate{of_bench} --laboratory {laboratory or 'FILE'}', then again with --accept --by NAME --reason TEXT"
+    of_laboratory = f" --laboratory {laboratory or 'FILE'}"
+    way = (
+        f"'bench validate{of_bench}{of_laboratory} --out DIR', then "
+        f"'bench validate --accept DIR{of_laboratory} --by NAME --reason TEXT'"
+    )
     if laboratory is None:
         raise Refused(
             f"{by} demands a validated program (require_validation), and no laboratory file says where validations "
@@ -196,4 +199,3 @@ def _refuse(laboratory: Path | None, by: str, bench: Path | None) -> None:
 def kept_result(register: Validations, entry: Entry) -> bytes:
     """Return the result, as JSON, of an accepted validation. Raises `Refused` if it is missing or changed."""
     return register.kept(str(entry.data["result_sha256"]))
-

@@ -29,9 +29,7 @@ from bench.validation.reference import agreement
 from bench.validation.registry import Context, Finding
 from bench.validation.registry import check as enter
 
-check = partial(
-    enter, family="reference data", place="bench/calibration/budget/propagation.py"
-)
+check = partial(enter, family="reference data", place="bench/calibration/budget/propagation.py")
 
 TRIALS: Final = 400_000
 FALSE_ALARM: Final = 1e-6
@@ -113,8 +111,12 @@ def impedance_case(context: Context) -> Iterator[Finding]:
     yield agreement("correlations", [r[0, 1], r[0, 2], r[1, 2]], [-0.588, -0.485, 0.993], 5e-4)
 
 
-T_C: Final = np.array([21.521, 22.012, 22.512, 23.003, 23.507, 23.999, 24.513, 25.002, 25.503, 26.010, 26.511])
-B_C: Final = np.array([-0.171, -0.169, -0.166, -0.159, -0.164, -0.165, -0.156, -0.157, -0.159, -0.161, -0.160])
+T_C: Final = np.array(
+    [21.521, 22.012, 22.512, 23.003, 23.507, 23.999, 24.513, 25.002, 25.503, 26.010, 26.511]
+)
+B_C: Final = np.array(
+    [-0.171, -0.169, -0.166, -0.159, -0.164, -0.165, -0.156, -0.157, -0.159, -0.161, -0.160]
+)
 
 
 @check("GUM H.3, thermometer", "7.6", "", source="JCGM 100:2008, H.3")
@@ -207,7 +209,9 @@ def mass(context: Context) -> Iterator[Finding]:
     yield agreement("shortest 95 % interval (mg)", found.shortest[0], [1.0834, 1.3825], delta)
     yield agreement("first order, u (mg)", linear.u, 0.0539, 5e-5)
     judged = bool(validate(linear, found, 1).validated[0])
-    yield Finding(not judged, "validated" if judged else "not validated", of="clause 8", expected="not validated")
+    yield Finding(
+        not judged, "validated" if judged else "not validated", of="clause 8", expected="not validated"
+    )
 
 
 @check("scaled t", "7.6", "", source="JCGM 101:2008, 6.4.9.4", p_false=FALSE_ALARM)

@@ -1,4 +1,4 @@
-"""Reference data with published results: regressions, uncertainties, a check standard, real accelerometers, gravity."""
+"""Reference data with published results: regressions, a check standard, real accelerometers, gravity."""
 
 from __future__ import annotations
 

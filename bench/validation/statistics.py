@@ -75,7 +75,9 @@ def size_of_errors(context: Context) -> Iterator[Finding]:
     # Kxx and Kyy are determined by readings of different channels: independent within a file
     for name in ("Kxx", "Kyy"):
         z = error[:, COEFFICIENTS.index(name)] / u[:, COEFFICIENTS.index(name)]
-        low, high = stats.chi2.ppf([FALSE_ALARM / 2.0, 1.0 - FALSE_ALARM / 2.0], len(z)) / len(z)
+        low, high = (
+            float(stats.chi2.ppf(q, len(z))) / len(z) for q in (FALSE_ALARM / 2.0, 1.0 - FALSE_ALARM / 2.0)
+        )
         found = float(np.mean(z**2))
         yield Finding(
             0.94 * low <= found <= high, f"{found:.3f}", of=name, expected=f"{0.94 * low:.2f} to {high:.2f}"

@@ -96,7 +96,16 @@ def test_several_results_in_one_file_are_numbered(bench):
 
 
 def test_free_positions_in_counts_have_the_scale_factors_that_are_asked_for(bench):
-    arguments = ["coefficients", REFERENCE / "xsens-38.csv", "--g", "9.81744", "--out", ".", "--as", "ardupilot"]
+    arguments = [
+        "coefficients",
+        REFERENCE / "xsens-38.csv",
+        "--g",
+        "9.81744",
+        "--out",
+        ".",
+        "--as",
+        "ardupilot",
+    ]
     out = printed(bench(*arguments, "--nominal", "4063,4040,4065"))
     assert "S = (4063.0, 4040.0, 4065.0) counts/g" in Path("xsens-38-ardupilot.param").read_text()
     assert "INS_ACCOFFS_X = 79.95 is outside -3.5 to 3.5, which ArduPilot allows" in out

@@ -1,4 +1,4 @@
-"""The paper's bench for tests; it stands with the reference data of `bench validate`, which computes with it, too."""
+"""The paper's bench for tests; it stands with the checks of `bench validate`, which use it, too."""
 
 from bench.validation.paper_bench import (
     ARCSEC,

@@ -345,11 +345,13 @@ class Validate:
     laboratory: LaboratoryField = None
     accept: Annotated[
         Path | None,
-        Option("Accept the validation in DIR as authorised person: it is registered.", metavar="DIR", common=True),
+        Option(
+            "Accept the validation in DIR as authorised person: it is registered.", metavar="DIR", common=True
+        ),
     ] = None
-    withdraw: Annotated[
-        str | None, Option("Withdraw the accepted validation NUMBER.", metavar="NUMBER")
-    ] = None
+    withdraw: Annotated[str | None, Option("Withdraw the accepted validation NUMBER.", metavar="NUMBER")] = (
+        None
+    )
     by: Annotated[
         str | None, Option("Authorised person, as named in the laboratory file.", metavar="NAME", common=True)
     ] = None
