@@ -165,6 +165,11 @@ def families(checks: Iterable[ValidationCheck]) -> list[tuple[str, list[Validati
     return [(family, list(rows)) for family, rows in groupby(checks, key=lambda row: row.family)]
 
 
+def acts(rows: Iterable[ValidationCheck]) -> list[tuple[str, list[ValidationCheck]]]:
+    """Return the rows of each act, with what it did, in their order."""
+    return [(did, list(own)) for did, own in groupby(rows, key=lambda row: row.did)]
+
+
 def clauses(checks: Iterable[ValidationCheck]) -> list[tuple[str, int, int]]:
     """Return each clause with the number of its checks and of those passed, in the order of the standard."""
     ordered = sorted(checks, key=lambda row: [int(part) for part in row.clause.split(".")])
@@ -181,7 +186,7 @@ def render_validation(result: ValidationResult) -> str:
         "validation.html.j2",
         result=result,
         look="failed" if result.failed else "conditional" if result.changes else "passed",
-        families=families(result.checks),
+        families=[(family, acts(rows)) for family, rows in families(result.checks)],
         clauses=clauses(result.checks),
     )
 

@@ -21,6 +21,7 @@ from bench.results.validation import (
     ValidatedBench,
     ValidationCheck,
     ValidationResult,
+    acts,
     clauses,
     families,
     render_validation,
@@ -188,7 +189,19 @@ def pdf_of(result: ValidationResult, moment: int) -> bytes:
     told["headline"] = result.headline
     told["clauses"] = [[clause, str(count), str(passed)] for clause, count, passed in clauses(result.checks)]
     told["families"] = [
-        {"name": family, "rows": [row.to_dict() for row in rows]} for family, rows in families(result.checks)
+        {
+            "name": family[0].upper() + family[1:],
+            "acts": [
+                {
+                    "did": did,
+                    "source": own[0].source,
+                    "clause": own[0].clause,
+                    "rows": [row.to_dict() for row in own],
+                }
+                for did, own in acts(rows)
+            ],
+        }
+        for family, rows in families(result.checks)
     ]
     day = datetime.fromisoformat(result.began)
     told["date"] = [day.year, day.month, day.day]
