@@ -11,6 +11,7 @@ import yaml
 
 from bench.base.yaml_files import load_document
 from bench.config.shipped import CERTIFICATE, shipped_folder
+from bench.services.chain import LINES
 from bench.services.errors import Refused
 from bench.services.requests.documents import RevokeCertificate
 from bench.validation.records import whole_run
@@ -85,6 +86,15 @@ def life(context: Context) -> Iterator[Finding]:
     )
     found = judged(folder / "register" / f"{issued.number}.pdf")
     yield Finding(not found.accepted, found.headline, of="revoked", expected="refused")
+    lines = folder / "register" / LINES
+    content = lines.read_bytes()
+    lines.write_bytes(content.replace(b"A. Example", b"B. Example", 1))
+    try:
+        judged(folder / "register" / f"{issued.number}.pdf")
+        yield Finding(False, "taken as whole", of="a changed line of the register", expected="refused")
+    except Refused as refusal:
+        yield Finding(True, str(refusal), of="a changed line of the register", expected="refused")
+    lines.write_bytes(content)
     changed = next(iter(certificates.issue_all(["changed-a-digit"], desk)))
     yield Finding(
         changed.why is not None, changed.why or "issued", of="of a changed record", expected="refused"

@@ -13,6 +13,7 @@ from typing import Any, Final
 
 from bench.base.computing import missing
 from bench.base.files import read_json, to_text, write_whole
+from bench.base.text import visible
 from bench.base.yaml_files import sha256_of_file
 from bench.config.shipped import find_bench
 from bench.results.validation import (
@@ -206,7 +207,22 @@ def pdf_of(result: ValidationResult, moment: int) -> bytes:
     day = datetime.fromisoformat(result.began)
     told["date"] = [day.year, day.month, day.day]
     template = files(__package__).joinpath("validation.typ").read_bytes()
-    return typeset_pdf({"data": json.dumps(told), "result": to_text(result.to_dict())}, moment, template)
+    attached = to_text(result.to_dict())
+    try:
+        return typeset_pdf({"data": json.dumps(_shown(told)), "result": attached}, moment, template)
+    except Refused:  # a name in letters that the fonts lack must not cost the validation its PDF
+        return typeset_pdf(
+            {"data": json.dumps(_shown(told, plain=True)), "result": attached}, moment, template
+        )
+
+
+def _shown(told: Any, *, plain: bool = False) -> Any:
+    """Return data with control characters in its texts made visible; if `plain`, all but ASCII."""
+    if isinstance(told, str):
+        return told.encode("ascii", "backslashreplace").decode() if plain else visible(told)
+    if isinstance(told, dict):
+        return {_shown(name, plain=plain): _shown(one, plain=plain) for name, one in told.items()}
+    return [_shown(one, plain=plain) for one in told] if isinstance(told, list) else told
 
 
 def damage_of(folder: Path, seal: Seal) -> list[str]:

@@ -103,7 +103,8 @@ class Check:
                 yield self._row(one, clock.now_s() - began_s)
                 began_s = clock.now_s()
         except Exception as error:
-            yield self._row(Finding(False, sentence(error), where=raised_at(error)), clock.now_s() - began_s)
+            where = "; raised in ".join(filter(None, (self.place, raised_at(error))))
+            yield self._row(Finding(False, sentence(error), where=where), clock.now_s() - began_s)
 
     def _row(self, finding: Finding, took_s: float) -> ValidationCheck:
         return ValidationCheck(
