@@ -3,7 +3,7 @@
     with planted(FAULTS[0], context) as context:
         rows = carry_out(context, every())
 
-An edit replaces text in the source of one function and puts the compiled result in its place, as an edited file would.
+An edit replaces text in the source of one function and puts the compiled result in its place.
 `place` is a pattern that a failed row must hold: its name, its place or what was found.
 """
 

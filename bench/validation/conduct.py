@@ -219,7 +219,7 @@ def pdf_of(result: ValidationResult, moment: int) -> bytes:
 def _shown(told: Any, *, plain: bool = False) -> Any:
     """Return data with control characters in its texts made visible; if `plain`, all but ASCII."""
     if isinstance(told, str):
-        return told.encode("ascii", "backslashreplace").decode() if plain else visible(told)
+        return visible(told.encode("ascii", "backslashreplace").decode() if plain else told)
     if isinstance(told, dict):
         return {_shown(name, plain=plain): _shown(one, plain=plain) for name, one in told.items()}
     return [_shown(one, plain=plain) for one in told] if isinstance(told, list) else told

@@ -115,9 +115,13 @@ def check_standard(context: Context) -> Iterator[Finding]:
     old = year < 1985.0
     unit = np.ones((len(year), 1, 1))
     centre = centre_of(value[old, None], unit[old], "scatter")
-    shewhart = np.abs(judge(centre, value[~old, None], unit[~old]).z[:, 0])
+    judged = judge(centre, value[~old, None], unit[~old])
+    shewhart = np.abs(judged.z[:, 0])
     ewma = np.abs(judge(centre, value[~old, None], unit[~old], 0.2, settled=True).z[:, 0])
     share = float(np.mean(np.abs(value[old] - value[old].mean()) > 2.0 * value[old].std(ddof=1)))
+    spread = value[old].std(ddof=1) * math.sqrt(1.0 + 1.0 / np.sum(old))
+    yield agreement("deviations", judged.deviation[:, 0], value[~old] - value[old].mean(), 1e-9)
+    yield agreement("u of a value and of the mean", judged.u[:1, 0], spread, 1e-9)
     yield Finding(share < 0.10, f"{share:.1%} beyond 2 s", of="before 1985", expected="as by chance, < 10 %")
     late = float(np.mean(ewma[-60:] > 3.0))
     words = f"{late:.0%} of the last 60 beyond 3 s, of single values {np.mean(shewhart[-60:] > 3.0):.0%}"
