@@ -10,9 +10,10 @@ from typing import Final
 from bench.config.devices.device import WiredForm
 from bench.run.assembly.served import dry_bench
 from bench.run.workbench import QUICK_NPLC
+from bench.services.errors import sentence
 from bench.services.instruments import CommissioningPlan, commission
 from bench.services.own_effects import simulated_truth
-from bench.validation.registry import Context, Finding
+from bench.validation.registry import Context, Finding, raised_at
 from bench.validation.registry import check as enter
 from drivers.interfaces import BenchError, VoltmeterSettings
 from sim.bench import SimulatedBench
@@ -96,6 +97,8 @@ def _refused(
             return Finding(
                 refusal.instrument == name and bool(refusal.remedy), str(refusal), of=of, where=where
             )
+        except Exception as error:  # not a refusal that a run could report
+            return Finding(False, sentence(error), of=of, where=f"{where}; raised in {raised_at(error)}")
         finally:
             instrument.close()
         return Finding(False, f"was opened as {identity}", of=of, where=where)
