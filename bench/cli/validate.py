@@ -8,14 +8,12 @@ from bench.cli.options import JsonOption, app, requested
 from bench.services.requests.documents import Validate
 
 
-@app.command(
-    epilog="Example: bench validate --bench my-bench.yaml --laboratory laboratory.yaml --out validation"
-)
+@app.command(epilog="Example: bench validate --bench my-bench.yaml --out validation")
 @requested
 def validate(request: Validate, json: JsonOption = None) -> int:
     """Validate this installation: reference data, instruments, records, certificates, machine.
 
-    Exit status 1 if a check fails. With --accept DIR, --by NAME and --reason TEXT an authorised person accepts it.
+    Exit status 1 if a check fails. Whoever accepts it says --accept DIR, --by NAME and --reason TEXT.
     """
     one_thread()
     from bench.validation import acceptance

@@ -339,7 +339,7 @@ class Validate:
     ] = None  # fmt: skip
     out: Annotated[
         Path | None,
-        Option("Folder for page, PDF and result (default: validation-DATE).", metavar="DIR", common=True),
+        Option("Folder for page, PDF and result (default: validation-DATE).", metavar="DIR"),
     ] = None
     key: Annotated[Path | None, Option("Private key (Ed25519) that signs the seal.", metavar="FILE")] = None
     laboratory: LaboratoryField = None
@@ -355,7 +355,7 @@ class Validate:
     by: Annotated[
         str | None, Option("Authorised person, as named in the laboratory file.", metavar="NAME", common=True)
     ] = None
-    reason: Annotated[str | None, Option("Reason, for the register.", metavar="TEXT", common=True)] = None
+    reason: Annotated[str | None, Option("Reason, for the register.", metavar="TEXT")] = None
     register: Annotated[bool, Option("List the register of validations.")] = False
     runs: RunsField = None
     catalogue: CatalogueField = None
