@@ -358,8 +358,8 @@ RECORDS: Final = (
          "previous != self.head or", "False or"),
     edit("revocation not written", "certificate", "certificates", "bench.certificate.life:revoke",
          "register.revoke(", "str("),
-    edit("changed record certified", "certificate|record", "certificates", "bench.run.folder:Run.trusted_history",
-         "if self.history.problems:", "if False:"),
+    edit("revocation written and not heeded", "certificate", "certificates",
+         "bench.certificate.register:Register._note", "standing.entry, REVOKED", "standing.entry, ISSUED"),
 )  # fmt: skip
 
 MACHINE: Final = (

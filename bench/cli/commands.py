@@ -29,6 +29,7 @@ COMMANDS: Final = {
     "key": "Make the key of the laboratory that signs seals, or one that signs certificates.",
     "export": "Write the readings of a run as a readings file.",
     "import": "Import a readings file that was measured elsewhere as a run.",
+    "failures": "Collect failures of runs in a register; note their remedies; a page for the review.",
     "catalogue": "Search many runs in a database; list the history and due date of units.",
     "calibrate": "Compute coefficients and their uncertainty from readings.",
     "coefficients": "Write coefficients for other software: JSON, CSV, C, Excel, Kalibr, PX4, ArduPilot.",

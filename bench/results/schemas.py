@@ -26,6 +26,7 @@ RESULTS: Final = {
     "diagnose": "diagnosis.DiagnoseResult",
     "diagnose-free": "free_diagnosis.FreeDiagnoseResult",
     "confirm": "confirm.ConfirmResult",
+    "failures": "failures.FailuresResult",
     "fleet-cmc": "fleet.CapabilityResult",
     "fleet-compare": "compare.BenchesResult",
     "fleet-drift": "fleet.DriftResult",

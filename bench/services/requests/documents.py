@@ -361,6 +361,37 @@ class Validate:
     catalogue: CatalogueField = None
 
 
+class FailureState(StrEnum):
+    """The state of a failure in the register."""
+
+    OPEN = "open"
+    REMEDIED = "remedied"
+    CLOSED = "closed"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Failures:
+    """The register of failures: to be brought up to date from the records, amended, or shown for a year."""
+
+    laboratory: LaboratoryField = None
+    number: Annotated[
+        str | None, Option("Failure whose state and remedy are noted.", metavar="NUMBER", common=True)
+    ] = None
+    state: Annotated[
+        FailureState | None,
+        Option("Its state: open, remedied or closed (by an authorised person).", common=True),
+    ] = None
+    remedy: Annotated[str | None, Option("Cause and remedy, in words.", metavar="TEXT", common=True)] = None
+    by: Annotated[str | None, Option("Who notes it.", metavar="NAME", common=True)] = None
+    year: Annotated[
+        int | None, Option("Show the failures of this year only.", metavar="YYYY", common=True)
+    ] = None
+    page: Annotated[
+        Path | None, Option("Write an HTML page, as for the management review.", metavar="FILE", common=True)
+    ] = None
+    runs: RunsField = None
+
+
 # --- the panel ----------------------------------------------------------------------------------------
 
 
