@@ -1,15 +1,17 @@
 """What `bench validate` finds of planted faults, and whether it is silent on healthy installations.
 
-    python -m benchmarks.validation_campaign --healthy 10
+    python -m benchmarks.validation_campaign --healthy 10 --kills 200
 
 For each fault the checks are carried out (quick) until one fails and names the place; those of the family that
 should find it come first, and files of packages are hashed anew only for faults of packages. Healthy runs take all
-checks, with the shipped bench files in turn and another seed each for their random parts.
+checks, with the shipped bench files in turn and another seed each for their random parts. The kills are of two
+programs that append to one register at once.
 """
 
 from __future__ import annotations
 
 import argparse
+import multiprocessing
 import re
 import sys
 import tempfile
@@ -17,9 +19,12 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
 from bench.config.shipped import CONFIG, find_bench, shipped_folder
 from bench.results.validation import ValidationCheck
-from bench.services.validated import fingerprint
+from bench.services.chain import Entry, opened
+from bench.services.validated import ACCEPTED, Validations, fingerprint
 from bench.validation import gum, machine, statistics
 from bench.validation.families import every
 from bench.validation.registry import Check, Context, carry_out
@@ -63,6 +68,36 @@ def healthy(bench: Path, seed: int) -> list[ValidationCheck]:
         return [row for row in carry_out(context, checks) if not row.passed]
 
 
+def append_for_ever(folder: Path, mark: str) -> None:
+    """Append entries to a register of validations; note each one beside it when it is written."""
+    data = dict.fromkeys(
+        ("fingerprint", "bench", "bench_sha256", "result_sha256", "role", "reason"), "x" * 40
+    )
+    with folder.with_name(f"said-{mark}").open("a", encoding="utf-8") as said:
+        for number in range(1_000_000):
+            with opened(Validations(folder)) as register:
+                register.append(Entry(ACCEPTED, f"{mark}-{number}", "2026-11-24", "A. Example", data))
+            said.write(f"{mark}-{number}\n")
+            said.flush()
+
+
+def killed(count: int, folder: Path) -> tuple[int, int]:
+    """Kill two writers of one register `count` times, at random moments; return entries said and lost. Seed 34."""
+    context, rng = multiprocessing.get_context("fork"), np.random.default_rng(34)
+    for round_ in range(count // 2):
+        writers = [context.Process(target=append_for_ever, args=(folder, f"{mark}{round_}")) for mark in "ab"]
+        for writer in writers:
+            writer.start()
+        time.sleep(float(rng.uniform(0.1, 0.4)))
+        for writer in writers:
+            writer.kill()
+            writer.join()
+    said = {line for file in folder.parent.glob("said-*") for line in file.read_text("utf-8").split()}
+    with opened(Validations(folder)) as register:
+        kept = {one.number for one in register.entries}
+    return len(said), len(said - kept)
+
+
 def main(arguments: Sequence[str]) -> int:
     """Run the campaign; print a line for each fault and run, and the counts."""
     parser = argparse.ArgumentParser(
@@ -70,6 +105,7 @@ def main(arguments: Sequence[str]) -> int:
     )
     parser.add_argument("--only", default="", help="pattern of the names of faults")
     parser.add_argument("--healthy", type=int, default=50)
+    parser.add_argument("--kills", type=int, default=200)
     asked = parser.parse_args(arguments)
     bench = find_bench("paper-stand")
     chosen = [fault for fault in FAULTS if re.search(asked.only, fault.name)]
@@ -97,7 +133,10 @@ def main(arguments: Sequence[str]) -> int:
             flush=True,
         )
     print(f"{alarms} false alarms in {asked.healthy} healthy runs", flush=True)
-    return 0 if named >= len(chosen) - 2 and not alarms else 1
+    with tempfile.TemporaryDirectory() as folder:
+        said, lost = killed(asked.kills, Path(folder) / "register")
+    print(f"{lost} of {said} entries lost in {asked.kills} kills of two writers at once", flush=True)
+    return 0 if not lost and named >= len(chosen) - 2 and not alarms else 1
 
 
 if __name__ == "__main__":
