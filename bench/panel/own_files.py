@@ -85,9 +85,7 @@ def read_file(path: Path) -> FileText:
         content = read_regular(path, MEGABYTE)
         return FileText(path, content.decode("utf-8-sig").replace("\r\n", "\n"), sha256(content))
     except OSError as error:
-        raise Refusal(
-            409, f"{path}: cannot be read ({error.strerror}); check it on this computer"
-        ) from error
+        raise Refusal(409, f"{path}: cannot be read ({error.strerror}); check it on this computer") from error
     except UnicodeDecodeError as error:
         raise Refusal(409, f"{path}: is not UTF-8 text; save it as UTF-8") from error
 
