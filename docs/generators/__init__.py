@@ -10,6 +10,7 @@ from benchmarks.blind_trial.page import shown as blind_trial_shown
 from docs.generators import (
     bench_files,
     commands,
+    constants,
     effects,
     estimators,
     example_certificate,
@@ -37,6 +38,7 @@ PAGES: Final[dict[str, Callable[[], str]]] = {
     "example-certificate.md": example_certificate.page,
     "measured.md": measured.page,
     "_rooms.md": rooms.fragment,
+    "_constants.md": constants.fragment,
     "_gallery.md": gallery.page,
     "_blind-trial.md": blind_trial_shown,
 }

@@ -252,16 +252,18 @@ def learned(words: str) -> str:
     """Return the stated limit of each angle of the stand, and beside it mean and 2u that dry runs tell."""
     stated, found = _shipped("paper-stand").stand_distributions(), _learned()
     sheet = Drawing(860, 60 + 70 * len(ANGLES))
-    middle, scale = 470.0, 3.6
+    middle, scale = 560.0, 3.1
     sheet.line("shield", (middle, 24), (middle, 40 + 70 * len(ANGLES)))
     sheet.words(middle, 12, "0″", "small")
     for i, name in enumerate(ANGLES):
         y = 60 + 70 * i
-        half = math.degrees((stated.get(name) or stated["mounting_error"]).limit) * 3600
+        limit = stated[name].limit or stated["mounting_error"].limit  # left out, it counts as large as that
+        half = math.degrees(limit) * 3600
         mean, u = found[name]
         sheet.words(16, y, name, "name", "start")
         sheet.box(middle - scale * half, y - 9, 2 * scale * half, 18, "band conditional")
-        sheet.words(16, y + 19, f"stated ±{half:.0f}″, learned {mean:.1f}″ ± {2 * u:.1f}″".replace("-", "−"), "small", "start")
+        told = f"limit ±{half:.0f}″, learned {mean + 0.0:.0f}″ ± {2 * u:.0f}″".replace("-", "−").replace("−0″", "0″")
+        sheet.words(16, y + 19, told, "small", "start")
         sheet.line("data", (middle + scale * (mean - 2 * u), y), (middle + scale * (mean + 2 * u), y))
         sheet.shapes.append(f'<circle class="point" cx="{middle + scale * mean:.1f}" cy="{y}" r="4"/>')
     return sheet.svg(words)
