@@ -17,7 +17,7 @@ project = "Calibration bench"
 author = "the authors of triaxial-bench"
 version = release = version_of("triaxial-bench")
 
-extensions = ["myst_parser", "docs.generators.pictures"]
+extensions = ["myst_parser", "docs.generators.pictures", "docs.generators.anchors"]
 source_suffix = {".md": "markdown"}
 exclude_patterns = ["_build", "generators", "gallery", "**/_*.md"]
 templates_path: list[str] = []
@@ -40,7 +40,7 @@ pygments_style = "default"
 pygments_dark_style = "monokai"
 
 write_all()
-write_gallery(HERE / "reference")
 write_pages(HERE / "reference")
+write_gallery(HERE / "reference")
 write_example(HERE / "reference")
 write_schemas(HERE / "reference" / "served" / "schemas")

@@ -14,7 +14,6 @@ from docs.generators import (
     effects,
     estimators,
     example_certificate,
-    gallery,
     instruments,
     measured,
     procedure_files,
@@ -39,7 +38,6 @@ PAGES: Final[dict[str, Callable[[], str]]] = {
     "measured.md": measured.page,
     "_rooms.md": rooms.fragment,
     "_constants.md": constants.fragment,
-    "_gallery.md": gallery.page,
     "_blind-trial.md": blind_trial_shown,
 }
 """By file name what makes it; names that begin with `_` are parts of other pages."""

@@ -26,6 +26,7 @@ NAMES: Final = (
     "calibrate-a-dataframe", "budget-for-my-head", "plan-fewer-points", "find-a-hidden-effect", "two-laboratories",
 )  # fmt: skip
 """In the order of the page."""
+_FIGURE: Final = "A chart: what the code above draws, described in the text before it"
 _BLOCK: Final = re.compile(r"^```(python|console)\n(.*?)^```\n", re.M | re.S)
 _GREY: Final = {f"{part}.color": "#777f88" for part in ("text", "xtick", "ytick")} | {
     "axes.labelcolor": "#777f88", "axes.edgecolor": "#777f88", "svg.hashsalt": "gallery",
@@ -98,25 +99,18 @@ def _drawn() -> list[bytes]:
 
 
 def fragment(name: str) -> str:
-    """Return a page with what its blocks print and draw, its title one level down."""
+    """Return a page without its title, with what its blocks print and draw."""
     parts = []
     for cell in carried_out(name):
         if cell.kind == "text":
-            parts.append(re.sub(r"^#", "##", cell.text, flags=re.M))
+            parts.append(re.sub(r"^# [^\n]*\n+", "", cell.text))
             continue
         parts.append(f"```{cell.kind}\n{cell.text}\n```")
         if cell.printed.strip():
             parts.append(f"```text\n{cell.printed.rstrip()}\n```")
-        parts += [
-            f"![What the code above draws](reference/gallery/{name}-{i}.png)" for i, _ in enumerate(cell.figures, 1)
-        ]
+        parts += [f"![{_FIGURE}](reference/gallery/{name}-{i}.png)" for i, _ in enumerate(cell.figures, 1)]
     parts.append(f"<a href='gallery/{name}.ipynb' download>This example as a notebook</a>")
-    return "\n\n".join(parts)
-
-
-def page() -> str:
-    """Return all examples, one below the other."""
-    return "\n\n".join(fragment(name) for name in NAMES)
+    return "\n\n".join(parts) + "\n"
 
 
 def notebook(name: str) -> dict[str, Any]:
@@ -142,7 +136,7 @@ def _notebook_cell(cell: Cell, identity: str) -> dict[str, Any]:
 
 
 def write_gallery(reference: Path) -> None:
-    """Write the figures beside the page, and the notebooks where the site serves them."""
+    """Write the parts of the page with their figures, and the notebooks where the site serves them."""
     figures, notebooks = reference / "gallery", reference / "served" / "gallery"
     for folder in (figures, notebooks):
         folder.mkdir(parents=True, exist_ok=True)
@@ -150,5 +144,6 @@ def write_gallery(reference: Path) -> None:
         drawn = (picture for cell in carried_out(name) for picture in cell.figures)
         for i, picture in enumerate(drawn, 1):
             (figures / f"{name}-{i}.png").write_bytes(picture)
+        (reference / f"_gallery-{name}.md").write_text(fragment(name), encoding="utf-8")
         text = json.dumps(notebook(name), indent=1, ensure_ascii=False) + "\n"
         (notebooks / f"{name}.ipynb").write_text(text, encoding="utf-8")

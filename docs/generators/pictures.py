@@ -55,8 +55,13 @@ DRAWINGS: Final[dict[str, tuple[Callable[[str], str], str]]] = {
     "session": (terminal.shown, "A terminal session: a dry run, its verdict, and the diagnosis of a faulty bench."),
 }
 """Drawings by name: what makes each, and its alternative text."""
-TAKEN: Final[dict[str, str]] = {**screens.PICTURES, **panel_pictures.PICTURES}
-"""Screenshots by name, with their alternative texts."""
+TAKEN: Final[dict[str, str]] = {
+    **screens.PICTURES,
+    **panel_pictures.PICTURES,
+    "certificate": "Page 1 of a certificate: laboratory, customer, unit, the twelve coefficients with U, and the statement "
+    "of conformity with its rule.",
+}  # fmt: skip
+"""Screenshots by name, with their alternative texts; `example_certificate` writes the last."""
 
 
 def write_all() -> None:

@@ -62,12 +62,17 @@ def standing_in(folder: Path) -> Iterator[None]:
 
 
 def told(command: str) -> str:
-    """Carry out a command of the program and return what it prints."""
+    """Carry out a command of the program and return what it prints. Raises `RuntimeError` where it cannot be done."""
     from bench.cli.app import main
 
-    out = io.StringIO()
-    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(out), contextlib.suppress(SystemExit):
-        main(command.split())
+    out, status = io.StringIO(), 0
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(out):
+        try:
+            main(command.split())
+        except SystemExit as ended:
+            status = int(ended.code or 0)
+    if status > 1:
+        raise RuntimeError(f"bench {command}: {out.getvalue()}")
     return out.getvalue()
 
 
