@@ -17,7 +17,7 @@ project = "Calibration bench"
 author = "the authors of triaxial-bench"
 version = release = version_of("triaxial-bench")
 
-extensions = ["myst_parser", "docs.generators.pictures", "docs.generators.anchors"]
+extensions = ["myst_parser", "docs.site_parts"]
 source_suffix = {".md": "markdown"}
 exclude_patterns = ["_build", "generators", "gallery", "**/_*.md"]
 templates_path: list[str] = []

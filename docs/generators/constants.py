@@ -13,9 +13,9 @@ import numpy as np
 from docs.generators.markdown import code, table
 
 NAMED: Final = (
-    "candidates.KIND_PRIOR", "candidates.RARE", "evidence.SIZES", "evidence.LOG_SIZE_WEIGHTS", "evidence.KNOWN_SIZE",
-    "evidence.NULLS", "evidence.TAIL", "noise_grid.RATIOS", "noise_grid.RATIO_SPREAD", "noise_kinds.LOG_PRIOR",
-    "noise_kinds.TAIL_DOF", "posterior.PART",
+    "candidates.KIND_PRIOR", "candidates.RARE", "evidence.SIZES", "evidence.LOG_SIZE_WEIGHTS",
+    "evidence.KNOWN_SIZE", "evidence.NULLS", "evidence.TAIL", "noise_grid.RATIOS", "noise_grid.RATIO_SPREAD",
+    "noise_kinds.LOG_PRIOR", "noise_kinds.TAIL_DOF", "posterior.PART",
 )  # fmt: skip
 
 
@@ -39,7 +39,9 @@ def _value(name: str, value: Any) -> str:
 def meaning(module: Any, name: str) -> str:
     """Return the text below a constant of a module, empty without one."""
     for node, after in pairwise(ast.parse(inspect.getsource(module)).body):
-        named = isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name) and node.target.id == name
+        named = (
+            isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name) and node.target.id == name
+        )
         if named and isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant):
             return " ".join(str(after.value.value).partition("\n\n")[0].split())
     return ""

@@ -115,7 +115,7 @@ def turning(words: str) -> str:
 
 
 def wiring(words: str) -> str:
-    """Return the wiring of the shipped `bench-stand`: signals, supply, thermometer and the wires to the computer."""
+    """Return the wiring of the shipped `bench-stand`: signals, supply, thermometer, wires to the computer."""
     bench = _shipped("bench-stand")
     sheet = Drawing(860, 420)
     sheet.box(20, 60, 150, 300)
@@ -131,15 +131,15 @@ def wiring(words: str) -> str:
         sheet.words(156, y + 9, "return", "small", "end")
         sheet.words(250, y - 27, "shield", "small")
         sheet.box(330, y - 24, 160, 48, "box", f"voltmeter {channel}", "HI, LO")
-        _to_computer(sheet, y, meter.resource)
+        _to_computer(sheet, y, _resource(meter))
     _rails(sheet, bench)
     return sheet.svg(words)
 
 
 def _rails(sheet: Drawing, bench: BenchFile) -> None:
     supply, feed = bench.instruments.power_supply, bench.unit_under_test.supply
-    assert supply is not None
-    assert feed is not None
+    if supply is None or feed is None:
+        raise ValueError("bench-stand has no supply any more")
     sheet.box(330, 262, 160, 74, "box", "power supply", *(f"output {r.output}: {r.name}" for r in feed.rails))
     for i, rail in enumerate(feed.rails):
         y = 282 + 18 * i
@@ -147,12 +147,17 @@ def _rails(sheet: Drawing, bench: BenchFile) -> None:
         sheet.words(156, y, rail.name, "small", "end")
     sheet.line("wire", (170, 318), (330, 318))
     sheet.words(156, 318, "ground", "small", "end")
-    _to_computer(sheet, 299, supply.resource)
+    _to_computer(sheet, 299, _resource(supply))
     sheet.box(330, 352, 160, 40, "box", "thermometer")
     sheet.line("wire", (170, 352), (230, 352), (230, 372), (330, 372))
     sheet.words(156, 345, "Pt100", "small", "end")
-    _to_computer(sheet, 372, bench.instruments.thermometer.resource)
+    _to_computer(sheet, 372, _resource(bench.instruments.thermometer))
     sheet.box(740, 60, 100, 332, "box", "computer", "bench")
+
+
+def _resource(instrument: object) -> str:
+    """Return the address of an instrument that has one."""
+    return str(getattr(instrument, "resource"))  # noqa: B009 - not every form of its role has an address
 
 
 def _to_computer(sheet: Drawing, y: float, resource: str) -> None:
@@ -182,7 +187,7 @@ def stand(words: str) -> str:
     sheet.line("wire", (244, 214), (330, 214))
     sheet.line("wire", (244, 206), (252, 206), (252, 214))
     sheet.box(262, 152, 56, 56, "box")
-    for y in (120, 200, 290):
+    for y in (120.0, 200.0, 290.0):
         sheet.box(420, y - 26, 66, 52, "box")
     sheet.line("wire", (318, 168), (396, 168), (396, 120), (420, 120))
     sheet.line("wire", (318, 190), (404, 190), (404, 200), (420, 200))
@@ -193,7 +198,7 @@ def stand(words: str) -> str:
     sheet.words(250, 14, "after the paper's Fig. 4", "name")
     sheet.words(710, 14, "here", "name")
     for part, (name, means) in parts_of_the_page().items():
-        y = 18 + 32 * part
+        y = 18.0 + 32 * part
         sheet.number(532, y, part)
         sheet.words(552, y - 7, name, "name", "start")
         sheet.words(552, y + 9, means, "small code", "start")
@@ -262,7 +267,9 @@ def learned(words: str) -> str:
         mean, u = found[name]
         sheet.words(16, y, name, "name", "start")
         sheet.box(middle - scale * half, y - 9, 2 * scale * half, 18, "band conditional")
-        told = f"limit ±{half:.0f}″, learned {mean + 0.0:.0f}″ ± {2 * u:.0f}″".replace("-", "−").replace("−0″", "0″")
+        told = f"limit ±{half:.0f}″, learned {mean + 0.0:.0f}″ ± {2 * u:.0f}″".replace("-", "−").replace(
+            "−0″", "0″"
+        )
         sheet.words(16, y + 19, told, "small", "start")
         sheet.line("data", (middle + scale * (mean - 2 * u), y), (middle + scale * (mean + 2 * u), y))
         sheet.shapes.append(f'<circle class="point" cx="{middle + scale * mean:.1f}" cy="{y}" r="4"/>')

@@ -1,7 +1,7 @@
 """The gallery: pages of `docs/gallery`, carried out when the site is built, and the same as notebooks.
 
-A block of Python runs in one namespace from top to bottom; a block `console` carries out commands of the program. What
-they print, the value of a last expression and open figures stand below the block, on the page and in the notebook.
+Blocks of Python run in one namespace; a block `console` carries out commands of the program. What they print, the
+value of a last expression and open figures stand below the block, on the page and in the notebook.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ NAMES: Final = (
 """In the order of the page."""
 _FIGURE: Final = "A chart: what the code above draws, described in the text before it"
 _BLOCK: Final = re.compile(r"^```(python|console)\n(.*?)^```\n", re.M | re.S)
-_GREY: Final = {f"{part}.color": "#777f88" for part in ("text", "xtick", "ytick")} | {
+_GREY: Final[Any] = {f"{part}.color": "#777f88" for part in ("text", "xtick", "ytick")} | {
     "axes.labelcolor": "#777f88", "axes.edgecolor": "#777f88", "svg.hashsalt": "gallery",
 }  # fmt: skip
 """Figures are legible on a light and a dark page."""
@@ -128,7 +128,9 @@ def _notebook_cell(cell: Cell, identity: str) -> dict[str, Any]:
         return {"cell_type": "markdown", **made}
     outputs: list[dict[str, Any]] = []
     if cell.printed:
-        outputs.append({"output_type": "stream", "name": "stdout", "text": cell.printed.splitlines(keepends=True)})
+        outputs.append(
+            {"output_type": "stream", "name": "stdout", "text": cell.printed.splitlines(keepends=True)}
+        )
     for picture in cell.figures:
         data = {"image/png": base64.b64encode(picture).decode("ascii")}
         outputs.append({"output_type": "display_data", "metadata": {}, "data": data})

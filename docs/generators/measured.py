@@ -13,9 +13,9 @@ STORED: Final = Path(__file__).parents[1] / "measured.yaml"
 _INTRODUCTION: Final = """\
 # What was measured
 
-Look up here the figures behind the statements of other pages. Each table has the command that repeats it, in a checkout
-of the program. All data are simulated, drawn by code that is independent of the model. z is (estimate − truth)/u: its
-root mean square (rms) is 1 where the stated u is right.
+Look up here the figures behind the statements of other pages. Each table has the command that repeats it, in a
+checkout of the program. All data are simulated, drawn by code that is independent of the model. z is
+(estimate − truth)/u: its root mean square (rms) is 1 where the stated u is right.
 """
 
 

@@ -26,12 +26,12 @@ WAITED: Final = {"panel-plots": "#plots-sections svg"}
 PICTURES: Final = {
     "panel-sign-in": "The page to sign in: a field for the token.",
     "panel-runs": "The list of runs: state, verdict, unit, bench, operator, and a button to resume.",
-    "panel-start": "The page to start a run: a card for each procedure with points, duration, readings and mountings.",
+    "panel-start": "The page to start a run: a card for each procedure with its points, duration and mountings.",
     "panel-benches": "The list of bench files, and the shipped files that a new one may begin from.",
     "panel-verdict": "The verdict of a finished run: passed, the risk, and the error at each verification point.",
     "panel-plots": "Residuals against angle and time for each channel, with buttons to choose and to save.",
     "panel-mount": "A question: mount the block in installation 2, with a drawing of platform, block and axes.",
-    "panel-live": "The live page at a turn: the task with its drawing, the angle, controls, last reading, residuals.",
+    "panel-live": "The live page at a turn: the task with its drawing, angle, controls, last reading, residuals.",
     "panel-watching": "The same run on a telephone, for somebody who may only look and stop.",
 }
 WIDE: Final[Any] = {"width": 1280, "height": 1000}

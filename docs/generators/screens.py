@@ -35,23 +35,33 @@ PLACES: Final = {
 }
 """By the name of a picture the page, and what of it is shown."""
 PICTURES: Final = {
-    "report-verdict": "The first box of a report: verification passed, the worst error with its U, the limit, the "
+    "report-verdict": "The first box of a report: verification passed, the worst error with its U, the "
+    "limit, the "
     "rule and its risk; below it fit, readings, unit, procedure and instruments.",
-    "report-coefficients": "Table 1 of a report: the twelve coefficients, each with u, the part that the readings "
+    "report-coefficients": "Table 1 of a report: the twelve coefficients, each with u, the part that the "
+    "readings "
     "show, and U.",
-    "report-residuals": "Residuals of the three channels against the angle of the head, scattered within a grey band.",
-    "report-verification": "The error of the modulus at four verification points with bars, between dashed limits.",
+    "report-residuals": "Residuals of the three channels against the angle of the head, scattered within "
+    "a grey band.",
+    "report-verification": "The error of the modulus at four verification points with bars, between "
+    "dashed limits.",
     "fault-residuals": "Residuals that leave their grey band in waves, the same in each pass.",
-    "diagnosis-verdict": "The first box of a diagnosis: found and named, head eccentricity, how far the gap closes, "
+    "diagnosis-verdict": "The first box of a diagnosis: found and named, head eccentricity, how far the "
+    "gap closes, "
     "the sizes found, and what to do.",
-    "diagnosis-signals": "Signals measured and simulated: left as they are, right magnified after the model is "
+    "diagnosis-signals": "Signals measured and simulated: left as they are, right magnified after the "
+    "model is "
     "removed; points are measured, bars simulated with what was found.",
-    "diagnosis-found": "What was found: the name with its sizes, how sure it is, what else it could be, and bars of "
+    "diagnosis-found": "What was found: the name with its sizes, how sure it is, what else it could be, "
+    "and bars of "
     "the evidence of the most plausible explanations.",
-    "diagnosis-gap": "Reduced chi-square of each held-out part before and after naming; after it lies near 1.",
-    "diagnosis-tie": "The first box of a diagnosis that cannot tell two names apart: the odds of each, and the "
+    "diagnosis-gap": "Reduced chi-square of each held-out part before and after naming; after it lies "
+    "near 1.",
+    "diagnosis-tie": "The first box of a diagnosis that cannot tell two names apart: the odds of each, "
+    "and the "
     "procedure that would decide.",
-    "chart": "Control charts of a check block: T squared, its moving average and the scatter of a reading of each "
+    "chart": "Control charts of a check block: T squared, its moving average and the scatter of a reading"
+    " of each "
     "run after the baseline; the last run lies far above the limit.",
 }  # fmt: skip
 """By the name of a picture its alternative text."""
@@ -74,10 +84,12 @@ def _take(bench: Path, folder: Path) -> None:
 
     folder.mkdir(parents=True, exist_ok=True)
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=find_chromium(), args=["--no-sandbox"])
+        browser: Any = playwright.chromium.launch(executable_path=find_chromium(), args=["--no-sandbox"])
         for scheme in SCHEMES:
             page: Any = browser.new_page(
-                viewport=WIDE, device_scale_factor=SHARP, color_scheme=scheme  # type: ignore[arg-type]
+                viewport=WIDE,
+                device_scale_factor=SHARP,
+                color_scheme=scheme,
             )
             page.set_default_timeout(60_000)
             opened = ""

@@ -43,12 +43,16 @@ def shown(words: str) -> str:
     """Return the session as HTML, each line with the time at which it appears."""
     at_s, lines = 0.0, []
     for command, answer in recorded():
-        lines.append(f'<span class="typed" style="animation-delay:{at_s:.2f}s">$ bench {escape(command)}</span>')
+        lines.append(
+            f'<span class="typed" style="animation-delay:{at_s:.2f}s">$ bench {escape(command)}</span>'
+        )
         at_s += TYPED_S
         for line in answer:
             lines.append(f'<span style="animation-delay:{at_s:.2f}s">{escape(line)}</span>')
             at_s += WAIT_S
         at_s += TYPED_S
     return (
-        f'<pre class="session" role="group" tabindex="0" aria-label="{escape(words)}">' + "\n".join(lines) + "</pre>"
+        f'<pre class="session" role="group" tabindex="0" aria-label="{escape(words)}">'
+        + "\n".join(lines)
+        + "</pre>"
     )

@@ -62,7 +62,7 @@ def standing_in(folder: Path) -> Iterator[None]:
 
 
 def told(command: str) -> str:
-    """Carry out a command of the program and return what it prints. Raises `RuntimeError` where it cannot be done."""
+    """Carry out a command of the program; return what it prints. Raises `RuntimeError` where it cannot be done."""
     from bench.cli.app import main
 
     out, status = io.StringIO(), 0

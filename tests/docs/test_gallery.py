@@ -1,4 +1,4 @@
-"""The gallery: page and notebook hold the same. The build of the site carries out every example, and ends where one fails."""
+"""The gallery: page and notebook hold the same. The build of the site carries out every example."""
 
 import json
 
