@@ -177,7 +177,7 @@ def stand(words: str) -> str:
 
     The second half comes from the table of the page `stand.md`.
     """
-    sheet = Drawing(900, 400)
+    sheet = Drawing(930, 400)
     sheet.line("shield", (16, 340), (16, 30), (500, 30), (500, 340))
     sheet.box(40, 330, 300, 44, "box")
     sheet.box(70, 170, 90, 160, "box")

@@ -29,7 +29,7 @@ NAMES: Final = (
 _FIGURE: Final = "A chart: what the code above draws, described in the text before it"
 _BLOCK: Final = re.compile(r"^```(python|console)\n(.*?)^```\n", re.M | re.S)
 _GREY: Final[Any] = {f"{part}.color": "#777f88" for part in ("text", "xtick", "ytick")} | {
-    "axes.labelcolor": "#777f88", "axes.edgecolor": "#777f88", "svg.hashsalt": "gallery",
+    "axes.labelcolor": "#777f88", "axes.edgecolor": "#777f88", "legend.frameon": False,
 }  # fmt: skip
 """Figures are legible on a light and a dark page."""
 
