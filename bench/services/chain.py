@@ -120,7 +120,7 @@ class Chain:
         """Read the lines added since, without changing any file. Raises `Refused` for a changed line."""
         path = self.folder / LINES
         if (path.stat().st_size if path.exists() else 0) < self.length:
-            raise Refused(f"{path}: lines were taken off its end; restore it from a copy")
+            raise Refused(f"{path}: its last lines are missing; restore it from a copy")
         if path.exists():
             with open_regular(path) as file:
                 file.seek(self.length)
@@ -168,7 +168,10 @@ def opened(register: Of) -> Iterator[Of]:
             f"{folder}: another program has the register open; try again when it has ended"
         ) from None
     except OSError as error:
-        raise Refused(f"{error.filename or folder}: cannot be written ({error.strerror})") from error
+        raise Refused(
+            f"{error.filename or folder}: cannot be written ({error.strerror}); free disk space or check "
+            "permissions"
+        ) from error
 
 
 def sync_folder(folder: Path) -> None:
