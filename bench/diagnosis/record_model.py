@@ -294,8 +294,8 @@ class Whitening:
                 each.append(
                     (log_det, np.sum(column**2, axis=0), column.T @ target, np.sum(target**2, axis=0))
                 )
-        parts = [np.array(part) for part in zip(*each, strict=True)]
-        return Products(*parts, len(self.trend) - fixed.shape[1])
+        dets, squares, products, lefts = (np.array(part) for part in zip(*each, strict=True))
+        return Products(dets, squares, products, lefts, len(self.trend) - fixed.shape[1])
 
 
 @dataclass(frozen=True)
@@ -326,16 +326,19 @@ class Products:
         The size is normal about zero with `SIZES` times the plausible size; the variance of the noise in the
         Occam factor is that of the residuals.
         """
-        square, product = self.square[:, :, None], self.product
-        gain = np.where(square > 0.0, product**2 / np.maximum(square, 1e-300), 0.0)
-        variance = np.maximum(self.left[:, None, :] - gain, 1e-300) / self.freedom
-        each = []
-        for size, weight in zip(SIZES, LOG_SIZE_WEIGHTS, strict=True):
-            prior = (size * plausible[None, :, None]) ** 2
-            known = square * prior / variance
-            rest = self.left[:, None, :] - gain * known / (1.0 + known)
-            each.append(weight - 0.5 * np.log1p(known) - 0.5 * self.freedom * np.log(rest))
-        return _summed(self.log_det[:, None, None] + special.logsumexp(np.array(each), axis=0))
+        prior = [(size * plausible[:, None]) ** 2 for size in SIZES]
+        total = np.full(self.product.shape[1:], -np.inf)
+        for log_det, square, product, left in zip(
+            self.log_det, self.square[:, :, None], self.product, self.left, strict=True
+        ):
+            gain = product**2 / np.maximum(square, 1e-300)
+            inverse = self.freedom / np.maximum(left - gain, 1e-300)
+            for wide, weight in zip(prior, LOG_SIZE_WEIGHTS, strict=True):
+                known = square * wide * inverse
+                rest = left - gain * known / (1.0 + known)
+                log = weight + log_det - 0.5 * (np.log1p(known) + self.freedom * np.log(rest))
+                np.logaddexp(total, log, out=total)
+        return np.asarray(total - np.log(len(self.log_det)))
 
 
 def _summed(logs: Floats) -> Floats:
@@ -470,6 +473,12 @@ def _course(record: Record, effect: Effect, shape: Mapping[str, float]) -> Float
     size = np.full(3 if parameter.per_channel else (), parameter.plausible)
     values = {parameter.name: size, **{name: np.asarray(value) for name, value in shape.items()}}
     return record.added(AppliedEffect(effect, values))[:, 0]
+
+
+def course_of(record: Record, effect: Effect, shape: Mapping[str, float]) -> Course | None:
+    """Return one effect in one shape, or None if it does not show in a record."""
+    course = _course(record, effect, shape)
+    return Course(effect, shape, course / record.scale, 0.0) if _shows(record, course) else None
 
 
 def _shows(record: Record, course: Floats) -> bool:

@@ -15,7 +15,8 @@ from bench.base.numbers import concise, quantity, scale_for, typeset
 from bench.base.result_model import Real, ResultModel
 from bench.diagnosis.gap import Gap
 from bench.diagnosis.pipeline import LISTED_FAR
-from bench.diagnosis.record_diagnosis import ChannelFit, RecordDiagnosis
+from bench.diagnosis.record_diagnosis import RecordDiagnosis
+from bench.diagnosis.record_search import ChannelFit
 from bench.diagnosis.result import NamedEffect, Verdict
 from bench.results import diagnosis_words as words
 from bench.results.diagnosis_page import STATES, drawn
