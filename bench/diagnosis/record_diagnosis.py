@@ -60,8 +60,8 @@ class Place:
 class RecordDiagnosis:
     """The diagnosis of a record at a known input; `gap` is that of the excursions held out in turn.
 
-    `rivals` compares at once, lag and hysteresis by the same excursions. `white_v` and `slow_v` are the standard
-    deviations of the noise in a mean of all channels.
+    `rivals` compares at once, lag and hysteresis by the same excursions. `noises` are those of the components
+    of the channels (`record_model.components`).
     """
 
     source: str
@@ -74,10 +74,19 @@ class RecordDiagnosis:
     rivals: tuple[Rival, ...]
     far: tuple[Far, ...]
     limit: Threshold
-    white_v: float
-    slow_v: float
+    noises: tuple[Noise, ...]
     hidden: tuple[str, ...]
     notes: tuple[str, ...]
+
+    @property
+    def white_v(self) -> float:
+        """Standard deviation of the white noise in a mean of all channels, V."""
+        return float(np.sqrt(self.noises[0].variance / len(self.record.channels)))
+
+    @property
+    def slow_v(self) -> float:
+        """Standard deviation of the slow noise in a mean of all channels, V."""
+        return self.white_v * float(np.sqrt(self.noises[0].ratio))
 
     @property
     def applied(self) -> tuple[AppliedEffect, ...]:
@@ -100,7 +109,6 @@ def diagnose_record(readings: Readings, known_v: Floats | None = None) -> Record
     noises = work.noises(finds)
     far = tuple(_far(work, finds, noises))
     fits = tuple(work.fits(finds, noises))
-    ratio, variance = noises[0].ratio, noises[0].variance
     return RecordDiagnosis(
         source=readings.source,
         record=record,
@@ -112,8 +120,7 @@ def diagnose_record(readings: Readings, known_v: Floats | None = None) -> Record
         rivals=rivals,
         far=far,
         limit=limit,
-        white_v=float(np.sqrt(variance / len(record.channels))),
-        slow_v=float(np.sqrt(ratio * variance / len(record.channels))),
+        noises=tuple(noises),
         hidden=tuple(name for name in FOLLOWS if name not in work.courses.families),
         notes=record.notes,
     )

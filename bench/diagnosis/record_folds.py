@@ -28,8 +28,10 @@ class Rival:
 
 SWING: Final = 0.15
 """An excursion is where what is followed is further from its level at rest than this part of its range."""
-COMMON: Final = 0.35
-"""Part of the record within such a distance of a level from which on it is the level at rest."""
+PLATEAU: Final = 0.1
+"""Part of the range within which what is followed counts as at one level."""
+COMMON: Final = 0.2
+"""Part of the record at one level from which on it is the level at rest; evenly spread it would be a tenth."""
 LEAST_ROWS: Final = 8
 TURNS: Final = 5
 """Consecutive means that are held out together where an effect follows time alone."""
@@ -105,13 +107,12 @@ def _excursions(work: RecordWork, find: Find) -> Iterator[tuple[str, Mask]]:
 def _rest(driver: Floats) -> float:
     """Return the level from which excursions count: the commonest one, or the median where none is common."""
     ordered = np.sort(driver)
-    inside = np.searchsorted(ordered, ordered + 2.0 * SWING * np.ptp(driver), side="right") - np.arange(
-        len(ordered)
-    )
+    last = np.searchsorted(ordered, ordered + PLATEAU * np.ptp(driver), side="right")
+    inside = last - np.arange(len(ordered))
     start = int(np.argmax(inside))
     if inside[start] < COMMON * len(ordered):
         return float(np.median(driver))
-    return float(np.median(ordered[start : start + inside[start]]))
+    return float(np.median(ordered[start : last[start]]))
 
 
 @dataclass(frozen=True)
