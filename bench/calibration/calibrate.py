@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 
 from bench.base.arrays import ARCSEC, Floats, least_squares, rms, u_of
+from bench.base.languages import message
 from bench.calibration import gls, mistakes, outliers
 from bench.calibration.components import SharedErrorFit, heavy_tails, notes_on_noise, take_in
 from bench.calibration.design import FIXED, FreeRows, Problem, make_problem
@@ -153,8 +154,10 @@ def _choose(
     if join_verification and not by.weighs_all:
         able = " or ".join(e.name for e in ESTIMATORS.values() if e.weighs_all)
         raise CalibrationError(
-            f"the estimator {by.name} takes oriented readings alone; use {able} where verification "
-            "points are to join"
+            message(
+                f"the estimator {by.name} takes oriented readings alone; use {able} where verification "
+                "points are to join"
+            )
         )
     labels = [FREE] * join_free + [VERIFICATION] * join_verification
     joins = np.isin(readings.installation, labels) & by.weighs_all
@@ -206,12 +209,16 @@ def _notes_on_rows(
     readings: Readings, chosen: FittedRows, estimator: str, *, join_free: bool
 ) -> tuple[str, ...]:
     if np.any(chosen.free.installation == VERIFICATION):
-        return ("the verification points joined the fit: they are no independent check of it",)
+        return (message("the verification points joined the fit: they are no independent check of it"),)
     count = int(np.sum(readings.installation == FREE))
     if not count or len(chosen.free):
         return ()
-    why = f"the estimator {estimator} takes oriented readings alone" if join_free else "as asked"
-    return (f"{count} free positions do not take part: {why}",)
+    why = (
+        message(f"the estimator {estimator} takes oriented readings alone")
+        if join_free
+        else message("as asked")
+    )
+    return (message(f"{count} free positions do not take part: {why}"),)
 
 
 def _on_levels(problem: Problem) -> tuple[str, ...]:
@@ -226,8 +233,11 @@ def _on_levels(problem: Problem) -> tuple[str, ...]:
         low, high = min(u), max(u)
         sizes.append(f"{symbol}: {low:.2g}" + (f" to {high:.2g}" if high > 1.05 * low else "") + " arcsec")
     return (
-        f"a level showed how the platform stood in installation {', '.join(mounts)} (u of {', of '.join(sizes)}); "
-        "that counts in place of the limits in the bench file",
+        message(
+            f"a level showed how the platform stood in installation {', '.join(mounts)} (u of "
+            f"{', of '.join(sizes)}); "
+            "that counts in place of the limits in the bench file"
+        ),
     )
 
 
@@ -272,7 +282,7 @@ def _fitted(
     # one outlier is enough for a note, but in free positions alone several may mask each other
     most = outliers.most_outliers(problem) if problem.upper else 1
     notes = tuple(
-        f"an outlier is evident: {outlier.text()}; the estimator '{ROBUST}' takes its weight away"
+        message(f"an outlier is evident: {outlier.text()}; the estimator '{ROBUST}' takes its weight away")
         for outlier in outliers.listed(outliers.search(problem, task.fit, task.refit, most), chosen)
     )
     return fit, (), notes

@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike
 from scipy import special
 
 from bench.base.arrays import Floats, Mask
+from bench.base.languages import message
 from bench.calibration.result import CalibrationError
 
 SIMPLE: Final = "simple acceptance"
@@ -123,9 +124,9 @@ class DecisionRule:
     def words(self) -> str:
         """The rule as a verdict names it: "guarded (w = 0.83 U)"."""
         if self.guard_band is None:
-            return f"{self.name} (false acceptance ≤ {100 * FALSE_ACCEPTANCE:g} %)"
+            return message(f"{self.name} (false acceptance ≤ {100 * FALSE_ACCEPTANCE:g} %)")
         times = "" if self.guard_band == 1.0 else f"{self.guard_band:g} "
-        return self.name if self.name == SIMPLE else f"{self.name} (w = {times}U)"
+        return self.name if self.name == SIMPLE else message(f"{self.name} (w = {times}U)")
 
     def acceptance_limit(self, limit: float, known: MeasuredValues) -> Floats:
         """Return the largest |y| that is accepted, for each of n measured values, (n,).

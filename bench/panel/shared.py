@@ -18,7 +18,9 @@ from starlette.responses import HTMLResponse, JSONResponse, RedirectResponse, Re
 
 from bench.base.computing import missing
 from bench.base.files import from_text
+from bench.base.languages import ENGLISH, language
 from bench.base.numbers import typeset
+from bench.base.template_texts import environment_for
 from bench.base.text import bounded, visible
 from bench.panel.access import STATE, Access, Person, Refusal, Role, Settings
 from bench.panel.folder import Certificates, RunsFolder, RunsTable
@@ -144,8 +146,9 @@ def asset(name: str) -> str:
 
 
 @cache
-def _environment() -> Environment:
-    environment = Environment(
+def _environment(name: str = ENGLISH) -> Environment:
+    environment = environment_for(
+        name,
         loader=PackageLoader("bench.panel", "templates"),
         autoescape=True,
         undefined=StrictUndefined,
@@ -170,7 +173,7 @@ def rendered(name: str, **content: Any) -> str:
 
     A variable missing from `content` is an error.
     """
-    return visible(_environment().get_template(name).render(**content))
+    return visible(_environment(language()).get_template(name).render(**content))
 
 
 KEPT = {"cache-control": "public, max-age=31536000, immutable"}

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from bench.base.computing import versions
+from bench.base.languages import message
 from bench.base.text import civil_minute, repeated, shown_path
 from bench.calibration.budget.meters import KnownMeters
 from bench.calibration.noise import KnownStand
@@ -460,8 +461,8 @@ def provenance(source: Source) -> dict[str, str]:
     run, origin = source.run, source.origin
     stated = {
         "source": shown_path(source.name),
-        "unit under test": source.block_name or "not stated",
-        "bench": f"{source.taken.words} (SHA-256 {source.taken.sha256})",
+        "unit under test": source.block_name or message("not stated"),
+        "bench": message(f"{source.taken.words} (SHA-256 {source.taken.sha256})"),
         "model": source.model.name,
         **source.traced.stated(),
     }
@@ -479,7 +480,7 @@ def provenance(source: Source) -> dict[str, str]:
         stated["supply of the block"] = supply
     if run is not None:
         head = run.record_head
-        stated["record"] = f"{head['events']} events, chain of hashes whole, head {head['head']}"
+        stated["record"] = message(f"{head['events']} events, chain of hashes whole, head {head['head']}")
     if origin is not None:
         stated["measured with"] = _listed(origin.measured_with)
     stated["evaluated with"] = _listed(versions())
@@ -488,10 +489,10 @@ def provenance(source: Source) -> dict[str, str]:
 
 def _measured(origin: Origin) -> dict[str, str]:
     """Return the facts known of the run that measured the readings: date, operator, unit and instruments."""
-    stated = {"begun": civil_minute(origin.begun), "operator": origin.operator or "not stated"}
+    stated = {"begun": civil_minute(origin.begun), "operator": origin.operator or message("not stated")}
     if origin.procedure:
-        stated["procedure"] = f"{shown_path(origin.procedure)} (plan SHA-256 {origin.plan_hash})"
-        stated["instruments"] = "simulated" if origin.simulated else "real"
+        stated["procedure"] = message(f"{shown_path(origin.procedure)} (plan SHA-256 {origin.plan_hash})")
+        stated["instruments"] = message("simulated") if origin.simulated else message("real")
     return stated | origin.instruments
 
 

@@ -1,0 +1,282 @@
+"""Languages of pages and prompts: texts are made in English, and a view translates them when it shows them.
+
+Results, records and JSON therefore stay English, and the page of an old record can be in another language.
+`message` marks a text in the code; in an f-string the values become numbered blanks: `message(f"{n} rows")` is
+"{0} rows" in the catalogue (`catalogues/uk.po`). A view calls `translated`, which finds the entry of which a text
+is a filled copy, translates the values as far as they are texts, and writes numbers with the decimal sign of
+the language. Templates are translated as a whole (`bench.base.template_texts`).
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass, field
+from functools import cache, lru_cache
+from gettext import GNUTranslations, NullTranslations
+from importlib.resources import files
+from io import BytesIO
+from typing import Final
+
+from drivers.person import message as message
+
+ENGLISH: Final = "en"
+LANGUAGES: Final = {ENGLISH: "English", "uk": "Українська"}
+"""The languages of pages and prompts, by ISO 639-1 code, with their own names."""
+
+ENVIRONMENT: Final = "BENCH_LANGUAGE"
+
+_chosen: ContextVar[str | None] = ContextVar("language", default=None)
+
+
+def language() -> str:
+    """Return the language of views: the one set by `speaking`, else of `BENCH_LANGUAGE`, else English."""
+    return _chosen.get() or known_language(os.environ.get(ENVIRONMENT, "")) or ENGLISH
+
+
+def known_language(name: str) -> str:
+    """Return the language of `LANGUAGES` in a name such as "uk" or "uk_UA.UTF-8"; empty for another language."""
+    code = re.split(r"[-_.]", name.strip().lower())[0]
+    return code if code in LANGUAGES else ""
+
+
+def speak(name: str | None) -> None:
+    """Set the language of views from here on; None leaves it. Raises `ValueError` for an unknown language."""
+    if name is not None:
+        if not known_language(name):
+            raise ValueError(f"language {name!r}: choose one of {', '.join(LANGUAGES)}")
+        _chosen.set(known_language(name))
+
+
+@contextmanager
+def speaking(name: str | None) -> Iterator[None]:
+    """Set the language of views within the context; None leaves it as it is. Raises as `speak`."""
+    token = _chosen.set(_chosen.get())
+    try:
+        speak(name)
+        yield
+    finally:
+        _chosen.reset(token)
+
+
+def translated(text: str, context: str = "") -> str:
+    """Return a text made by the program in the language of views; a text without a translation comes back.
+
+    `context` tells apart texts that English spells alike, such as "pass" (a verdict, a round).
+    """
+    name = language()
+    return text if name == ENGLISH else catalogue(name).translate(text, context)
+
+
+def shown(value: object) -> object:
+    """Return a value for a page: a number with its decimal sign, a text of several words translated.
+
+    A single word comes back as it is, because it may be a name; `translated` also translates single words.
+    """
+    name = language()
+    if name == ENGLISH or hasattr(value, "__html__") or not isinstance(value, str | float):
+        return value
+    text = str(value)
+    if " " in text.strip() and not is_numeric(text):
+        return catalogue(name).translate(text)
+    return catalogue(name).number(text) if is_numeric(text) else value
+
+
+# --- numbers in texts --------------------------------------------------------------------------------
+
+_DECIMAL: Final = re.compile(r"(?<![\w.])(\d+)\.(\d+)(?!\.?\d)(?![a-df-zA-DF-Z_])")
+_WORDS: Final = re.compile(r"[^\W\d_]+")
+_UNITS: Final = frozenset(
+    [
+        "V",
+        "mV",
+        "µV",
+        "nV",
+        "g",
+        "mg",
+        "µg",
+        "ng",
+        "m",
+        "s",
+        "ms",
+        "h",
+        "min",
+        "d",
+        "°C",
+        "C",
+        "K",
+        "A",
+        "mA",
+        "W",
+        "kHz",
+        "Hz",
+        "ppm",
+        "k",
+        "p",
+        "u",
+        "U",
+        "σ",
+        "χ",
+        "e",
+        "r",
+        "rad",
+        "mrad",
+        "µrad",
+        "arcsec",
+        "mm",
+        "µm",
+        "n",
+        "counts",
+    ]
+)
+
+
+def is_numeric(text: str) -> bool:
+    """Return whether a text is numbers, signs and units alone, such as "−2.177(16) V/g" or "22.8 … 23.1 °C"."""
+    return bool(_DECIMAL.search(text)) and all(word in _UNITS for word in _WORDS.findall(text))
+
+
+# --- catalogues --------------------------------------------------------------------------------------
+
+_AROUND: Final = re.compile(r"([\s:;,.(✓✗–·]*)(.*?)([\s:;,.)]*)", re.DOTALL)
+"""Signs around a text, its core, and signs after it."""
+_SURE, _SHORT = 5, 30
+"""A text of fewer letters than `_SURE`, such as "{0} in {1}", is recognised with values of up to `_SHORT` signs."""
+_BLANK: Final = re.compile(r"\{(\d+)\}")
+
+
+@dataclass(frozen=True)
+class Entry:
+    """An English text of a catalogue with numbered blanks, `plural` for a count other than one, and its context."""
+
+    english: str
+    plural: str = ""
+    context: str = ""
+    of_template: bool = field(default=False, compare=False)
+    """A template looks it up itself, and no filled copy of it has to be recognised."""
+
+    def patterns(self) -> Iterator[re.Pattern[str]]:
+        """Yield a regular expression for each English form, whose groups are the values of the blanks."""
+        for text in filter(None, (self.english, self.plural)):
+            seen: set[str] = set()
+            parts = []
+            for at, part in enumerate(_BLANK.split(text)):
+                if at % 2 == 0:
+                    parts.append(re.escape(part))
+                else:
+                    parts.append(f"(?P=v{part})" if part in seen else f"(?P<v{part}>.*?)")
+                    seen.add(part)
+            yield re.compile("".join(parts), re.DOTALL)
+
+
+class Catalogue:
+    """The translations into a language; `decimal` is its decimal sign."""
+
+    def __init__(self, entries: Iterable[Entry], translations: NullTranslations, decimal: str) -> None:
+        self.decimal = decimal
+        self._translations = translations
+        entries = list(entries)
+        self._exact = {
+            (one.context, text): one for one in entries for text in (one.english, one.plural) if text
+        }
+        filled = [
+            (one, pattern) for one in entries if _BLANK.search(one.english) for pattern in one.patterns()
+        ]
+        filled.sort(key=lambda pair: -_letters(pair[0]))
+        self._patterns = [
+            (
+                max(_BLANK.split(one.english)[::2], key=len),
+                one,
+                pattern,
+                9999 if _letters(one) >= _SURE else _SHORT,
+            )
+            for one, pattern in filled
+        ]
+        self.translate = lru_cache(maxsize=20000)(self._translate)
+
+    def number(self, text: str) -> str:
+        """Return a text with the decimal sign of the language in each decimal number; versions stay as they are."""
+        return _DECIMAL.sub(rf"\1{self.decimal}\2", text)
+
+    def fill(self, entry: Entry, values: Mapping[str, str], count: float | None = None) -> str:
+        """Return a translation with its blanks filled; `count`, else the first whole number, chooses the plural."""
+        text, context = entry.english, entry.context
+        if entry.plural:
+            if count is None:
+                count = next((int(value) for value in values.values() if value.isdecimal()), 2)
+            n = int(count) if float(count).is_integer() else 2  # a fraction takes the genitive, as 2 does
+            form = self._translations.npgettext(context, text, entry.plural, n) if context else (
+                self._translations.ngettext(text, entry.plural, n)
+            )  # fmt: skip
+        else:
+            form = self._translations.pgettext(context, text) if context else self._translations.gettext(text)
+        return _BLANK.sub(lambda blank: values.get(blank[1], blank[0]), form)
+
+    def _translate(self, text: str, context: str = "") -> str:
+        if is_numeric(text):
+            return self.number(text)
+        lowered = text[:1].lower() + text[1:]
+        if (told := self._exactly(text, context)) is not None:
+            return told
+        if lowered != text and (told := self._exactly(lowered, context)) is not None:
+            return told[:1].upper() + told[1:]
+        if (told := self._filled(text)) is not None:
+            return told
+        if lowered != text and (told := self._filled(lowered)) is not None:
+            return told[:1].upper() + told[1:]
+        if (around := _AROUND.fullmatch(text)) is not None and around[2] != text:
+            return around[1] + self.translate(around[2], context) + around[3]
+        for separator in ("; ", ", "):
+            if separator in text:
+                parts = text.split(separator)
+                told = separator.join(
+                    self.number(one) if is_numeric(one) else self._exactly(one) or self._filled(one) or one
+                    for one in parts
+                )
+                if told != text:
+                    return told
+        return text
+
+    def _exactly(self, text: str, context: str = "") -> str | None:
+        entry = self._exact.get((context, text)) or self._exact.get(("", text))
+        return None if entry is None else self.fill(entry, {})
+
+    def _filled(self, text: str) -> str | None:
+        """Return the translation of the entry of which a text is a filled copy; None if there is none."""
+        for literal, entry, pattern, most in self._patterns:
+            if literal in text and (found := pattern.fullmatch(text)) is not None:
+                values = found.groupdict("")
+                if max(map(len, values.values())) > most:
+                    continue
+                return self.fill(entry, {name[1:]: self.translate(value) for name, value in values.items()})
+        return None
+
+
+def _letters(entry: Entry) -> int:
+    """Return the number of letters of a text beside its blanks, by which filled copies are told apart."""
+    return len(re.findall(r"[^\W\d_]", _BLANK.sub("", entry.english)))
+
+
+@cache
+def catalogue(name: str) -> Catalogue:
+    """Return the catalogue of a language. Raises `FileNotFoundError` for a language without one, such as English."""
+    from babel import Locale
+    from babel.messages.mofile import write_mo
+    from babel.messages.pofile import read_po
+
+    compiled = BytesIO()
+    with (files(__package__) / "catalogues" / f"{name}.po").open("rb") as file:
+        told = read_po(file, locale=name)
+    write_mo(compiled, told)
+    entries = []
+    for one in told:
+        complete = one.string and not one.fuzzy and (isinstance(one.string, str) or all(one.string))
+        if one.id and complete:
+            english, plural = (one.id, "") if isinstance(one.id, str) else one.id
+            of_template = all(file.endswith(".j2") for file, _ in one.locations)
+            entries.append(Entry(english, plural, one.context or "", of_template))
+    decimal = str(Locale(name).number_symbols["latn"]["decimal"])
+    return Catalogue(entries, GNUTranslations(BytesIO(compiled.getvalue())), decimal)
