@@ -63,7 +63,7 @@ def _in_module(tree: ast.AST, file: Path) -> Iterator[Entry]:
 
 
 def _wordings(node: ast.expr) -> Iterator[Entry]:
-    """Yield the wordings of a text: one for each way through its choices, one with a plural for a choice by number."""
+    """Yield the wordings of a text: one for each way through its choices; a choice by number gives a plural."""
     match node:
         case ast.Constant(value=str(text)):
             yield Entry(text)

@@ -21,7 +21,7 @@ from importlib.resources import files
 from io import BytesIO
 from typing import Final
 
-from drivers.person import message as message
+from drivers.interfaces import message as message  # noqa: PLC0414 - other modules take it from here
 
 ENGLISH: Final = "en"
 LANGUAGES: Final = {ENGLISH: "English", "uk": "Українська"}
@@ -141,7 +141,7 @@ def is_numeric(text: str) -> bool:
 
 # --- catalogues --------------------------------------------------------------------------------------
 
-_AROUND: Final = re.compile(r"([\s:;,.(✓✗–·]*)(.*?)([\s:;,.)]*)", re.DOTALL)
+_AROUND: Final = re.compile(r"([\s:;,.([«»✓✗–·]*)(.*?)([\s:;,.)\]]*)", re.DOTALL)
 """Signs around a text, its core, and signs after it."""
 _SURE, _SHORT = 5, 30
 """A text of fewer letters than `_SURE`, such as "{0} in {1}", is recognised with values of up to `_SHORT` signs."""
@@ -183,7 +183,10 @@ class Catalogue:
             (one.context, text): one for one in entries for text in (one.english, one.plural) if text
         }
         filled = [
-            (one, pattern) for one in entries if _BLANK.search(one.english) for pattern in one.patterns()
+            (one, pattern)
+            for one in entries
+            if _BLANK.search(one.english) and not one.of_template
+            for pattern in one.patterns()
         ]
         filled.sort(key=lambda pair: -_letters(pair[0]))
         self._patterns = [
@@ -229,15 +232,16 @@ class Catalogue:
             return told[:1].upper() + told[1:]
         if (around := _AROUND.fullmatch(text)) is not None and around[2] != text:
             return around[1] + self.translate(around[2], context) + around[3]
-        for separator in ("; ", ", "):
-            if separator in text:
-                parts = text.split(separator)
-                told = separator.join(
-                    self.number(one) if is_numeric(one) else self._exactly(one) or self._filled(one) or one
-                    for one in parts
-                )
-                if told != text:
-                    return told
+        for separator in (r"\n", r"  ", r"(?<=[.?!]) "):
+            if len(parts := re.split(separator, text)) > 1:
+                return re.search(separator, text)[0].join(map(self.translate, parts))  # type: ignore[index]
+        for joint in ("; ", ", "):
+            told = joint.join(
+                self.number(one) if is_numeric(one) else self._exactly(one) or self._filled(one) or one
+                for one in text.split(joint)
+            )
+            if told != text:
+                return told
         return text
 
     def _exactly(self, text: str, context: str = "") -> str | None:
@@ -262,7 +266,7 @@ def _letters(entry: Entry) -> int:
 
 @cache
 def catalogue(name: str) -> Catalogue:
-    """Return the catalogue of a language. Raises `FileNotFoundError` for a language without one, such as English."""
+    """Return the catalogue of a language. Raises `FileNotFoundError` for English, which has none."""
     from babel import Locale
     from babel.messages.mofile import write_mo
     from babel.messages.pofile import read_po

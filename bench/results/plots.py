@@ -356,7 +356,7 @@ def translate_texts(figure: Figure) -> None:
     from matplotlib.ticker import FixedFormatter, FuncFormatter, ScalarFormatter
 
     for text in figure.findobj(Text):
-        text.set_text(by_line(text.get_text()))  # type: ignore[attr-defined]
+        text.set_text(by_line(text.get_text()))
     for axis in (axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)):
         formatter = axis.get_major_formatter()
         if isinstance(formatter, FixedFormatter):
@@ -414,5 +414,6 @@ def _inline(svg: str, name: str, inches: tuple[float, float], alt: str) -> str:
     if box is None:  # pragma: no cover - matplotlib always writes one
         raise ValueError(f"figure {name}: no viewBox in the SVG")
     # the width is in em, so that the lettering scales with the page's text
-    start = f'<svg {box[0]} role="img" aria-label="{escape(translated(alt))}" style="max-width:{inches[0] * 6.4:.1f}em">'
+    alt = escape(translated(alt))
+    start = f'<svg {box[0]} role="img" aria-label="{alt}" style="max-width:{inches[0] * 6.4:.1f}em">'
     return start + re.sub(r">\s+<", "><", body[body.index(">") + 1 :].strip())

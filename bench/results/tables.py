@@ -262,9 +262,8 @@ def _stand_angle(name: str) -> Markup:
     letter = (
         Markup("<i>α</i><sub>{}</sub> ").format(of.removeprefix("alpha")) if of.startswith("alpha") else ""
     )
-    return Markup(translated(message("{0}{1}, installation {2}"))).format(
-        letter, translated(meaning), parts["mount"]
-    )
+    label = Markup(translated(message("{0}{1}, installation {2}")))  # noqa: S704 - our own text
+    return label.format(letter, translated(meaning), parts["mount"])
 
 
 def _in_words(pull: float, estimate: Estimate) -> str:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Final
 
+from bench.base.languages import message
 from bench.base.text import duration
 from bench.config.bench_file.stand import DriftForm, RailSection, UnitSupplySection
 from bench.config.procedure.plan import SWITCHED_ON, Mount, Plan, Power, Read
@@ -35,9 +36,9 @@ IN_RUSH_S: Final = 2.0
 """Time from switching on to the first check of the rails, s; the inrush current has then decayed."""
 NAP_S: Final = 1.0
 
-ANEW: Final = "switch off and set anew"
-STAYED_ON: Final = "it stayed on"
-WAS_OFF: Final = "it was off"
+ANEW: Final = message("switch off and set anew")
+STAYED_ON: Final = message("it stayed on")
+WAS_OFF: Final = message("it was off")
 
 _PASSING: Final = (InstrumentLost, BadReading, InstrumentRefused)
 """Failures of a check that the next check may not repeat; during a reading, they invalidate the reading."""
@@ -107,7 +108,7 @@ class UnitPower:
                 self.on, self.in_charge, self.on_since_s = True, True, self.clock.now_s()
                 self._told("found on", self.look(key))
                 return
-            otherwise = f"of its rails only {', '.join(on)} is on"
+            otherwise = message(f"of its rails only {', '.join(on)} is on")
         self._ask_about(otherwise, key)
         self.switch_off(key)
         self._switch_on(key)
@@ -117,9 +118,11 @@ class UnitPower:
         prompt = Prompt(
             id=f"{key}/found",
             kind=PromptKind.CHOOSE,
-            text=f"The {self.supply.name} is on, and not as the bench file says: {otherwise}. What feeds on it? "
-            "It can be switched off and set as the bench file says, or left as it is, and the run stops",
-            choices=(ANEW, "leave it"),
+            text=message(
+                f"The {self.supply.name} is on, and not as the bench file says: {otherwise}. What feeds on it? "
+                "It can be switched off and set as the bench file says, or left as it is, and the run stops"
+            ),
+            choices=(ANEW, message("leave it")),
             action={"do": "ask"},
         )
         if ask(self.person, prompt) != ANEW:
@@ -271,7 +274,7 @@ class UnitPower:
             prompt = Prompt(
                 id=f"{key}/since",
                 kind=PromptKind.CHOOSE,
-                text="The block was on when the run stopped. Has it been on all the time since?",
+                text=message("The block was on when the run stopped. Has it been on all the time since?"),
                 default=WAS_OFF,
                 choices=(STAYED_ON, WAS_OFF),
                 action={"do": "ask"},

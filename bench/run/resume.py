@@ -8,9 +8,10 @@ from copy import copy
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Final
 
+from bench.base.languages import message
 from bench.config.procedure.plan import Level, Mount, Plan, Read, SetTemperature, Step, Turn
 from bench.run.events import Event, EventType, Wish
-from bench.run.person import MOST_ATTEMPTS, REASON, OpenPrompt, OperatorWish, RunControl, problem_with_answer
+from bench.run.person import MOST_ATTEMPTS, OpenPrompt, OperatorWish, RunControl, problem_with_answer
 from drivers.interfaces import BenchError, NoAnswer
 from drivers.person import Person, Prompt, PromptKind
 
@@ -222,12 +223,12 @@ def _is_of_pass(plan: Plan, turn: int, index: int) -> bool:
 
 GO_ON: Final = "go on"
 ANSWERS: Final = {
-    "redo point": Wish.REPEAT_POINT,
-    "redo pass": Wish.REPEAT_PASS,
-    "mount again": Wish.MOUNT_AGAIN,
+    message("redo point"): Wish.REPEAT_POINT,
+    message("redo pass"): Wish.REPEAT_PASS,
+    message("mount again"): Wish.MOUNT_AGAIN,
 }
 """The answers besides "go on REASON", with the wish that each expresses."""
-AGAIN: Final = "the same reading again after it was redone"
+AGAIN: Final = message("the same reading again after it was redone")
 
 
 def halt_prompt(doubt: Event, *, again: bool = False) -> Prompt:
@@ -235,18 +236,20 @@ def halt_prompt(doubt: Event, *, again: bool = False) -> Prompt:
 
     `again` says that the run stopped at this reading before, and that the reading has been redone since.
     """
-    why, first = "", "take the point again, take the pass again"
+    why, first = "", message("take the point again, take the pass again")
     answers = [*ANSWERS]
     if again:
         why = f"{AGAIN[0].upper()}{AGAIN[1:]}: an earlier setting of the pass may be what is wrong. "
-        first = "take the pass again, which is the first choice, take the point again"
+        first = message("take the pass again, which is the first choice, take the point again")
         answers.sort(key=lambda answer: ANSWERS[answer] is not Wish.REPEAT_PASS)
     return Prompt(
         id=f"halt@{doubt.number}",
         kind=PromptKind.CHOOSE,
-        text=f"Stopped. {doubt.data['sentence']}. {why}Put it right, then say how to go on: {first}, "
-        "mount the block again and take the pass again, or go on with the readings as they are and say why",
-        choices=(*answers, f"{GO_ON} {REASON}"),
+        text=message(
+            f"Stopped. {doubt.data['sentence']}. {why}Put it right, then say how to go on: {first}, "
+            "mount the block again and take the pass again, or go on with the readings as they are and say why"
+        ),
+        choices=(*answers, message("go on REASON")),
         action={"do": "ask"},
     )
 
@@ -256,7 +259,7 @@ def pause_prompt(now_s: float) -> Prompt:
     return Prompt(
         id=f"pause@{now_s:.3f}",
         kind=PromptKind.CONFIRM,
-        text="Paused. Enter goes on; or :redo, :redo-pass, :remount, :skip REASON, :abort",
+        text=message("Paused. Enter goes on; or :redo, :redo-pass, :remount, :skip REASON, :abort"),
         default="yes",
         action={"do": "wait"},
     )

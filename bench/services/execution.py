@@ -17,6 +17,7 @@ from rich.console import Console
 
 from bench.base.computing import quiet, versions
 from bench.base.files import read_regular, to_text, write_whole
+from bench.base.languages import message
 from bench.config.bench_file.file import BenchFile, foreign_drivers, load_bench, missing_drivers
 from bench.config.devices.sections import ControlledChamberForm
 from bench.config.model_file import load_model
@@ -308,11 +309,11 @@ def accept_changes(run: Run, asker: Asker | None, out: Console) -> None:
     for kind, copy in (("procedure", PROCEDURE), ("bench", BENCH)):
         original = Path(str(run.manifest.get(kind)))
         if original.is_file() and read_regular(original) != read_regular(run.folder / copy):
-            changes.append(f"{original} was changed since the run began")
+            changes.append(message(f"{original} was changed since the run began"))
     for change in changes:
         out.print(f"note: {change}; the run goes on with the copy in its folder")
     if changes and not run.simulated and asker is not None:
-        text = f"{'; '.join(changes)}. Go on as the run was begun, without these changes?"
+        text = message(f"{'; '.join(changes)}. Go on as the run was begun, without these changes?")
         agree(asker, Prompt(id="changed", kind=PromptKind.CONFIRM, text=text, action={"do": "answer"}))
 
 
