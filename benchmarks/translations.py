@@ -29,8 +29,8 @@ CATALOGUES: Final = ROOT / "bench" / "base" / "catalogues"
 EFFECTS: Final = ROOT / "bench" / "model" / "effects"
 """Effects state their texts as attributes: the sentence, and what would show it."""
 WORDS: Final = ROOT / "bench" / "certificate" / "words.yaml"
-_IN_SCRIPT: Final = re.compile(r'(?<![\w.$])_\(\s*("(?:\\.|[^"\\])*"|`(?:\\.|[^`\\])*`)')
-_VALUE: Final = re.compile(r"\$\{((?:[^{}]|\{[^{}]*\})*)\}")
+_IN_SCRIPT: Final = re.compile(r"(?<![\w.$])_\((?=[\"`])")
+_VALUE: Final = re.compile(r"(\$\{(?:[^{}]|\{(?:[^{}]|\{[^{}]*\})*\})*\})")
 _ENDING: Final = re.compile(r'\$\{(?:[^{}]+?) === 1 \? "([^"]*)" : "([^"]*)"\}')
 _BLANKS: Final = re.compile(r"\{\d+\}|</?\w+")
 
@@ -45,7 +45,7 @@ def entries_of(file: Path) -> Iterator[Entry]:
         yield from texts_in(source)
     elif file.suffix == ".js":
         for call in _IN_SCRIPT.finditer(source):
-            yield _in_script(call[1])
+            yield _in_script(_literal_at(source, call.end()))
 
 
 def _in_module(tree: ast.AST, file: Path) -> Iterator[Entry]:
@@ -102,17 +102,33 @@ def _filled(node: ast.JoinedStr) -> Iterator[Entry]:
         yield Entry(one, many if many != one else "")
 
 
+def _literal_at(source: str, at: int) -> str:
+    """Return the literal of a script that begins at a place; a template literal may hold others."""
+    quote, end, depth = source[at], at + 1, 0
+    while source[end] != quote or depth:
+        if source[end] == "\\":
+            end += 1
+        elif source.startswith("${", end):
+            depth += 1
+        elif source[end] == "}" and depth:
+            depth -= 1
+        end += 1
+    return source[at : end + 1]
+
+
 def _in_script(literal: str) -> Entry:
-    text = literal[1:-1]
+    text = literal[1:-1].replace('\\"', '"')
     if literal.startswith('"'):
-        return Entry(
-            text.encode().decode("unicode_escape").encode("latin-1").decode() if "\\" in text else text
-        )
+        return Entry(text)
     forms = []
     for number in (1, 2):
-        counter = iter(range(99))
-        form = _ENDING.sub(lambda choice, n=number: choice[n], text)  # type: ignore[misc]
-        forms.append(_VALUE.sub(lambda _, blanks=counter: f"{{{next(blanks)}}}", form))  # type: ignore[misc]
+        form, blanks = "", 0
+        for part in _VALUE.split(_ENDING.sub(lambda choice, n=number: choice[n], text)):  # type: ignore[misc]
+            if part.startswith("${"):
+                form, blanks = f"{form}{{{blanks}}}", blanks + 1
+            else:
+                form += part
+        forms.append(form)
     return Entry(forms[0], forms[1] if forms[1] != forms[0] else "")
 
 

@@ -9,6 +9,7 @@ the language. Templates are translated as a whole (`bench.base.template_texts`).
 
 from __future__ import annotations
 
+import json
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping
@@ -155,8 +156,13 @@ class Entry:
     english: str
     plural: str = ""
     context: str = ""
-    of_template: bool = field(default=False, compare=False)
-    """A template looks it up itself, and no filled copy of it has to be recognised."""
+    files: str = field(default="", compare=False)
+    """The files that use it, separated by spaces."""
+
+    @property
+    def of_template(self) -> bool:
+        """Whether templates alone use it: they look it up, and no filled copy has to be recognised."""
+        return all(file.endswith(".j2") for file in self.files.split()) and self.files != ""
 
     def patterns(self) -> Iterator[re.Pattern[str]]:
         """Yield a regular expression for each English form, whose groups are the values of the blanks."""
@@ -177,14 +183,14 @@ class Catalogue:
 
     def __init__(self, entries: Iterable[Entry], translations: NullTranslations, decimal: str) -> None:
         self.decimal = decimal
+        self.entries = tuple(entries)
         self._translations = translations
-        entries = list(entries)
         self._exact = {
-            (one.context, text): one for one in entries for text in (one.english, one.plural) if text
+            (one.context, text): one for one in self.entries for text in (one.english, one.plural) if text
         }
         filled = [
             (one, pattern)
-            for one in entries
+            for one in self.entries
             if _BLANK.search(one.english) and not one.of_template
             for pattern in one.patterns()
         ]
@@ -206,17 +212,25 @@ class Catalogue:
 
     def fill(self, entry: Entry, values: Mapping[str, str], count: float | None = None) -> str:
         """Return a translation with its blanks filled; `count`, else the first whole number, chooses the plural."""
-        text, context = entry.english, entry.context
-        if entry.plural:
-            if count is None:
-                count = next((int(value) for value in values.values() if value.isdecimal()), 2)
-            n = int(count) if float(count).is_integer() else 2  # a fraction takes the genitive, as 2 does
-            form = self._translations.npgettext(context, text, entry.plural, n) if context else (
-                self._translations.ngettext(text, entry.plural, n)
-            )  # fmt: skip
-        else:
-            form = self._translations.pgettext(context, text) if context else self._translations.gettext(text)
+        if count is None:
+            count = next((int(value) for value in values.values() if value.isdecimal()), 2)
+        form = self._form(entry, int(count) if float(count).is_integer() else 2)  # a fraction goes as 2 does
         return _BLANK.sub(lambda blank: values.get(blank[1], blank[0]), form)
+
+    def forms(self, entry: Entry) -> list[str]:
+        """Return the translation of a text, or its forms for one, for few and for many."""
+        return [self._form(entry, n) for n in ((1, 2, 5) if entry.plural else (1,))]
+
+    def _form(self, entry: Entry, n: int) -> str:
+        of, english = self._translations, entry.english
+        match entry.context, entry.plural:
+            case "", "":
+                return of.gettext(english)
+            case context, "":
+                return of.pgettext(context, english)
+            case "", plural:
+                return of.ngettext(english, plural, n)
+        return of.npgettext(entry.context, english, entry.plural, n)
 
     def _translate(self, text: str, context: str = "") -> str:
         if is_numeric(text):
@@ -264,6 +278,28 @@ def _letters(entry: Entry) -> int:
     return len(re.findall(r"[^\W\d_]", _BLANK.sub("", entry.english)))
 
 
+_OF_SCRIPTS: Final = (
+    "bench/panel/",
+    "bench/run/",
+    "bench/config/",
+    "bench/results/",
+    "bench/base/",
+    "drivers/",
+)
+
+
+def texts_for_scripts(name: str) -> str:
+    """Return a script that gives the scripts of the panel the texts that they may have to show in a language."""
+    found = catalogue(name)
+    texts = [
+        (one.english, one.plural, found.forms(one))
+        for one in found.entries
+        if not one.of_template and one.files.startswith(_OF_SCRIPTS)
+    ]
+    told = {"language": name, "decimal": found.decimal, "units": sorted(_UNITS), "texts": texts}
+    return f"window.BENCH_TEXTS = {json.dumps(told, ensure_ascii=False)};\n"
+
+
 @cache
 def catalogue(name: str) -> Catalogue:
     """Return the catalogue of a language. Raises `FileNotFoundError` for English, which has none."""
@@ -280,7 +316,7 @@ def catalogue(name: str) -> Catalogue:
         complete = one.string and not one.fuzzy and (isinstance(one.string, str) or all(one.string))
         if one.id and complete:
             english, plural = (one.id, "") if isinstance(one.id, str) else one.id
-            of_template = all(file.endswith(".j2") for file, _ in one.locations)
-            entries.append(Entry(english, plural, one.context or "", of_template))
+            used = " ".join(file for file, _ in one.locations)
+            entries.append(Entry(english, plural, one.context or "", used))
     decimal = str(Locale(name).number_symbols["latn"]["decimal"])
     return Catalogue(entries, GNUTranslations(BytesIO(compiled.getvalue())), decimal)

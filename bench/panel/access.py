@@ -24,6 +24,7 @@ from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from bench.base.files import from_text, read_regular, to_text, write_whole
+from bench.base.languages import known_language, message, speaking
 from bench.base.text import visible
 from bench.run.events import RecordError
 from drivers.clock import utc_now
@@ -114,7 +115,9 @@ class Person:
     def require(self, least: Role) -> None:
         """Raise `Refusal` (403) if the person's role is below `least`."""
         if not self.role.includes(least):
-            raise Refusal(403, f"{self.name} is signed in as {self.role}; this takes the role {least}")
+            raise Refusal(
+                403, message(f"{self.name} is signed in as {self.role}; this takes the role {least}")
+            )
 
 
 class Refusal(Exception):
@@ -167,24 +170,36 @@ class Gate:
             await self._refuse(Request(scope), refusal)(scope, receive, with_headers)
             return
         taken = counted(receive) if scope["method"] == "POST" else without_body(receive)
-        await self._app(scope, taken, with_headers)
+        with speaking(_language_of(Request(scope))):
+            await self._app(scope, taken, with_headers)
 
     def _refused(self, scope: Scope) -> Refusal | None:
         """Return the refusal of a request by its headers; None if it may pass."""
         headers = Headers(scope=scope)
         host = headers.get("host", "")
         if len(headers.getlist("host")) > 1 or not self._settings.allows_host(host):
-            return Refusal(403, f"this panel is at {self._settings.url}")
+            return Refusal(403, message(f"this panel is at {self._settings.url}"))
         if scope["method"] not in METHODS:
-            return Refusal(405, "the panel knows GET and POST")
+            return Refusal(405, message("the panel knows GET and POST"))
         if scope["method"] == "POST" and not self._settings.allows_origin(headers.get("origin", ""), host):
-            return Refusal(403, "this change was asked for by a page that is not the panel's")
+            return Refusal(403, message("this change was asked for by a page that is not the panel's"))
         length = headers.get("content-length", "0")
         if "content-length" in headers and "transfer-encoding" in headers:
-            return Refusal(400, "a request has Content-Length or Transfer-Encoding, not both")
+            return Refusal(400, message("a request has Content-Length or Transfer-Encoding, not both"))
         if not length.isascii() or not length.isdecimal() or len(length) > 9 or int(length) > LARGEST_BODY:
-            return Refusal(413, f"at most {LARGEST_BODY} bytes are taken")
+            return Refusal(413, message(f"at most {LARGEST_BODY} bytes are taken"))
         return None
+
+
+LANGUAGE: Final = "bench-language"
+"""The cookie with the language that a person chose; without it the browser's languages count."""
+
+
+def _language_of(request: Request) -> str | None:
+    """Return the first known language of the cookie and of Accept-Language; None leaves that of the program."""
+    accepted = request.headers.get("accept-language", "")[:200].split(",")
+    wanted = [request.cookies.get(LANGUAGE, ""), *(one.partition(";")[0] for one in accepted)]
+    return next(filter(None, map(known_language, wanted)), None)
 
 
 def counted(receive: Receive) -> Receive:
@@ -196,7 +211,7 @@ def counted(receive: Receive) -> Receive:
         message = await receive()
         taken += len(message.get("body", b""))
         if taken > LARGEST_BODY:
-            raise Refusal(413, f"at most {LARGEST_BODY} bytes are taken")
+            raise Refusal(413, message(f"at most {LARGEST_BODY} bytes are taken"))
         return message
 
     return bounded
@@ -221,12 +236,14 @@ def private_folder(folder: Path) -> Path:
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
         found = folder.lstat()
         if not stat.S_ISDIR(found.st_mode):
-            raise RecordError(f"{folder}: is a link, and the panel keeps its secrets in a folder; remove it")
+            raise RecordError(
+                message(f"{folder}: is a link, and the panel keeps its secrets in a folder; remove it")
+            )
         if os.name == "posix" and stat.S_IMODE(found.st_mode) & 0o077:
             folder.chmod(0o700)
     except OSError as error:
         raise RecordError(
-            f"{folder}: cannot be used ({error.strerror}); choose another folder of runs"
+            message(f"{folder}: cannot be used ({error.strerror}); choose another folder of runs")
         ) from error
     return folder
 
@@ -254,7 +271,9 @@ class KeptList:
             self._rows, self._stamp = [], None
         except (OSError, ValueError) as error:
             raise RecordError(
-                f"{self._path}: cannot be read; put a copy in its place, or remove it and make new tokens"
+                message(
+                    f"{self._path}: cannot be read; put a copy in its place, or remove it and make new tokens"
+                )
             ) from error
         return list(self._rows)
 
@@ -270,7 +289,9 @@ class KeptList:
                     write_whole(self._path, to_text(rows))
                     self._path.chmod(0o600)
         except OSError as error:
-            raise RecordError(f"{self._path}: cannot be written ({error.strerror}); free the disk") from error
+            raise RecordError(
+                message(f"{self._path}: cannot be written ({error.strerror}); free the disk")
+            ) from error
 
 
 TOKENS: Final = "tokens.json"
@@ -302,7 +323,7 @@ class Access:
         token = secrets.token_urlsafe(32)
         with self._tokens.changed() as rows:
             if any(row["name"] == name for row in rows):
-                raise RecordError(f"{name}: has a token already; 'bench panel revoke {name}' first")
+                raise RecordError(message(f"{name}: has a token already; 'bench panel revoke {name}' first"))
             rows.append(
                 {"name": name, "role": role.value, "sha256": _hash(token), "made": self._now().isoformat()}
             )
@@ -318,7 +339,7 @@ class Access:
             kept = [row for row in rows if row["name"] != name]
             if len(kept) == len(rows):
                 there = ", ".join(str(row["name"]) for row in rows) or "none"
-                raise RecordError(f"{name}: has no token; there are tokens of: {there}")
+                raise RecordError(message(f"{name}: has no token; there are tokens of: {there}"))
             rows[:] = kept
 
     # --- one-time links -----------------------------------------------------------------------------
@@ -404,7 +425,9 @@ def checked_person(name: str) -> str:
     name = name.strip()
     if not name or len(name) > LONGEST_NAME or not name.isprintable() or visible(name) != name:
         raise RecordError(
-            f"{visible(name)!r}: a name is text that can be printed, of 1 to {LONGEST_NAME} characters"
+            message(
+                f"{visible(name)!r}: a name is text that can be printed, of 1 to {LONGEST_NAME} characters"
+            )
         )
     return name
 

@@ -11,6 +11,7 @@ from typing import Final
 from filelock import FileLock
 
 from bench.base.files import MEGABYTE, read_regular, write_whole
+from bench.base.languages import message
 from bench.base.yaml_files import FileMistake, FileMistakes, document_of, validated
 from bench.config.bench_file.file import BenchFile
 from bench.config.shipped import CONFIG, shipped_folder
@@ -66,7 +67,7 @@ def listed() -> list[Listed]:
             text = read_bench(path)
             mistakes, file = mistakes_in(text.text, path)
         except Refusal:
-            mistakes, file = (FileMistake(0, "", "it cannot be read"),), None
+            mistakes, file = (FileMistake(0, "", message("it cannot be read")),), None
         rows.append(Listed(name, str(path), file.description if file else "", len(mistakes)))
     return rows
 
@@ -76,7 +77,7 @@ def own_file(name: str) -> Path:
     path = own_files().get(name)
     if path is None:
         raise Refusal(
-            404, "there is no bench file of that name in the working folder; see the list of benches"
+            404, message("there is no bench file of that name in the working folder; see the list of benches")
         )
     return path
 
@@ -85,7 +86,7 @@ def shipped_file(name: str) -> Path:
     """Return the shipped bench file with this name. Raises `Refusal` (404) if there is none."""
     path = shipped_files().get(name)
     if path is None:
-        raise Refusal(404, "no bench file of that name is shipped; choose one from the list")
+        raise Refusal(404, message("no bench file of that name is shipped; choose one from the list"))
     return path
 
 
@@ -95,12 +96,14 @@ def new_path(name: str) -> Path:
     A name is letters, digits, `-` and `_`; it must not be that of another bench file.
     """
     if NAME.fullmatch(name) is None:
-        raise Refusal(400, "a name is up to 60 letters, digits, - and _, and begins with a letter or digit")
+        raise Refusal(
+            400, message("a name is up to 60 letters, digits, - and _, and begins with a letter or digit")
+        )
     path = Path(CONFIG) / f"{name}.yaml"
     if not path.resolve().is_relative_to(Path().resolve()):
-        raise Refusal(409, "the folder 'config' leads out of the working folder; remove that link")
+        raise Refusal(409, message("the folder 'config' leads out of the working folder; remove that link"))
     if path.exists() or path.is_symlink() or name in own_files() or name in shipped_files():
-        raise Refusal(409, f"there is a bench file {name} already; choose another name")
+        raise Refusal(409, message(f"there is a bench file {name} already; choose another name"))
     return path
 
 
@@ -111,10 +114,10 @@ def read_bench(path: Path) -> BenchText:
         return BenchText(path, content.decode("utf-8-sig").replace("\r\n", "\n"), sha256(content))
     except OSError as error:
         raise Refusal(
-            409, f"{path}: cannot be read ({error.strerror}); look at it on this computer"
+            409, message(f"{path}: cannot be read ({error.strerror}); look at it on this computer")
         ) from error
     except UnicodeDecodeError as error:
-        raise Refusal(409, f"{path}: is not UTF-8 text; save it as UTF-8") from error
+        raise Refusal(409, message(f"{path}: is not UTF-8 text; save it as UTF-8")) from error
 
 
 def mistakes_in(text: str, path: Path) -> tuple[tuple[FileMistake, ...], BenchFile | None]:
@@ -130,8 +133,8 @@ def difference(before: str, after: str, name: str) -> str:
     lines = difflib.unified_diff(
         before.splitlines(),
         after.splitlines(),
-        f"{name} as it is",
-        f"{name} as written here",
+        message(f"{name} as it is"),
+        message(f"{name} as written here"),
         lineterm="",
         n=1,
     )

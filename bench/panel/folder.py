@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from bench.base.files import open_regular, read_json
+from bench.base.languages import message
 from bench.certificate.laboratory import load_laboratory
 from bench.certificate.register import Register
 from bench.panel.access import Refusal
@@ -43,7 +44,7 @@ class RunsFolder:
     def run(self, name: str) -> Run:
         """Return the run with this name. Raises `Refusal` (404) if there is none."""
         if not self._holds(name):
-            raise Refusal(404, "there is no run of that name")
+            raise Refusal(404, message("there is no run of that name"))
         return Run(self.path / name)
 
     def _holds(self, name: str) -> bool:
@@ -114,7 +115,7 @@ class Certificates:
         """Return a file of a run's certificate. Raises `Refusal` (404), `Refused` if it was tampered with."""
         register = self._read()
         if register is None or not any(name in one.files for one in self.of(run)):
-            raise Refusal(404, f"{run.name} has no such certificate")
+            raise Refusal(404, message(f"{run.name} has no such certificate"))
         return register.file(name)
 
     def _read(self) -> Register | None:
@@ -125,7 +126,7 @@ class Certificates:
             try:
                 register.read_lines()
             except OSError as error:
-                raise Refused(f"{self._folder}: cannot be read ({error.strerror})") from error
+                raise Refused(message(f"{self._folder}: cannot be read ({error.strerror})")) from error
             self._register = register
             return register
 
@@ -138,7 +139,7 @@ def _head_of(run: Run) -> str:
         return ""
 
 
-UNREAD: Final = "not read yet"
+UNREAD: Final = message("not read yet")
 LONGEST_LOOK_S: Final = 0.1
 """Longest time (s) that a page spends on reading runs; rows of the others show only their manifests."""
 TAIL: Final = 65_536

@@ -16,6 +16,7 @@ from typing import Final
 import numpy as np
 
 from bench.base.arrays import CHANNELS, Floats
+from bench.base.languages import message
 from bench.model import Installation
 from drivers.angles import format_dms
 
@@ -114,8 +115,12 @@ def turn(installation: Installation | None, from_rad: float | None, to_rad: floa
     if installation is not None:
         _block(sheet, installation, to_rad)
     _way(sheet, from_rad, to_rad, direction)
-    sense = "against the clock (angle rising)" if direction > 0 else "with the clock (angle falling)"
-    words = f"turn to {format_dms(to_rad % math.tau)}, arriving {sense}"
+    sense = (
+        message("against the clock (angle rising)")
+        if direction > 0
+        else message("with the clock (angle falling)")
+    )
+    words = message(f"turn to {format_dms(to_rad % math.tau)}, arriving {sense}")
     if installation is not None:
         words += f"; then {in_words(installation, to_rad)}"
     return sheet.svg(words)
@@ -132,7 +137,7 @@ def in_words(installation: Installation, angle_rad: float) -> str:
 
 _WAYS: Final = (
     ("right", "left"),
-    ("away from you along the shaft", "towards you along the shaft"),
+    (message("away from you along the shaft"), message("towards you along the shaft")),
     ("up", "down"),
 )
 

@@ -18,7 +18,7 @@ from starlette.responses import HTMLResponse, JSONResponse, RedirectResponse, Re
 
 from bench.base.computing import missing
 from bench.base.files import from_text
-from bench.base.languages import ENGLISH, language
+from bench.base.languages import ENGLISH, LANGUAGES, language, message, texts_for_scripts
 from bench.base.numbers import typeset
 from bench.base.template_texts import environment_for
 from bench.base.text import bounded, visible
@@ -68,7 +68,7 @@ def looking(request: Request) -> Person:
     """Return the signed-in person who requests a page. Raises `Refusal` for a stranger."""
     person = person_of(request)
     if person is None:
-        raise Refusal(401, "sign in first")
+        raise Refusal(401, message("sign in first"))
     return person
 
 
@@ -81,7 +81,7 @@ async def acting(request: Request, least: Role, most: int = MOST_FIELDS) -> tupl
     sent = await fields(request, most)
     given = request.headers.get(CSRF_HEADER) or sent.pop("csrf", "")
     if not secrets.compare_digest(given.encode(errors="replace"), person.csrf.encode()):
-        raise Refusal(403, "this form is of another session; load the page again")
+        raise Refusal(403, message("this form is of another session; load the page again"))
     person.require(least)
     return person, sent
 
@@ -91,8 +91,10 @@ async def fields(request: Request, most: int = MOST_FIELDS) -> dict[str, str]:
     try:
         body = await request.body()
     except ClientDisconnect:
-        LOG.warning("a request ended before its body; further ones within a minute are not written here")
-        raise Refusal(400, "the request ended before its body") from None
+        LOG.warning(
+            message("a request ended before its body; further ones within a minute are not written here")
+        )
+        raise Refusal(400, message("the request ended before its body")) from None
     kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
     try:
         if kind == "application/json":
@@ -100,13 +102,13 @@ async def fields(request: Request, most: int = MOST_FIELDS) -> dict[str, str]:
         elif kind == "application/x-www-form-urlencoded" or not body:
             given = dict(parse_qsl(body.decode(), keep_blank_values=True, max_num_fields=most))
         else:
-            raise Refusal(415, "a form or a JSON object is taken")
+            raise Refusal(415, message("a form or a JSON object is taken"))
     except ValueError:
-        raise Refusal(400, "what was sent is no form and no JSON that can be read") from None
+        raise Refusal(400, message("what was sent is no form and no JSON that can be read")) from None
     if isinstance(given, dict) and len(given) > most:
-        raise Refusal(400, f"at most {most} fields are taken")
+        raise Refusal(400, message(f"at most {most} fields are taken"))
     if not isinstance(given, dict) or not all(isinstance(value, str) for value in given.values()):
-        raise Refusal(400, "a JSON object whose values are texts is taken")
+        raise Refusal(400, message("a JSON object whose values are texts is taken"))
     return given
 
 
@@ -116,6 +118,8 @@ REPORT_STYLE: Final = "report.css"
 ASSETS: Final = {
     REPORT_STYLE: "text/css; charset=utf-8",
     "panel.css": "text/css; charset=utf-8",
+    "texts.js": "text/javascript; charset=utf-8",
+    **{f"texts-{name}.js": "text/javascript; charset=utf-8" for name in LANGUAGES if name != ENGLISH},
     "panel.js": "text/javascript; charset=utf-8",
     "bench.js": "text/javascript; charset=utf-8",
     "waiting.js": "text/javascript; charset=utf-8",
@@ -136,6 +140,8 @@ def read_asset(name: str) -> bytes:
         raise KeyError(name)
     if name == REPORT_STYLE:
         return (files("bench.results") / "templates" / "style.css.j2").read_bytes()
+    if name.startswith("texts-"):
+        return texts_for_scripts(name.removeprefix("texts-").removesuffix(".js")).encode()
     return (files("bench.panel") / "static" / name).read_bytes()
 
 
@@ -156,7 +162,7 @@ def _environment(name: str = ENGLISH) -> Environment:
         lstrip_blocks=True,
     )
     environment.filters["typeset"] = typeset
-    environment.globals["asset"] = asset
+    environment.globals.update(asset=asset, language=name, languages=LANGUAGES)
     return environment
 
 
@@ -183,7 +189,7 @@ async def send_asset(request: Request) -> Response:
     """Send an asset, but only under its current address, which changes with its content."""
     name = request.path_params["name"]
     if name not in ASSETS or request.scope["path"] != asset(name):
-        raise Refusal(404, "there is no such file")
+        raise Refusal(404, message("there is no such file"))
     return Response(read_asset(name), media_type=ASSETS[name], headers=KEPT)
 
 
@@ -227,7 +233,7 @@ def refused(request: Request, refusal: Refusal) -> Response:
 def by_framework(request: Request, error: Exception) -> Response:
     """Return the response to an error of the framework: an unknown address or method."""
     status = error.status_code if isinstance(error, HTTPException) else 500
-    texts = {404: "there is no such page", 405: "this cannot be asked of this page"}
+    texts = {404: message("there is no such page"), 405: message("this cannot be asked of this page")}
     return refused(request, Refusal(status, texts.get(status, HTTPStatus(status).phrase)))
 
 

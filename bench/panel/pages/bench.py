@@ -13,6 +13,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import JSONResponse, RedirectResponse, Response
 
+from bench.base.languages import message
 from bench.base.text import visible
 from bench.base.yaml_files import dotted, read_yaml
 from bench.config.bench_file.file import BenchFile
@@ -93,7 +94,7 @@ def form(request: Request) -> Response:
     asked = request.query_params
     state = _begun(asked.get("file", ""), asked.get("start", ""), asked.get("name", ""))
     if asked.get("written"):
-        state.note = f"{state.base.path} is written."
+        state.note = message(f"{state.base.path} is written.")
     _judge(state)
     return _shown(request, state)
 
@@ -114,7 +115,9 @@ def _values(text: str) -> dict[str, str]:
     try:
         return values_of(read_yaml(text).data)
     except yaml.YAMLError as error:
-        raise Refusal(409, "the file is no YAML; 'bench check' says where, mend it in an editor") from error
+        raise Refusal(
+            409, message("the file is no YAML; 'bench check' says where, mend it in an editor")
+        ) from error
 
 
 def _judge(state: FormState) -> None:
@@ -125,7 +128,9 @@ def _judge(state: FormState) -> None:
     try:
         state.written = changed_text(state.base.text, state.values, state.groups)
     except (yaml.YAMLError, TypeError, KeyError, AttributeError) as error:
-        raise Refusal(409, "the file has a form that is not understood here; mend it in an editor") from error
+        raise Refusal(
+            409, message("the file has a form that is not understood here; mend it in an editor")
+        ) from error
     mistakes, state.file = mistakes_in(state.written, state.base.path)
     state.placed = placed(mistakes, state.groups)
 
@@ -161,13 +166,13 @@ def _typed(given: Mapping[str, str]) -> FormState:
     """Return the form with what was typed. Raises `Refusal` for texts that no form of the panel sends."""
     for text in given.values():
         if len(text) > LONGEST and "\n" not in text:
-            raise Refusal(400, f"a field holds at most {LONGEST} characters")
+            raise Refusal(400, message(f"a field holds at most {LONGEST} characters"))
     file, start, name = given.get("file", ""), given.get("start", ""), given.get("new_name", "").strip()
     state = _begun(file, start, name)
     for name, text in given.items():
         if name in OF_BENCH or name.startswith(_OF_FORM):
             if visible(text) != text or not (text.isprintable() or not text):
-                raise Refusal(400, f"{name}: only characters that can be printed are taken")
+                raise Refusal(400, message(f"{name}: only characters that can be printed are taken"))
             state.values[name] = text.strip()
     return state
 
@@ -220,14 +225,14 @@ def _write(panel: Panel, person: Person, state: FormState, expected: str) -> boo
         state.placed.at.setdefault("new_name", []).append(refusal.text)
         return False
     if state.placed.number:
-        state.refusal = f"Not written: {state.placed.number} mistakes. Each stands at its field."
+        state.refusal = message(f"Not written: {state.placed.number} mistakes. Each stands at its field.")
         return False
     state.written = signed(state.written, person.name, utc_now())
     if expected == state.base.sha256 and write_bench(
         path, state.written, expected, panel.settings.runs / STATE
     ):
         return True
-    state.refusal = (
+    state.refusal = message(
         "Not written: the file was changed since this form was shown. Look at the difference below."
     )
     state.difference = difference(read_bench(path).text, state.written, path.name)

@@ -15,6 +15,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 
+from bench.base.languages import message
 from bench.base.requests import fields_of
 from bench.base.text import visible
 from bench.base.yaml_files import FileMistakes
@@ -43,7 +44,7 @@ from drivers.clock import utc_now
 
 FORM: Final = ("procedure", "bench", "unit", "operator", "name", "dry_run")
 """The fields of `RunRequest` in the form; label, help and kind come from the request."""
-IN_THE_PANEL: Final = {"dry_run": ("Practice", "Simulated instruments, and you answer.")}
+IN_THE_PANEL: Final = {"dry_run": ("Practice", message("Simulated instruments, and you answer."))}
 """Label and help of fields with another meaning in the panel than at a terminal."""
 FOLDERS: Final = {"procedures": PROCEDURES, "bench_files": CONFIG}
 """The folder of the files to choose from, for fields with these completions (`Option.completes`)."""
@@ -195,7 +196,7 @@ async def go(request: Request) -> Response:
 
 def _begun(panel: Panel, person: Person, wish: WishFolder) -> str:
     if not wish.found().startable:
-        raise Refusal(409, "what was found forbids it, or it is not checked yet")
+        raise Refusal(409, message("what was found forbids it, or it is not checked yet"))
     run = start_run(wish, panel.runs)
     if not read_holding(run.folder).holder:
         change(run.folder, "take", person)
@@ -211,7 +212,7 @@ def _operator(request: Request) -> Person:
 def _text(sent: dict[str, str], name: str) -> str:
     text = sent.get(name, "").strip()
     if len(text) > LONGEST or (text and not text.isprintable()) or visible(text) != text:
-        raise Refusal(400, f"{name}: at most {LONGEST} characters that can be printed")
+        raise Refusal(400, message(f"{name}: at most {LONGEST} characters that can be printed"))
     return text
 
 

@@ -1,0 +1,78 @@
+"use strict";
+/* Texts of scripts in the language of the page, found as bench/base/languages.py finds them; without a catalogue, English. */
+const _ = (() => {
+  const told = window.BENCH_TEXTS;
+  if (!told) return (text) => text;
+  const BLANK = /\{(\d+)\}/, UNITS = new Set(told.units), SURE = 5, SHORT = 30;
+  const rules = new Intl.PluralRules(told.language), FORMS = { one: 0, few: 1, many: 2, other: 1 };
+  const letters = (text) => text.replace(/\{\d+\}/g, "").replace(/[^\p{L}]/gu, "").length;
+  const patternOf = (text) => {
+    const names = [];
+    const source = text.split(BLANK).map((part, at) => {
+      if (at % 2 === 0) return part.replace(/[.*+?^${}()|[\]\\/-]/g, "\\$&");
+      names.push(part);
+      return "(.*?)";
+    }).join("");
+    return { names, pattern: new RegExp(`^${source}$`, "su") };
+  };
+  const exact = new Map(), filled = [];
+  for (const [english, plural, forms] of told.texts) {
+    for (const text of plural ? [english, plural] : [english]) {
+      exact.set(text, forms);
+      if (BLANK.test(text)) filled.push({ ...patternOf(text), forms, sure: letters(english) });
+    }
+  }
+  filled.sort((one, other) => other.sure - one.sure);
+
+  const DECIMAL = /(?<![\p{L}\d_.])(\d+)\.(\d+)(?!\.?\d)(?![a-df-zA-DF-Z_])/gu;
+  const number = (text) => text.replace(DECIMAL, `$1${told.decimal}$2`);
+  const numeric = (text) => text.search(DECIMAL) >= 0 && (text.match(/\p{L}+/gu) || []).every((word) => UNITS.has(word));
+  const fill = (forms, values) => {
+    const count = Object.values(values).find((value) => /^\d+$/.test(value));
+    const form = forms.length > 1 ? forms[FORMS[rules.select(Number(count === undefined ? 2 : count))]] : forms[0];
+    return form.replace(/\{(\d+)\}/g, (whole, name) => (name in values ? values[name] : whole));
+  };
+  const known = (text) => {
+    if (exact.has(text)) return fill(exact.get(text), {});
+    return null;
+  };
+  const copied = (text) => {
+    for (const { names, pattern, forms, sure } of filled) {
+      const found = pattern.exec(text);
+      if (!found || (sure < SURE && found.slice(1).some((value) => value.length > SHORT))) continue;
+      return fill(forms, Object.fromEntries(names.map((name, at) => [name, say(found[at + 1])])));
+    }
+    return null;
+  };
+  const upper = (text) => text.slice(0, 1).toUpperCase() + text.slice(1);
+  const seen = new Map();
+  const say = (text) => {
+    if (typeof text !== "string" || !text) return text;
+    if (!seen.has(text)) {
+      if (seen.size > 5000) seen.clear();
+      seen.set(text, found(text));
+    }
+    return seen.get(text);
+  };
+  const found = (text) => {
+    if (numeric(text)) return number(text);
+    const lowered = text.slice(0, 1).toLowerCase() + text.slice(1);
+    for (const look of [known, copied]) {
+      const whole = look(text);
+      if (whole !== null) return whole;
+      const small = lowered === text ? null : look(lowered);
+      if (small !== null) return upper(small);
+    }
+    const around = /^([\s:;,.([«»✓✗⚠▶○■?●–·]*)(.*?)([\s:;,.)\]]*)$/su.exec(text);
+    if (around && around[2] !== text) return around[1] + say(around[2]) + around[3];
+    for (const [parts, joint] of [[text.split("\n"), "\n"], [text.split("  "), "  "], [text.split(/(?<=[.?!]) /), " "]]) {
+      if (parts.length > 1) return parts.map(say).join(joint);
+    }
+    for (const joint of ["; ", ", "]) {
+      const whole = text.split(joint).map((one) => (numeric(one) ? number(one) : known(one) || copied(one) || one)).join(joint);
+      if (whole !== text) return whole;
+    }
+    return text;
+  };
+  return say;
+})();
