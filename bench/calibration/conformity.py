@@ -23,9 +23,9 @@ from bench.base.arrays import Floats, Mask
 from bench.base.languages import message
 from bench.calibration.result import CalibrationError
 
-SIMPLE: Final = "simple acceptance"
-GUARDED: Final = "guarded"
-NON_BINARY: Final = "non-binary"
+SIMPLE: Final = message("simple acceptance")
+GUARDED: Final = message("guarded")
+NON_BINARY: Final = message("non-binary")
 RULES: Final = (SIMPLE, GUARDED, NON_BINARY)
 
 FALSE_ACCEPTANCE: Final = 0.05
@@ -58,12 +58,12 @@ _FAR: Final = 12.0
 class Statement(StrEnum):
     """A statement of conformity (ILAC-G8:09/2019, 4.2), or the reason why none is made; from best to worst."""
 
-    PASS = "pass"
-    CONDITIONAL_PASS = "conditional pass"
-    CONDITIONAL_FAIL = "conditional fail"
+    PASS = message("pass", "statement")
+    CONDITIONAL_PASS = message("conditional pass")
+    CONDITIONAL_FAIL = message("conditional fail")
     INCONCLUSIVE = "inconclusive"
     NOT_COMPLETE = "not complete"
-    FAIL = "fail"
+    FAIL = message("fail", "statement")
 
 
 @dataclass(frozen=True)

@@ -208,11 +208,11 @@ def counted(receive: Receive) -> Receive:
 
     async def bounded() -> Message:
         nonlocal taken
-        message = await receive()
-        taken += len(message.get("body", b""))
+        received = await receive()
+        taken += len(received.get("body", b""))
         if taken > LARGEST_BODY:
             raise Refusal(413, message(f"at most {LARGEST_BODY} bytes are taken"))
-        return message
+        return received
 
     return bounded
 
@@ -224,8 +224,8 @@ def without_body(receive: Receive) -> Receive:
     """
 
     async def dropped() -> Message:
-        message = await receive()
-        return {**message, "body": b""} if message["type"] == "http.request" else message
+        got = await receive()
+        return {**got, "body": b""} if got["type"] == "http.request" else got
 
     return dropped
 

@@ -89,7 +89,7 @@ def _choice(choice: str) -> dict[str, str]:
     """Return the button of a choice; for a choice with a free reason, `begin` is the beginning of the answer."""
     if choice.endswith(f" {REASON}"):
         beginning = choice.removesuffix(REASON)
-        return {"begin": beginning, "label": f"{beginning.strip()} because …"}
+        return {"begin": beginning, "label": message(f"{beginning.strip()} because …")}
     return {"text": choice, "label": choice}
 
 
@@ -104,6 +104,64 @@ def _label(told: Mapping[str, Any], default: str) -> str:
     return default.capitalize() if told["kind"] == PromptKind.CONFIRM else default
 
 
+WORDS: Final = (
+    message("run started"),
+    message("run resumed"),
+    message("run paused"),
+    message("run continued"),
+    message("run finished"),
+    message("run failed"),
+    message("run interrupted"),
+    message("run aborted"),
+    message("left safe"),
+    message("step started"),
+    message("step done"),
+    message("step failed"),
+    message("skipped"),
+    message("redo"),
+    message("remounted"),
+    message("power"),
+    message("warmed up"),
+    message("early sign"),
+    message("certificate"),
+    message("went on"),
+    message("asked"),
+    message("answered"),
+    message("Yes"),
+    message("No"),
+    message("Continue"),
+    message("Done"),
+    message("ready"),
+    message("running"),
+    message("paused"),
+    message("finished"),
+    message("failed"),
+    message("interrupted"),
+    message("aborted"),
+    message("dead"),
+    message("imported"),
+    message("viewer"),
+    message("operator"),
+    message("supervisor"),
+    message("simulated"),
+    message("real"),
+    message("passed"),
+    message("conditional"),
+    message("not verified"),
+    message("Bench"),
+    message("Unit"),
+    message("Operator"),
+    message("Name"),
+    message("Practice"),
+    message("Procedure"),
+    message("Block"),
+    message("Gravity"),
+    message("two"),
+    message("a number"),
+    message("rising"),
+    message("falling"),
+)
+"""Words of the record and of forms that pages show: they stand here for the catalogue of translations."""
 LOG_LINES: Final = 14
 _SENTENCE: Final = re.compile(r";\s+|(?<=[a-z)0-9])\.\s+(?=[A-Z])")
 DRIFTS: Final = 0.01

@@ -305,7 +305,7 @@ def verification(result: Verification) -> list[Row]:
                     f"{abs(p.delta_g) / result.limit_g:.0%}".replace("%", " %"),
                     optional_probability(p.p_false_accept),
                     optional_probability(p.p_false_reject),
-                    str(p.statement),
+                    translated(str(p.statement), "statement"),
                 ),
                 bad=not p.passed,
             )
