@@ -13,6 +13,7 @@ import ast
 import re
 import sys
 from collections.abc import Iterator
+from io import BytesIO
 from itertools import product
 from pathlib import Path
 from typing import Any, Final
@@ -195,6 +196,17 @@ def written(told: Catalog, texts: dict[Entry, list[str]], language: str) -> Cata
     return new
 
 
+def save(file: Path, told: Catalog) -> None:
+    """Write a catalogue; the same texts always give the same file."""
+    stream = BytesIO()
+    write_po(stream, told, width=110, omit_header=True)
+    header = (
+        f'msgid ""\nmsgstr ""\n"Content-Type: text/plain; charset=utf-8\\n"\n"Language: {file.stem}\\n"\n'
+    )
+    plural = f'"Plural-Forms: {told.plural_forms}\\n"\n\n'
+    file.write_bytes((header + plural).encode() + stream.getvalue().lstrip())
+
+
 def main(arguments: list[str]) -> int:
     """Check the catalogues, or with `--write` bring them up to date; return 1 if something is missing."""
     texts, told_off = all_entries(), list(problems_of_words())
@@ -204,8 +216,7 @@ def main(arguments: list[str]) -> int:
             told = read_po(stream, locale=language)
         if "--write" in arguments:
             told = written(told, texts, language)
-            with file.open("wb") as stream:
-                write_po(stream, told, width=110, omit_header=False)
+            save(file, told)
         told_off += problems(told, texts, language)
     print(*told_off, f"{len(texts)} texts, {len(told_off)} problems", sep="\n")
     return 1 if told_off else 0

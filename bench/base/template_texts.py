@@ -128,7 +128,9 @@ def _entry_of(segment: _Segment) -> tuple[Entry | None, list[str], str]:
             one = many = re.sub(r"\{\{.*?\}\}", blank, told, flags=re.DOTALL)
         english, plural = english + one, plural + many
     words = re.sub(r"<[^>]*>|\{\d+\}|&\w+;", " ", english)
-    if not _LETTER.search(words):
+    if not _LETTER.search(words) or re.match(
+        r'[a-z-]+="', english
+    ):  # the latter: an attribute made by a macro
         return None, [], ""
     return Entry(" ".join(english.split()), " ".join(plural.split()) if count else ""), values, count
 

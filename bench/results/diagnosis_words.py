@@ -92,8 +92,9 @@ def effect_title(effect: NamedEffect | Mistake) -> str:
     if effect.channels and of_channels:
         title += f" of {', '.join(effect.channels)}"
     if effect.installations:
-        several = "s" if len(effect.installations) > 1 else ""
-        title += message(f" in installation{several} {', '.join(effect.installations)}")
+        title += message(
+            f" in installation{'s' if len(effect.installations) > 1 else ''} {', '.join(effect.installations)}"
+        )
     return title
 
 
