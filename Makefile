@@ -43,6 +43,7 @@ lint: $(STAMP)
 	$(VENV)/bin/ruff format --check .
 	$(VENV)/bin/mypy
 	$(VENV)/bin/lint-imports
+	$(VENV)/bin/python -m benchmarks.translations
 
 hooks: $(STAMP)
 	$(VENV)/bin/pre-commit install

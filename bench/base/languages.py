@@ -16,7 +16,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
-from functools import cache, lru_cache
+from functools import cache, lru_cache, partial
 from gettext import GNUTranslations, NullTranslations
 from importlib.resources import files
 from io import BytesIO
@@ -91,47 +91,8 @@ def shown(value: object) -> object:
 _DECIMAL: Final = re.compile(r"(?<![\w.])(\d+)\.(\d+)(?!\.?\d)(?![a-df-zA-DF-Z_])")
 _WORDS: Final = re.compile(r"[^\W\d_]+")
 _UNITS: Final = frozenset(
-    [
-        "V",
-        "mV",
-        "µV",
-        "nV",
-        "g",
-        "mg",
-        "µg",
-        "ng",
-        "m",
-        "s",
-        "ms",
-        "h",
-        "min",
-        "d",
-        "°C",
-        "C",
-        "K",
-        "A",
-        "mA",
-        "W",
-        "kHz",
-        "Hz",
-        "ppm",
-        "k",
-        "p",
-        "u",
-        "U",
-        "σ",
-        "χ",
-        "e",
-        "r",
-        "rad",
-        "mrad",
-        "µrad",
-        "arcsec",
-        "mm",
-        "µm",
-        "n",
-        "counts",
-    ]
+    "Δg V mV µV nV g mg µg ng m s ms h min d °C C K A mA W kHz Hz ppm k p u U σ χ e r rad mrad µrad arcsec mm µm"
+    " n counts".split()
 )
 
 
@@ -140,12 +101,18 @@ def is_numeric(text: str) -> bool:
     return bool(_DECIMAL.search(text)) and all(word in _UNITS for word in _WORDS.findall(text))
 
 
+def local_number(text: str) -> str:
+    """Return a text of numbers and units with the decimal sign of views; any other text comes back."""
+    name = language()
+    return text if name == ENGLISH or not is_numeric(text) else catalogue(name).number(text)
+
+
 # --- catalogues --------------------------------------------------------------------------------------
 
 _AROUND: Final = re.compile(r"([\s:;,.([«»✓✗–·]*)(.*?)([\s:;,.)\]]*)", re.DOTALL)
 """Signs around a text, its core, and signs after it."""
 _SURE, _SHORT = 5, 30
-"""A text of fewer letters than `_SURE`, such as "{0} in {1}", is recognised with values of up to `_SHORT` signs."""
+"""A filled copy of a text of so many letters is surely one; with fewer, values have up to `_SHORT` signs."""
 _BLANK: Final = re.compile(r"\{(\d+)\}")
 
 
@@ -160,9 +127,9 @@ class Entry:
     """The files that use it, separated by spaces."""
 
     @property
-    def of_template(self) -> bool:
-        """Whether templates alone use it: they look it up, and no filled copy has to be recognised."""
-        return all(file.endswith(".j2") for file in self.files.split()) and self.files != ""
+    def of_modules(self) -> bool:
+        """Whether a module uses it, so that filled copies have to be recognised; templates look it up."""
+        return not self.files or any(file.endswith(".py") for file in self.files.split())
 
     def patterns(self) -> Iterator[re.Pattern[str]]:
         """Yield a regular expression for each English form, whose groups are the values of the blanks."""
@@ -191,19 +158,18 @@ class Catalogue:
         filled = [
             (one, pattern)
             for one in self.entries
-            if _BLANK.search(one.english) and not one.of_template
+            if _BLANK.search(one.english) and one.of_modules
             for pattern in one.patterns()
         ]
-        filled.sort(key=lambda pair: -_letters(pair[0]))
-        self._patterns = [
-            (
-                max(_BLANK.split(one.english)[::2], key=len),
-                one,
-                pattern,
-                9999 if _letters(one) >= _SURE else _SHORT,
-            )
-            for one, pattern in filled
-        ]
+        filled.sort(key=lambda pair: (-_letters(pair[0]), -len(_BLANK.findall(pair[0].english))))
+        self._patterns = {
+            sure: [
+                (max(_BLANK.split(one.english)[::2], key=len), one, pattern)
+                for one, pattern in filled
+                if (_letters(one) >= _SURE) is sure
+            ]
+            for sure in (True, False)
+        }
         self.translate = lru_cache(maxsize=20000)(self._translate)
 
     def number(self, text: str) -> str:
@@ -236,46 +202,49 @@ class Catalogue:
         if is_numeric(text):
             return self.number(text)
         lowered = text[:1].lower() + text[1:]
-        if (told := self._exactly(text, context)) is not None:
-            return told
-        if lowered != text and (told := self._exactly(lowered, context)) is not None:
-            return told[:1].upper() + told[1:]
-        if (told := self._filled(text)) is not None:
-            return told
-        if lowered != text and (told := self._filled(lowered)) is not None:
-            return told[:1].upper() + told[1:]
+        for look in (partial(self._exactly, context=context), self._filled):
+            if (told := look(text)) is not None:
+                return told
+            if lowered != text and (told := look(lowered)) is not None:
+                return told[:1].upper() + told[1:]
         if (around := _AROUND.fullmatch(text)) is not None and around[2] != text:
             return around[1] + self.translate(around[2], context) + around[3]
         for separator in (r"\n", r"  ", r"(?<=[.?!]) "):
             if len(parts := re.split(separator, text)) > 1:
                 return re.search(separator, text)[0].join(map(self.translate, parts))  # type: ignore[index]
-        for joint in ("; ", ", "):
-            told = joint.join(
-                self.number(one) if is_numeric(one) else self._exactly(one) or self._filled(one) or one
-                for one in text.split(joint)
-            )
+        for joint in ("; ", ": ", ", "):
+            told = joint.join(map(self._part, text.split(joint)))
             if told != text:
                 return told
         return text
+
+    def _part(self, text: str) -> str:
+        if is_numeric(text):
+            return self.number(text)
+        return self._exactly(text) or self._filled(text) or self._filled(text, sure=False) or text
 
     def _exactly(self, text: str, context: str = "") -> str | None:
         entry = self._exact.get((context, text)) or self._exact.get(("", text))
         return None if entry is None else self.fill(entry, {})
 
-    def _filled(self, text: str) -> str | None:
-        """Return the translation of the entry of which a text is a filled copy; None if there is none."""
-        for literal, entry, pattern, most in self._patterns:
+    def _filled(self, text: str, *, sure: bool = True) -> str | None:
+        """Return the translation of the entry of which a text is a filled copy; None if there is none.
+
+        Without `sure` only texts of few letters count, such as "{0} in {1}", and short values.
+        """
+        for literal, entry, pattern in self._patterns[sure]:
             if literal in text and (found := pattern.fullmatch(text)) is not None:
                 values = found.groupdict("")
-                if max(map(len, values.values())) > most:
-                    continue
-                return self.fill(entry, {name[1:]: self.translate(value) for name, value in values.items()})
+                if sure or max(map(len, values.values())) <= _SHORT:
+                    return self.fill(
+                        entry, {name[1:]: self.translate(value) for name, value in values.items()}
+                    )
         return None
 
 
 def _letters(entry: Entry) -> int:
-    """Return the number of letters of a text beside its blanks, by which filled copies are told apart."""
-    return len(re.findall(r"[^\W\d_]", _BLANK.sub("", entry.english)))
+    """Return the number of letters and digits of a text beside its blanks."""
+    return len(re.findall(r"[^\W_]", _BLANK.sub("", entry.english)))
 
 
 _OF_SCRIPTS: Final = (
@@ -294,7 +263,7 @@ def texts_for_scripts(name: str) -> str:
     texts = [
         (one.english, one.plural, found.forms(one))
         for one in found.entries
-        if not one.of_template and one.files.startswith(_OF_SCRIPTS)
+        if any(file.startswith(_OF_SCRIPTS) and not file.endswith(".j2") for file in one.files.split())
     ]
     told = {"language": name, "decimal": found.decimal, "units": sorted(_UNITS), "texts": texts}
     return f"window.BENCH_TEXTS = {json.dumps(told, ensure_ascii=False)};\n"
@@ -302,7 +271,7 @@ def texts_for_scripts(name: str) -> str:
 
 @cache
 def catalogue(name: str) -> Catalogue:
-    """Return the catalogue of a language. Raises `FileNotFoundError` for English, which has none."""
+    """Return the catalogue of a language. Raises `FileNotFoundError` for English."""
     from babel import Locale
     from babel.messages.mofile import write_mo
     from babel.messages.pofile import read_po

@@ -39,6 +39,8 @@ _ATTRIBUTE: Final = re.compile(
     rf'(?P<name>\s(?:aria-label|title|alt|placeholder|data-label))="(?P<text>(?:{_JINJA}|[^"])*)"', re.DOTALL
 )
 _ENDING: Final = re.compile(r'\{\{\s*"(\w*)" if (.+?) == 1 else "(\w*)"\s*\}\}')
+_ATTRIBUTE_ALONE: Final = re.compile(r'\s*[a-z-]+="')
+"""The beginning of an attribute that a macro makes."""
 _MARKED: Final = re.compile(r"(?<![\w.])_\(")
 _LITERAL: Final = re.compile(r'"((?:[^"\\]|\\.)*)"')
 _CONTEXT: Final = re.compile(r'context="(\w+)"')
@@ -128,9 +130,7 @@ def _entry_of(segment: _Segment) -> tuple[Entry | None, list[str], str]:
             one = many = re.sub(r"\{\{.*?\}\}", blank, told, flags=re.DOTALL)
         english, plural = english + one, plural + many
     words = re.sub(r"<[^>]*>|\{\d+\}|&\w+;", " ", english)
-    if not _LETTER.search(words) or re.match(
-        r'[a-z-]+="', english
-    ):  # the latter: an attribute made by a macro
+    if not _LETTER.search(words) or _ATTRIBUTE_ALONE.match(english):
         return None, [], ""
     return Entry(" ".join(english.split()), " ".join(plural.split()) if count else ""), values, count
 

@@ -351,7 +351,7 @@
     put("installation", where.installation ? `${where.installation}${where.series > 1 ? ` (visit ${where.series})` : ""}` : "–");
     put("pass", where.pass ? String(where.pass) : "–");
     put("point", where.point ? String(where.point) : "–");
-    put("reading-count", _(`${where.reading} of ${where.readings}`));
+    put("reading-count", `${where.reading} ${_("of")} ${where.readings}`);
     put("left", where.left || "–");
     show("left-part", !state.ended);
     put("now-title", state.ended ? "Result" : "Now");

@@ -5,7 +5,7 @@ const _ = (() => {
   if (!told) return (text) => text;
   const BLANK = /\{(\d+)\}/, UNITS = new Set(told.units), SURE = 5, SHORT = 30;
   const rules = new Intl.PluralRules(told.language), FORMS = { one: 0, few: 1, many: 2, other: 1 };
-  const letters = (text) => text.replace(/\{\d+\}/g, "").replace(/[^\p{L}]/gu, "").length;
+  const letters = (text) => text.replace(/\{\d+\}/g, "").replace(/[^\p{L}\d]/gu, "").length;
   const patternOf = (text) => {
     const names = [];
     const source = text.split(BLANK).map((part, at) => {
@@ -22,7 +22,7 @@ const _ = (() => {
       if (BLANK.test(text)) filled.push({ ...patternOf(text), forms, sure: letters(english) });
     }
   }
-  filled.sort((one, other) => other.sure - one.sure);
+  filled.sort((one, other) => other.sure - one.sure || other.names.length - one.names.length);
 
   const DECIMAL = /(?<![\p{L}\d_.])(\d+)\.(\d+)(?!\.?\d)(?![a-df-zA-DF-Z_])/gu;
   const number = (text) => text.replace(DECIMAL, `$1${told.decimal}$2`);
@@ -36,14 +36,16 @@ const _ = (() => {
     if (exact.has(text)) return fill(exact.get(text), {});
     return null;
   };
-  const copied = (text) => {
+  const copied = (text, surely = true) => {
     for (const { names, pattern, forms, sure } of filled) {
+      if ((sure >= SURE) !== surely) continue;
       const found = pattern.exec(text);
-      if (!found || (sure < SURE && found.slice(1).some((value) => value.length > SHORT))) continue;
+      if (!found || (!surely && found.slice(1).some((value) => value.length > SHORT))) continue;
       return fill(forms, Object.fromEntries(names.map((name, at) => [name, say(found[at + 1])])));
     }
     return null;
   };
+  const part = (text) => (numeric(text) ? number(text) : known(text) || copied(text) || copied(text, false) || text);
   const upper = (text) => text.slice(0, 1).toUpperCase() + text.slice(1);
   const seen = new Map();
   const say = (text) => {
@@ -57,7 +59,7 @@ const _ = (() => {
   const found = (text) => {
     if (numeric(text)) return number(text);
     const lowered = text.slice(0, 1).toLowerCase() + text.slice(1);
-    for (const look of [known, copied]) {
+    for (const look of [known, (one) => copied(one)]) {
       const whole = look(text);
       if (whole !== null) return whole;
       const small = lowered === text ? null : look(lowered);
@@ -68,8 +70,8 @@ const _ = (() => {
     for (const [parts, joint] of [[text.split("\n"), "\n"], [text.split("  "), "  "], [text.split(/(?<=[.?!]) /), " "]]) {
       if (parts.length > 1) return parts.map(say).join(joint);
     }
-    for (const joint of ["; ", ", "]) {
-      const whole = text.split(joint).map((one) => (numeric(one) ? number(one) : known(one) || copied(one) || one)).join(joint);
+    for (const joint of ["; ", ": ", ", "]) {
+      const whole = text.split(joint).map(part).join(joint);
       if (whole !== text) return whole;
     }
     return text;
