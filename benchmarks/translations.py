@@ -2,8 +2,9 @@
 
     python -m benchmarks.translations
 
-Texts are the arguments of `message` in Python, of `_` in scripts and in expressions of templates, and the words of
-page templates. `make lint` fails if one lacks a translation, if a translation has other blanks or elements than its
+Texts are the arguments of `message` in Python, of `_` in scripts and in expressions of templates, the words of page
+templates, and titles, descriptions and reasons of the shipped procedures and bench files.
+`make lint` fails if one lacks a translation, if a translation has other blanks or elements than its
 text, if a catalogue has a text that nothing uses, or if a word of the certificate lacks a language.
 """
 
@@ -30,6 +31,8 @@ CATALOGUES: Final = ROOT / "bench" / "base" / "catalogues"
 EFFECTS: Final = ROOT / "bench" / "model" / "effects"
 """Effects state their texts as attributes: the sentence, and what would show it."""
 WORDS: Final = ROOT / "bench" / "certificate" / "words.yaml"
+SHIPPED: Final = (ROOT / "procedures", ROOT / "config")
+_SHIPPED_TEXT: Final = re.compile(r"\b(?:title|description|reason): ([^}\n#]+)")
 _IN_SCRIPT: Final = re.compile(r"(?<![\w.$])_\((?=[\"`])")
 _VALUE: Final = re.compile(r"(\$\{(?:[^{}]|\{(?:[^{}]|\{[^{}]*\})*\})*\})")
 _ENDING: Final = re.compile(r'\$\{(?:[^{}]+?) === 1 \? "([^"]*)" : "([^"]*)"\}')
@@ -44,6 +47,8 @@ def entries_of(file: Path) -> Iterator[Entry]:
             yield from _in_module(ast.parse(source), file)
     elif file.name.endswith(".html.j2"):
         yield from texts_in(source)
+    elif file.suffix == ".yaml" and file.parent in SHIPPED:
+        yield from (Entry(told[1].strip()) for told in _SHIPPED_TEXT.finditer(source))
     elif file.suffix == ".js":
         for call in _IN_SCRIPT.finditer(source):
             yield _in_script(_literal_at(source, call.end()))
@@ -136,9 +141,9 @@ def _in_script(literal: str) -> Entry:
 def all_entries() -> dict[Entry, list[str]]:
     """Return every text of the program with the files that use it; a text with a plural replaces one without."""
     found: dict[Entry, list[str]] = {}
-    for folder in ("bench", "drivers"):
+    for folder in ("bench", "drivers", "procedures", "config"):
         for file in sorted((ROOT / folder).rglob("*")):
-            if file.suffix in {".py", ".j2", ".js"}:
+            if file.suffix in {".py", ".j2", ".js", ".yaml"}:
                 for entry in entries_of(file):
                     found.setdefault(entry, []).append(str(file.relative_to(ROOT)))
     with_plural = {(one.english, one.context) for one in found if one.plural}

@@ -12,7 +12,7 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
@@ -91,8 +91,21 @@ def shown(value: object) -> object:
 _DECIMAL: Final = re.compile(r"(?<![\w.])(\d+)\.(\d+)(?!\.?\d)(?![a-df-zA-DF-Z_])")
 _WORDS: Final = re.compile(r"[^\W\d_]+")
 _UNITS: Final = frozenset(
-    "Δg V mV µV nV g mg µg ng m s ms h min d °C C K A mA W kHz Hz ppm k p u U σ χ e r rad mrad µrad arcsec mm µm"
-    " n counts".split()
+    {
+        *"V g m s h d A K C W k p u U n e r σ χ",
+        "Δg",
+        "mV",
+        "µV",
+        "nV",
+        "mg",
+        "µg",
+        "ng",
+        "ms",
+        "min",
+        "°C",
+        "mA",
+    }
+    | {"kHz", "Hz", "ppm", "rad", "mrad", "µrad", "arcsec", "mm", "µm", "counts"}
 )
 
 
@@ -113,6 +126,7 @@ _AROUND: Final = re.compile(r"([\s:;,.([«»✓✗–·]*)(.*?)([\s:;,.)\]]*)", 
 """Signs around a text, its core, and signs after it."""
 _SURE, _SHORT = 5, 30
 """A filled copy of a text of so many letters is surely one; with fewer, values have up to `_SHORT` signs."""
+_WORD: Final = re.compile(r"\b[a-z]{3,}\b")
 _BLANK: Final = re.compile(r"\{(\d+)\}")
 
 
@@ -129,7 +143,7 @@ class Entry:
     @property
     def of_modules(self) -> bool:
         """Whether a module uses it, so that filled copies have to be recognised; templates look it up."""
-        return not self.files or any(file.endswith(".py") for file in self.files.split())
+        return not self.files or any(not file.endswith((".j2", ".js")) for file in self.files.split())
 
     def patterns(self) -> Iterator[re.Pattern[str]]:
         """Yield a regular expression for each English form, whose groups are the values of the blanks."""
@@ -170,7 +184,7 @@ class Catalogue:
             ]
             for sure in (True, False)
         }
-        self.translate = lru_cache(maxsize=20000)(self._translate)
+        self.translate: Callable[..., str] = lru_cache(maxsize=20000)(self._translate)
 
     def number(self, text: str) -> str:
         """Return a text with the decimal sign of the language in each decimal number; versions stay as they are."""
@@ -202,7 +216,11 @@ class Catalogue:
         if is_numeric(text):
             return self.number(text)
         lowered = text[:1].lower() + text[1:]
-        for look in (partial(self._exactly, context=context), self._filled):
+        looks: tuple[Callable[[str], str | None], ...] = (
+            partial(self._exactly, context=context),
+            self._filled,
+        )
+        for look in looks:
             if (told := look(text)) is not None:
                 return told
             if lowered != text and (told := look(lowered)) is not None:
@@ -213,8 +231,8 @@ class Catalogue:
             if len(parts := re.split(separator, text)) > 1:
                 return re.search(separator, text)[0].join(map(self.translate, parts))  # type: ignore[index]
         for joint in ("; ", ": ", ", "):
-            told = joint.join(map(self._part, text.split(joint)))
-            if told != text:
+            parts = text.split(joint)
+            if all(map(self._settled, parts)) and (told := joint.join(map(self._part, parts))) != text:
                 return told
         return text
 
@@ -222,6 +240,10 @@ class Catalogue:
         if is_numeric(text):
             return self.number(text)
         return self._exactly(text) or self._filled(text) or self._filled(text, sure=False) or text
+
+    def _settled(self, text: str) -> bool:
+        """Return whether a part of a text is translated, or a name or numbers that need no translation."""
+        return not _WORD.search(text) or " " not in text.strip() or self._part(text) != text
 
     def _exactly(self, text: str, context: str = "") -> str | None:
         entry = self._exact.get((context, text)) or self._exact.get(("", text))
@@ -235,7 +257,7 @@ class Catalogue:
         for literal, entry, pattern in self._patterns[sure]:
             if literal in text and (found := pattern.fullmatch(text)) is not None:
                 values = found.groupdict("")
-                if sure or max(map(len, values.values())) <= _SHORT:
+                if sure or all(len(one) <= _SHORT and self._settled(one) for one in values.values()):
                     return self.fill(
                         entry, {name[1:]: self.translate(value) for name, value in values.items()}
                     )

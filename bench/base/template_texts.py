@@ -107,7 +107,9 @@ def _parts(source: str) -> Iterator[str | _Segment]:
             segment.tokens.append((kind, told))
         else:
             yield segment
-            segment, names = _Segment(), 1 if name in _AS_IS or 'class="name"' in told else 0
+            # the text of an option without a value is what the form sends
+            sent = name == "option" and "value=" not in told and not told.startswith("</")
+            segment, names = _Segment(), 1 if sent or name in _AS_IS or 'class="name"' in told else 0
             yield told
             raw = name if name in _RAW and not told.startswith("</") else ""
     yield segment
@@ -201,7 +203,10 @@ def _call(entry: Entry, values: list[str], count: str) -> str:
 def _tag(part: str) -> str:
     def of(found: re.Match[str]) -> str:
         entry, values, count = _entry_of(_segment_of(found["text"]))
+        value = re.fullmatch(r"\{\{((?:(?!\}\}).)*)\}\}", found["text"])
         text = found["text"] if entry is None else _call(entry, values, count)
+        if entry is None and value is not None:
+            text = f"{{{{ _shown({value[1].strip()}) }}}}"
         return f'{found["name"]}="{text}"'
 
     return _ATTRIBUTE.sub(of, part) if part.startswith("<") else part

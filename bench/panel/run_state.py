@@ -399,7 +399,7 @@ def _channel(reading: Reading, i: int) -> dict[str, Any]:
     drifted = ""
     if drift is not None and p is not None:
         size = f"{'+' if drift >= 0 else '−'}{quantity(abs(drift), unit)}"
-        drifted = f"{'steady' if steady else 'drifts'} ({size}, p = {p:.2g})"
+        drifted = message(f"{'steady' if steady else 'drifts'} ({size}, p = {p:.2g})")
     return {
         "channel": CHANNELS[i],
         "value": f"{fixed(reading.mean[i], min(places(sd), 7) if sd else 6, sign=True)} {unit}",

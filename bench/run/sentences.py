@@ -219,9 +219,9 @@ class RunLog:
 def in_words(event: Event, plan: Plan) -> str:
     """Return the log text for an event; `plan` is the run's plan."""
     if event.type == EventType.STEP_STARTED:
-        return f"begun: {plan.steps[event.step].describe()}"
+        return message(f"begun: {plan.steps[event.step].describe()}")
     if event.type == EventType.ASKED:
-        return f"asked: {event.data['text']}"
+        return message(f"asked: {event.data['text']}")
     if event.type in (EventType.ANSWERED, EventType.ANSWER_REFUSED):
         return said(event)
     if event.type != EventType.STEP_DONE:
@@ -232,7 +232,7 @@ def in_words(event: Event, plan: Plan) -> str:
         case Reading(mean=mean, unit=unit):
             text += "  " + "  ".join(f"{value:+.8f}" for value in mean) + f" {unit}"
         case Turned(angle_deg=angle):
-            text += f"  read {angle:.6f}°"
+            text += message(f"  read {angle:.6f}°")
         case Answered(answer=answer):
             text += f"  {answer}"
     return text

@@ -322,7 +322,10 @@ class ProgressBar:
         self._progress = Progress(
             TextColumn("{task.description}"),
             BarColumn(),
-            TextColumn("{task.percentage:>3.0f} %  {task.fields[left]} " + translated(message("left"))),
+            TextColumn(
+                "{task.percentage:>3.0f} %  {task.fields[left]} "
+                + translated(message("left", "time"), "time")
+            ),
             console=console,
             transient=True,
             disable=not console.is_terminal or quiet.get(),

@@ -151,7 +151,7 @@ class _AtPoint(Step):
         """Return the place in words, such as "installation 1" or "the shorted input (series 2)"."""
         if self.installation in _INPUTS:
             return _INPUTS[self.installation] + ("" if self.series == 1 else f" (series {self.series})")
-        return f"installation {mount_in_words(self.installation, self.series)}"
+        return message(f"installation {mount_in_words(self.installation, self.series)}")
 
     def where(self) -> str:
         """Return the place, the pass and the point in words."""
@@ -191,7 +191,7 @@ class Wait(Step):
 
     def describe(self) -> str:
         """Return a one-line description of the action."""
-        return f"wait {duration(self.duration_s)}: {self.reason}"
+        return message(f"wait {duration(self.duration_s)}: {self.reason}")
 
     def takes_s(self, times: Times) -> float:
         """Return the expected duration, s."""
@@ -271,10 +271,11 @@ class Read(_AtPoint):
 
     def describe(self) -> str:
         """Return a one-line description of the action."""
-        where = "" if self.target_rad is None else f" at {degrees(self.target_rad)}"
+        where = self.where()
+        if self.target_rad is not None:
+            where = message(f"{where} at {degrees(self.target_rad)}")
         return message(
-            f"read {self.where()}{where}: {self.samples} samples of {self.nplc:g} power-line cycles"
-            f"{scan_in_words(self)}"
+            f"read {where}: {self.samples} samples of {self.nplc:g} power-line cycles{scan_in_words(self)}"
         )
 
     def takes_s(self, times: Times) -> float:
@@ -300,7 +301,7 @@ class Ask(Step):
     def describe(self) -> str:
         """Return a one-line description of the action."""
         default = "" if self.default is None else f" [{self.default}]"
-        return f"ask: {self.text}{default}"
+        return message(f"ask: {self.text}{default}")
 
     def takes_s(self, times: Times) -> float:
         """Return the expected duration, s."""

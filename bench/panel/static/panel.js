@@ -354,7 +354,7 @@
     put("reading-count", `${where.reading} ${_("of")} ${where.readings}`);
     put("left", where.left || "–");
     show("left-part", !state.ended);
-    put("now-title", state.ended ? "Result" : "Now");
+    put("now-title", state.ended ? _("Result") : _("Now"));
     $("done").value = where.done;
     put("steps", _(`step ${where.step || where.done} of ${where.steps}`));
 

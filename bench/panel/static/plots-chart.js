@@ -31,6 +31,7 @@ const BenchPlots = (() => {
     one.addEventListener("click", act);
     return one;
   };
+  const NAMES = { round: _("round"), square: _("square"), triangle: _("triangle"), diamond: _("diamond") };
   const WAYS = { angle: _("angle"), time: _("time"), value: _("value") };
   const group = (label, ...members) => {
     const one = made("div", undefined, "plot-group");
@@ -215,7 +216,7 @@ const BenchPlots = (() => {
 
     legendWords(groups, shapes, grey) {
       if (this.spec.kind === "bars") return this.spec.legend || "";
-      const told = this.spec.kind === "whiskers" || groups.length < 2 ? [] : groups.map((name) => _(`${shapes.get(name)}: installation ${name}`));
+      const told = this.spec.kind === "whiskers" || groups.length < 2 ? [] : groups.map((name) => _(`${NAMES[shapes.get(name)]}: installation ${name}`));
       if (grey.length) told.push(_(`grey dots: ${grey[0].of}`));
       return [this.spec.legend, told.join("; ")].filter(Boolean).join(" ");
     }

@@ -9,7 +9,7 @@ const _ = (() => {
   const patternOf = (text) => {
     const names = [];
     const source = text.split(BLANK).map((part, at) => {
-      if (at % 2 === 0) return part.replace(/[.*+?^${}()|[\]\\/-]/g, "\\$&");
+      if (at % 2 === 0) return part.replace(/[.*+?^${}()|[\]\\/]/g, "\\$&");
       names.push(part);
       return "(.*?)";
     }).join("");
@@ -40,12 +40,13 @@ const _ = (() => {
     for (const { names, pattern, forms, sure } of filled) {
       if ((sure >= SURE) !== surely) continue;
       const found = pattern.exec(text);
-      if (!found || (!surely && found.slice(1).some((value) => value.length > SHORT))) continue;
+      if (!found || (!surely && found.slice(1).some((value) => value.length > SHORT || !settled(value)))) continue;
       return fill(forms, Object.fromEntries(names.map((name, at) => [name, say(found[at + 1])])));
     }
     return null;
   };
   const part = (text) => (numeric(text) ? number(text) : known(text) || copied(text) || copied(text, false) || text);
+  const settled = (text) => !/\b[a-z]{3,}\b/.test(text) || !text.trim().includes(" ") || part(text) !== text;
   const upper = (text) => text.slice(0, 1).toUpperCase() + text.slice(1);
   const seen = new Map();
   const say = (text) => {
@@ -71,7 +72,8 @@ const _ = (() => {
       if (parts.length > 1) return parts.map(say).join(joint);
     }
     for (const joint of ["; ", ": ", ", "]) {
-      const whole = text.split(joint).map(part).join(joint);
+      const parts = text.split(joint);
+      const whole = parts.every(settled) ? parts.map(part).join(joint) : text;
       if (whole !== text) return whole;
     }
     return text;
