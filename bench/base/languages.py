@@ -124,7 +124,7 @@ def local_number(text: str) -> str:
 
 _AROUND: Final = re.compile(r"([\s:;,.([«»✓✗–·]*)(.*?)([\s:;,.)\]]*)", re.DOTALL)
 """Signs around a text, its core, and signs after it."""
-_SURE, _SHORT = 5, 30
+_SURE, _SHORT = 5, 60
 """A filled copy of a text of so many letters is surely one; with fewer, values have up to `_SHORT` signs."""
 _WORD: Final = re.compile(r"\b[a-z]{3,}\b")
 _BLANK: Final = re.compile(r"\{(\d+)\}")
@@ -145,8 +145,8 @@ class Entry:
         """Whether a module uses it, so that filled copies have to be recognised; templates look it up."""
         return not self.files or any(not file.endswith((".j2", ".js")) for file in self.files.split())
 
-    def patterns(self) -> Iterator[re.Pattern[str]]:
-        """Yield a regular expression for each English form, whose groups are the values of the blanks."""
+    def patterns(self) -> Iterator[tuple[str, re.Pattern[str]]]:
+        """Yield each English form with a regular expression, whose groups are the values of the blanks."""
         for text in filter(None, (self.english, self.plural)):
             seen: set[str] = set()
             parts = []
@@ -156,7 +156,7 @@ class Entry:
                 else:
                     parts.append(f"(?P=v{part})" if part in seen else f"(?P<v{part}>.*?)")
                     seen.add(part)
-            yield re.compile("".join(parts), re.DOTALL)
+            yield text, re.compile("".join(parts), re.DOTALL)
 
 
 class Catalogue:
@@ -169,18 +169,17 @@ class Catalogue:
         self._exact = {
             (one.context, text): one for one in self.entries for text in (one.english, one.plural) if text
         }
-        filled = [
-            (one, pattern)
-            for one in self.entries
-            if _BLANK.search(one.english) and one.of_modules
-            for pattern in one.patterns()
-        ]
-        filled.sort(key=lambda pair: (-_letters(pair[0]), -len(_BLANK.findall(pair[0].english))))
+        copies = [one for one in self.entries if _BLANK.search(one.english) and one.of_modules]
+        # what begins with words of its own, and has many, is told before others
+        copies.sort(
+            key=lambda one: (one.english.startswith("{"), -_letters(one), -len(_BLANK.findall(one.english)))
+        )
         self._patterns = {
             sure: [
-                (max(_BLANK.split(one.english)[::2], key=len), one, pattern)
-                for one, pattern in filled
+                (max(_BLANK.split(text)[::2], key=len), one, pattern)
+                for one in copies
                 if (_letters(one) >= _SURE) is sure
+                for text, pattern in one.patterns()
             ]
             for sure in (True, False)
         }
@@ -225,16 +224,16 @@ class Catalogue:
                 return told
             if lowered != text and (told := look(lowered)) is not None:
                 return told[:1].upper() + told[1:]
-        if (around := _AROUND.fullmatch(text)) is not None and around[2] != text:
-            return around[1] + self.translate(around[2], context) + around[3]
         for separator in (r"\n", r"  ", r"(?<=[.?!]) "):
             if len(parts := re.split(separator, text)) > 1:
                 return re.search(separator, text)[0].join(map(self.translate, parts))  # type: ignore[index]
+        if (around := _AROUND.fullmatch(text)) is not None and around[2] != text:
+            return around[1] + self.translate(around[2], context) + around[3]
         for joint in ("; ", ": ", ", "):
             parts = text.split(joint)
-            if all(map(self._settled, parts)) and (told := joint.join(map(self._part, parts))) != text:
-                return told
-        return text
+            if all(map(self._settled, parts)) and (joined := joint.join(map(self._part, parts))) != text:
+                return joined
+        return self._filled(text, sure=False) or text
 
     def _part(self, text: str) -> str:
         if is_numeric(text):
@@ -269,14 +268,8 @@ def _letters(entry: Entry) -> int:
     return len(re.findall(r"[^\W_]", _BLANK.sub("", entry.english)))
 
 
-_OF_SCRIPTS: Final = (
-    "bench/panel/",
-    "bench/run/",
-    "bench/config/",
-    "bench/results/",
-    "bench/base/",
-    "drivers/",
-)
+_OF_SCRIPTS: Final = tuple(f"bench/{room}/" for room in ("panel", "run", "config", "results", "base"))
+_OF_PROMPTS: Final = ("drivers/", "procedures/")
 
 
 def texts_for_scripts(name: str) -> str:
@@ -285,7 +278,10 @@ def texts_for_scripts(name: str) -> str:
     texts = [
         (one.english, one.plural, found.forms(one))
         for one in found.entries
-        if any(file.startswith(_OF_SCRIPTS) and not file.endswith(".j2") for file in one.files.split())
+        if any(
+            file.startswith(_OF_SCRIPTS + _OF_PROMPTS) and not file.endswith(".j2")
+            for file in one.files.split()
+        )
     ]
     told = {"language": name, "decimal": found.decimal, "units": sorted(_UNITS), "texts": texts}
     return f"window.BENCH_TEXTS = {json.dumps(told, ensure_ascii=False)};\n"

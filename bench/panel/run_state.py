@@ -158,6 +158,8 @@ WORDS: Final = (
     message("Gravity"),
     message("two"),
     message("a number"),
+    message("panel"),
+    message("terminal"),
     message("rising"),
     message("falling"),
 )

@@ -97,8 +97,10 @@ def _by(data: Mapping[str, Any]) -> str:
         return ""
     if where == "instrument":
         return message(f" by the {data.get('by')}")
-    at = message("by command") if where == "command" else message(f"in the {where}")
-    return message(f" {at} by {data['by']}") if data.get("by") else f" {at}"
+    by = data.get("by")
+    if where == "command":
+        return message(f" by command by {by}") if by else message(" by command")
+    return message(f" in the {where} by {by}") if by else message(f" in the {where}")
 
 
 def _power_in_words(data: Mapping[str, Any]) -> str:
@@ -232,7 +234,7 @@ def in_words(event: Event, plan: Plan) -> str:
         case Reading(mean=mean, unit=unit):
             text += "  " + "  ".join(f"{value:+.8f}" for value in mean) + f" {unit}"
         case Turned(angle_deg=angle):
-            text += message(f"  read {angle:.6f}°")
+            text += "  " + message(f"read {angle:.6f}°")
         case Answered(answer=answer):
             text += f"  {answer}"
     return text

@@ -358,8 +358,9 @@ class ProgressBar:
         if event.type == EventType.STEP_STARTED:
             index = event.step
             left = duration(self._time_left.at(index, event.bench_s))
-            text = message(f"step {index + 1}/{len(self._plan.steps)}  {self._plan.steps[index].describe()}")
-            self._status = message(f"{text}; {left} left")
+            step = message(f"step {index + 1}/{len(self._plan.steps)}")
+            text = f"{step}  {self._plan.steps[index].describe()}"
+            self._status = f"{text}; {message(f'{left} left')}"
             self._progress.update(self._task, description=translated(text), completed=index, left=left)
             self._print_line(index)
         elif event.type == EventType.STEP_DONE:

@@ -3,7 +3,7 @@
 const _ = (() => {
   const told = window.BENCH_TEXTS;
   if (!told) return (text) => text;
-  const BLANK = /\{(\d+)\}/, UNITS = new Set(told.units), SURE = 5, SHORT = 30;
+  const BLANK = /\{(\d+)\}/, UNITS = new Set(told.units), SURE = 5, SHORT = 60;
   const rules = new Intl.PluralRules(told.language), FORMS = { one: 0, few: 1, many: 2, other: 1 };
   const letters = (text) => text.replace(/\{\d+\}/g, "").replace(/[^\p{L}\d]/gu, "").length;
   const patternOf = (text) => {
@@ -19,10 +19,10 @@ const _ = (() => {
   for (const [english, plural, forms] of told.texts) {
     for (const text of plural ? [english, plural] : [english]) {
       exact.set(text, forms);
-      if (BLANK.test(text)) filled.push({ ...patternOf(text), forms, sure: letters(english) });
+      if (BLANK.test(text)) filled.push({ ...patternOf(text), forms, sure: letters(english), first: Number(english.startsWith("{")) });
     }
   }
-  filled.sort((one, other) => other.sure - one.sure || other.names.length - one.names.length);
+  filled.sort((one, other) => one.first - other.first || other.sure - one.sure || other.names.length - one.names.length);
 
   const DECIMAL = /(?<![\p{L}\d_.])(\d+)\.(\d+)(?!\.?\d)(?![a-df-zA-DF-Z_])/gu;
   const number = (text) => text.replace(DECIMAL, `$1${told.decimal}$2`);
@@ -66,17 +66,17 @@ const _ = (() => {
       const small = lowered === text ? null : look(lowered);
       if (small !== null) return upper(small);
     }
-    const around = /^([\s:;,.([«»✓✗⚠▶○■?●–·]*)(.*?)([\s:;,.)\]]*)$/su.exec(text);
-    if (around && around[2] !== text) return around[1] + say(around[2]) + around[3];
     for (const [parts, joint] of [[text.split("\n"), "\n"], [text.split("  "), "  "], [text.split(/(?<=[.?!]) /), " "]]) {
       if (parts.length > 1) return parts.map(say).join(joint);
     }
+    const around = /^([\s:;,.([«»✓✗⚠▶○■?●–·]*)(.*?)([\s:;,.)\]]*)$/su.exec(text);
+    if (around && around[2] !== text) return around[1] + say(around[2]) + around[3];
     for (const joint of ["; ", ": ", ", "]) {
       const parts = text.split(joint);
       const whole = parts.every(settled) ? parts.map(part).join(joint) : text;
       if (whole !== text) return whole;
     }
-    return text;
+    return copied(text, false) || text;
   };
   return say;
 })();
