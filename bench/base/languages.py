@@ -237,12 +237,15 @@ class Catalogue:
 
     def _part(self, text: str) -> str:
         if is_numeric(text):
-            return self.number(text)
+            return self.number(text) if _WORDS.search(text) else text  # a clause of a standard has no unit
         return self._exactly(text) or self._filled(text) or self._filled(text, sure=False) or text
 
     def _settled(self, text: str) -> bool:
         """Return whether a part of a text is translated, or a name or numbers that need no translation."""
-        return not _WORD.search(text) or " " not in text.strip() or self._part(text) != text
+        return " " not in text.strip() or not self._foreign(text)
+
+    def _foreign(self, text: str) -> bool:
+        return _WORD.search(text) is not None and self._part(text) == text
 
     def _exactly(self, text: str, context: str = "") -> str | None:
         entry = self._exact.get((context, text)) or self._exact.get(("", text))
@@ -256,7 +259,7 @@ class Catalogue:
         for literal, entry, pattern in self._patterns[sure]:
             if literal in text and (found := pattern.fullmatch(text)) is not None:
                 values = found.groupdict("")
-                if sure or all(len(one) <= _SHORT and self._settled(one) for one in values.values()):
+                if sure or all(len(one) <= _SHORT and not self._foreign(one) for one in values.values()):
                     return self.fill(
                         entry, {name[1:]: self.translate(value) for name, value in values.items()}
                     )

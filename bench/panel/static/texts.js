@@ -40,13 +40,14 @@ const _ = (() => {
     for (const { names, pattern, forms, sure } of filled) {
       if ((sure >= SURE) !== surely) continue;
       const found = pattern.exec(text);
-      if (!found || (!surely && found.slice(1).some((value) => value.length > SHORT || !settled(value)))) continue;
+      if (!found || (!surely && found.slice(1).some((value) => value.length > SHORT || foreign(value)))) continue;
       return fill(forms, Object.fromEntries(names.map((name, at) => [name, say(found[at + 1])])));
     }
     return null;
   };
-  const part = (text) => (numeric(text) ? number(text) : known(text) || copied(text) || copied(text, false) || text);
-  const settled = (text) => !/\b[a-z]{3,}\b/.test(text) || !text.trim().includes(" ") || part(text) !== text;
+  const part = (text) => (numeric(text) ? (/\p{L}/u.test(text) ? number(text) : text) : known(text) || copied(text) || copied(text, false) || text);
+  const foreign = (text) => /\b[a-z]{3,}\b/.test(text) && part(text) === text;
+  const settled = (text) => !text.trim().includes(" ") || !foreign(text);
   const upper = (text) => text.slice(0, 1).toUpperCase() + text.slice(1);
   const seen = new Map();
   const say = (text) => {
