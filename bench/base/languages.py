@@ -224,7 +224,7 @@ class Catalogue:
                 return told
             if lowered != text and (told := look(lowered)) is not None:
                 return told[:1].upper() + told[1:]
-        for separator in (r"\n", r"  ", r"(?<=[.?!]) "):
+        for separator in (r"\n", r"  ", r"(?<=[.?!]) (?=[A-Z(])"):
             if len(parts := re.split(separator, text)) > 1:
                 return re.search(separator, text)[0].join(map(self.translate, parts))  # type: ignore[index]
         if (around := _AROUND.fullmatch(text)) is not None and around[2] != text:
@@ -245,7 +245,7 @@ class Catalogue:
         return " " not in text.strip() or not self._foreign(text)
 
     def _foreign(self, text: str) -> bool:
-        return _WORD.search(text) is not None and self._part(text) == text
+        return any(word not in _UNITS for word in _WORD.findall(text)) and self._part(text) == text
 
     def _exactly(self, text: str, context: str = "") -> str | None:
         entry = self._exact.get((context, text)) or self._exact.get(("", text))

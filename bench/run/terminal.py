@@ -20,7 +20,7 @@ from bench.base.languages import message, translated
 from bench.config.procedure.plan import Plan
 from bench.readings.reading import Reading
 from bench.run.events import HEARD, Event, EventType, RunState, Wish
-from bench.run.person import NOBODY_KNOWN, SIGN, WishAuthor, in_english, parse_wish, raised
+from bench.run.person import NOBODY_KNOWN, REASON, SIGN, WishAuthor, in_english, parse_wish, raised
 from bench.run.resume import steps_of
 from bench.run.samples import Settling
 from bench.run.sentences import duration, sentence
@@ -122,12 +122,12 @@ def typing_help(prompt: Prompt, wishes: Collection[Wish]) -> str:
         answer += message(f" in {prompt.unit}") if prompt.unit else ""
         answer += "" if prompt.minimum is None else message(f", {prompt.minimum:g} at least")
         answer += "" if prompt.maximum is None else message(f", {prompt.maximum:g} at most")
-    lines = [message("What can be typed here:"), f"  {answer}"]
+    lines = [translated(message("What can be typed here:")), f"  {translated(answer)}"]
     if prompt.default is not None:
-        lines.append(message(f"  Enter alone: {prompt.default}"))
+        lines.append("  " + translated(message(f"Enter alone: {prompt.default}")))
     for wish in wishes:
-        typed = f"{SIGN}{wish.value}" + (" REASON" if wish is Wish.SKIP else "")
-        lines.append(f"  {typed}: {meanings[wish]}")
+        typed = f"{SIGN}{wish.value}" + (f" {translated(REASON)}" if wish is Wish.SKIP else "")
+        lines.append(f"  {typed}: {translated(meanings[wish])}")
     return "\n".join(lines)
 
 
@@ -258,24 +258,24 @@ class TerminalPerson:
         if line.strip() == HELP:
             return typing_help(prompt, wishes)
         if not wishes:
-            return message("no wish is heard at this question; answer it, or Ctrl-C")
+            return translated(message("no wish is heard at this question; answer it, or Ctrl-C"))
         try:
             wish = replace(parse_wish(line), who=self.who)
         except ValueError as mistake:
-            return str(mistake)
+            return translated(str(mistake))
         raise raised(wish)
 
     def _say(self, text: str, style: str = "", end: str = "\n") -> None:
         """Print text wrapped between words; a terminal would break lines within words."""
-        self._console.print(Text(translated(text), style=style), end=end, soft_wrap=False)
+        self._console.print(Text(text, style=style), end=end, soft_wrap=False)
 
     def _line(self, prompt: Prompt) -> str:
         _forget_typed_ahead(self._answers)
-        self._say(f"» {prompt.text}", "bold")
+        self._say(f"» {translated(prompt.text)}", "bold")
         self._has_live_line = self.by_hand and self._console.is_terminal
         if self._has_live_line:
             self._console.print()  # the line in which the signals are shown
-        self._say(f"  [{self._hint(prompt)}] ", end="")
+        self._say(f"  [{translated(self._hint(prompt))}] ", end="")
         line = self._reader.read(self.meanwhile, self.slice_s)
         if line and not self._answers.isatty():
             self._console.print(Text(line.rstrip()))  # echo the line as a terminal does for typed input

@@ -46,7 +46,7 @@ const _ = (() => {
     return null;
   };
   const part = (text) => (numeric(text) ? (/\p{L}/u.test(text) ? number(text) : text) : known(text) || copied(text) || copied(text, false) || text);
-  const foreign = (text) => /\b[a-z]{3,}\b/.test(text) && part(text) === text;
+  const foreign = (text) => (text.match(/\b[a-z]{3,}\b/g) || []).some((word) => !UNITS.has(word)) && part(text) === text;
   const settled = (text) => !text.trim().includes(" ") || !foreign(text);
   const upper = (text) => text.slice(0, 1).toUpperCase() + text.slice(1);
   const seen = new Map();
@@ -67,7 +67,7 @@ const _ = (() => {
       const small = lowered === text ? null : look(lowered);
       if (small !== null) return upper(small);
     }
-    for (const [parts, joint] of [[text.split("\n"), "\n"], [text.split("  "), "  "], [text.split(/(?<=[.?!]) /), " "]]) {
+    for (const [parts, joint] of [[text.split("\n"), "\n"], [text.split("  "), "  "], [text.split(/(?<=[.?!]) (?=[A-Z(])/), " "]]) {
       if (parts.length > 1) return parts.map(say).join(joint);
     }
     const around = /^([\s:;,.([«»✓✗⚠▶○■?●–·]*)(.*?)([\s:;,.)\]]*)$/su.exec(text);
