@@ -65,7 +65,7 @@ class NotConnected(BenchError):
         super().__init__(
             ", ".join(f.instrument for f in failures),
             "not connected: " + " | ".join(str(f) for f in failures),
-            "mend these and start again",
+            "correct these, then start again",
         )
 
 

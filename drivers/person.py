@@ -251,7 +251,7 @@ APPROACH: Final[dict[Direction, str]] = {
     1: message("approach with the angle rising, from below"),
     -1: message("approach with the angle falling, from above"),
 }
-"""The side of an approach, as a person is told it."""
+"""The side of an approach, in words for a person."""
 
 _Read = TypeVar("_Read")
 

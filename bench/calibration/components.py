@@ -378,30 +378,23 @@ def notes_on_noise(
     if noise.channels is not None and noise.p_equal < UNEQUAL_P:
         sizes = ", ".join(f"{c} {size:.2g} {unit}" for c, size in zip(CHANNELS, noise.channels, strict=True))
         notes.append(
-            message(f"the channels differ in noise ({sizes}; p = {noise.p_equal:.1g}): each has its own")
+            f"the channels differ in noise ({sizes}; p = {noise.p_equal:.1g}): each has its own noise"
         )
     if tails < UNEQUAL_P:
         notes.append(
-            message(
-                f"the noise has heavy tails (p = {tails:.1g}): u holds for its standard deviation, and the "
-                f"estimator "
-                "'robust' leaves out what is far off"
-            )
+            f"the noise has heavy tails (p = {tails:.1g}): u describes its standard deviation; the "
+            "estimator 'robust' reduces the weight of outliers"
         )
     notes += _on_components(shared.components, unit)
     if shared.drift is not None:
         notes.append(
-            message(
-                f"U0 is the bias at the mean of the run of {shared.drift.hours:.2g} h; at any one time it is less "
-                "certain by as much as it wanders"
-            )
+            f"U0 is the bias at the mean of the run of {shared.drift.hours:.2g} h; at one instant it is "
+            "less certain, by its drift"
         )
     if birge > 1.0:
         notes.append(
-            message(
-                f"the model leaves more than the noise explains: u is {birge:.2g} times what the noise alone gives "
-                "(Birge ratio)"
-            )
+            f"the model leaves more than the noise explains: u is {birge:.2g} times that of the noise alone "
+            "(Birge ratio)"
         )
     return tuple(notes)
 
@@ -412,20 +405,18 @@ def note_on_prior(noise: Noise, unit: str) -> tuple[str, ...]:
 
 
 def _on_prior(prior: NoisePrior, unit: str) -> str:
-    where = message("the bench file states") if prior.stated else message("other runs told")
+    where = "the bench file states" if prior.stated else "other runs gave"
     scale = scale_for(prior.reading, unit)
     rests = message(
         f"u rests on the sizes of the noise that {where} (reading {prior.reading / scale.size:.3g} {scale.unit}, "
         f"setting {prior.setting_rad / ARCSEC:.2g} arcsec, {prior.dof:.2g} degrees of freedom)"
     )
     if not prior.readings_dof > 0:
-        return message(f"{rests}: so few readings leave nothing over that would show the noise")
-    scatter = message(f"they scatter {prior.ratio:.2g} times as much")
+        return f"{rests}: so few readings leave no degrees of freedom to estimate the noise"
+    scatter = f"they scatter {prior.ratio:.2g} times as much"
     if prior.p < DISAGREES_P:
-        return message(
-            f"{rests}, and the readings disagree: {scatter} (p = {prior.p:.1g}); measure more points"
-        )
-    return message(f"{rests}: so few readings show little of it, and {scatter} (p = {prior.p:.2g})")
+        return f"{rests}, and the readings disagree: {scatter} (p = {prior.p:.1g}); measure more points"
+    return f"{rests}: so few readings hardly show the noise, and {scatter} (p = {prior.p:.2g})"
 
 
 def _on_components(components: Sequence[Component], unit: str) -> Iterator[str]:
@@ -438,10 +429,9 @@ def _on_components(components: Sequence[Component], unit: str) -> Iterator[str]:
         else:
             sizes = ", ".join(f"{c.channels} {c.size:.2g} {unit}" for c in own)
         if what == DRIFT:
-            yield message(
-                f"the biases seem to wander over the run by {sizes} rms about their means: u holds it"
-            )
+            yield f"the biases appear to drift over the run by {sizes} rms about their means; u includes it"
         else:
-            yield message(
-                f"{_SHARED_BY[what]} seem to share an error ({sizes}), which repeats do not average: u holds it"
+            yield (
+                f"{_SHARED_BY[what]} seem to share an error ({sizes}), which repeats do not average; u "
+                "includes it"
             )

@@ -92,12 +92,12 @@ class DecisionRule:
             return cls()
         name = {None: NON_BINARY, "simple": SIMPLE}.get(asked, asked)
         if name not in RULES:
-            raise CalibrationError(f"no decision rule {asked!r}; there are {', '.join(RULES)}")
+            raise CalibrationError(f"unknown decision rule {asked!r}; choose from {', '.join(RULES)}")
         if guard_band is None:
             return cls(name, 1.0)
         if name == SIMPLE:
             raise CalibrationError(
-                "simple acceptance takes no guard band off the limit; leave it out, or ask for the rule guarded"
+                "simple acceptance has no guard band; remove it, or choose the rule 'guarded'"
             )
         if not (math.isfinite(guard_band) and guard_band > 0.0):
             raise CalibrationError(

@@ -27,10 +27,10 @@ _MOST_NAMED: Final = 4
 class DirectionKind(StrEnum):
     """Kinds of null directions: changes of the unknowns that leave all readings unchanged."""
 
-    UNSEEN = message("no reading depends on it")
-    TURN = message("a common turn of the block's axes")
-    ALIKE = message("the readings cannot tell them apart")
-    MIXED = message("goes into coefficients without a trace")
+    UNSEEN = "no reading depends on it"
+    TURN = "a common turn of the block's axes"
+    ALIKE = "the readings cannot tell them apart"
+    MIXED = "is indistinguishable from a change of coefficients"
 
 
 @dataclass(frozen=True)
@@ -301,7 +301,7 @@ class Sensitivities:
         return np.asarray(self.rows[:, self.names.index(name)])
 
     def without(self, names: Collection[str]) -> Sensitivities:
-        """Return the columns of the other unknowns."""
+        """Return the sensitivities without the columns of the unknowns `names`."""
         kept = [j for j, name in enumerate(self.names) if name not in names]
         return Sensitivities(self.rows[:, kept], tuple(self.names[j] for j in kept))
 
@@ -389,10 +389,9 @@ MATTERS: Final = 0.02
 MOST_NAMED: Final = 8
 """Largest number of stand angles that are named in words; more are listed by their symbols."""
 
-GAIN: Final = message("voltmeter gain: 1 ppm of it is 1 ppm of every coefficient, and no reading shows it")
-GRAVITY: Final = message(
-    "local gravity: coefficients are per local g; a wrong value of it changes none of them, but "
-    "whatever is computed from them in m/s^2"
+GAIN: Final = "voltmeter gain: 1 ppm of it is 1 ppm of every coefficient, and no reading shows it"
+GRAVITY: Final = (
+    "local gravity: a wrong value changes only what is computed in m/s^2, as coefficients are per local g"
 )
 
 
@@ -408,8 +407,8 @@ def require_rank(force: Floats) -> None:
     lost = [f"K{i}{axis}" for i in "xyz" for axis in axes]
     raise CalibrationError(
         f"{len(force)} readings do not determine {', '.join(lost) or 'the biases'}: the acceleration along "
-        f"{', '.join(axes) or 'every axis'} hardly changes in them; add the other installation "
-        "(or further angles) to the procedure"
+        f"{', '.join(axes) or 'every axis'} hardly changes; add the other installation or further angles "
+        "to the procedure"
     )
 
 
@@ -425,9 +424,7 @@ def assumptions(problem: Problem, block: Block, gain: Floats, unit: str) -> tupl
     sentences += _undetermined(columns.without(beyond).observability(block), unit)
     sentences += [
         GAIN,
-        message(
-            f"voltmeter offset: it goes whole into the biases, {unit} for {unit}, and no reading shows it"
-        ),
+        f"voltmeter offset: it adds fully to the biases, {unit} for {unit}, and no reading shows it",
         GRAVITY,
     ]
     return tuple(sentences)
@@ -435,6 +432,21 @@ def assumptions(problem: Problem, block: Block, gain: Floats, unit: str) -> tupl
 
 _ASSUMED: Final = ("mounting_roll",)
 """Stand angles that every bracket has and that a bench file may leave out."""
+
+
+def unseen_coefficients(problem: Problem, block: Block) -> Floats:
+    """Return changes (12, d) of the coefficients that no reading tells from angles of the stand.
+
+    The third mounting angle counts as unknown, too. Each change has the largest element of K as its size.
+    """
+    if problem.upper:
+        return np.zeros((FIXED, 0))
+    columns = columns_of(with_angles(problem, _ASSUMED), block)
+    length = np.linalg.norm(columns.rows, axis=0)
+    found = columns.observability(block).null / np.where(length > 0, length, np.inf)[:, None]
+    basis, size, _ = np.linalg.svd(found[:FIXED], full_matrices=False)
+    basis = basis[:, size > _IN_SPAN * max(float(size.max(initial=0.0)), 1e-300)]
+    return np.asarray(basis * (np.max(np.abs(block.K)) / np.max(np.abs(basis), axis=0, initial=1e-300)))
 
 
 def _is_unknown(problem: Problem, name: str) -> bool:
@@ -481,10 +493,10 @@ def _shown(columns: Sensitivities, oriented: int, block: Block, name: str) -> st
         for d in columns.observability(block).directions
         if d.kind is DirectionKind.TURN and d.only and d.others[0].startswith(f"{SYMBOLS[name]}[")
     ]
-    what = " and ".join(pairs) or message("what is no common turn of the block's axes")
-    return message(
+    what = " and ".join(pairs) or "the part other than a common turn of the block's axes"
+    return (
         f"of it the readings that joined by |a| = 1 g would show {what}, if the bench file stated its size; "
-        "until then it goes into the coefficients"
+        "until then it changes the coefficients"
     )
 
 
@@ -517,13 +529,11 @@ def _undetermined(found: Observability, unit: str) -> list[str]:
         names = _together([name for name in found.names if name in taking_part])
         axes = ", ".join(axis_in_words(d.axis) for d in turns)
         sentences.append(
-            message(
-                f"{names}: in some combination a common turn of the block's axes (about {axes}), which no "
-                "reading shows; only the limits of the bench file hold it"
-            )
+            f"{names}: in some combination a common turn of the block's axes (about {axes}), which no "
+            "reading shows; only the bench file limits it"
         )
     return sentences + [
-        message(f"{d.text(unit)}; only the limits of the bench file hold it")
+        f"{d.text(unit)}; only the bench file limits it"
         for d in found.directions
         if d.kind is not DirectionKind.TURN
     ]

@@ -194,14 +194,16 @@ class Laboratory(Contact, StatedRule):
                 f"'{scheme}'"
             )
         if scheme.upper().startswith(SIMULATED_SERIES):
-            raise ValueError(f"numbers that begin with {SIMULATED_SERIES} are those of simulated runs")
+            raise ValueError(
+                f"numbers with the prefix {SIMULATED_SERIES} are for simulated runs; choose another"
+            )
         return scheme
 
     @field_validator("language")
     @classmethod
     def _each_once(cls, languages: tuple[str, ...]) -> tuple[str, ...]:
         if len(set(languages)) < len(languages):
-            raise ValueError(f"{languages[0]} stands twice")
+            raise ValueError(f"{languages[0]} appears twice; keep one")
         return languages
 
     @classmethod
@@ -307,7 +309,7 @@ class UnitOrder(FileModel):
     def _left_where_adjusted(self) -> UnitOrder:
         if self.adjusted is not None and self.state == AS_FOUND:
             raise ValueError(
-                "a unit that was adjusted is shown 'as left'; name the run before under adjusted"
+                "an adjusted unit is 'as left'; name the run before the adjustment under 'adjusted'"
             )
         return self
 
@@ -343,7 +345,7 @@ class Order(StatedRule):
             if serial in seen:
                 yield (
                     ("units", place),
-                    f"unit {serial or 'without a serial number'} stands twice; leave one out",
+                    f"unit {serial or 'without a serial number'} appears twice; keep one",
                 )
             if serial is None or isinstance(serial, str):
                 seen.add(serial)

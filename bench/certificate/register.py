@@ -86,7 +86,7 @@ class Register:
         issued.
         """
         if entry.number in self.standings:
-            raise Refused(f"{entry.number}: this number was issued already")
+            raise Refused(f"{entry.number}: this number was issued before; choose another")
         for name, content in contents.items():
             _write_through(self.folder / (name + _PART), content)
         _sync_folder(self.folder)
@@ -107,9 +107,11 @@ class Register:
         try:
             content = read_regular(self.folder / name)
         except OSError as error:
-            raise Refused(f"{self.folder / name}: cannot be read ({error.strerror})") from error
+            raise Refused(
+                f"{self.folder / name}: cannot be read ({error.strerror}); check name and permissions"
+            ) from error
         if hashlib.sha256(content).hexdigest() != stated:
-            raise Refused(f"{self.folder / name}: not the file that was issued; take it from a copy")
+            raise Refused(f"{self.folder / name}: not the issued file; restore it from a copy")
         return content
 
     def keep(self, content: bytes) -> str:
@@ -126,9 +128,12 @@ class Register:
         try:
             content = read_regular(self.folder / MADE_FROM / digest)
         except OSError as error:
-            raise Refused(f"{self.folder / MADE_FROM / digest}: cannot be read ({error.strerror})") from error
+            raise Refused(
+                f"{self.folder / MADE_FROM / digest}: cannot be read ({error.strerror}); check "
+                "name and permissions"
+            ) from error
         if hashlib.sha256(content).hexdigest() != digest:
-            raise Refused(f"{self.folder / MADE_FROM / digest}: was changed; take it from a copy")
+            raise Refused(f"{self.folder / MADE_FROM / digest}: was changed; restore it from a copy")
         return content
 
     def damaged_files(self) -> list[str]:
@@ -172,7 +177,7 @@ class Register:
         """Read the lines added since, without changing any file. Raises `Refused` for a changed line."""
         path = self.folder / LINES
         if (path.stat().st_size if path.exists() else 0) < self.length:
-            raise Refused(f"{path}: lines were taken off its end; take it from a copy")
+            raise Refused(f"{path}: its last lines are missing; restore it from a copy")
         if path.exists():
             with open_regular(path) as file:
                 file.seek(self.length)
@@ -188,10 +193,10 @@ class Register:
             kind, number = told.pop("type"), told.pop("number")
             entry = Entry(kind, number, told.pop("time"), told.pop("by"), told)
         except (ValueError, KeyError, TypeError, AttributeError) as error:
-            raise Refused(f"{where}: not a line of a register ({error}); take it from a copy") from None
+            raise Refused(f"{where}: not a line of a register ({error}); restore it from a copy") from None
         if previous != self.head or n != self.count + 1:
             raise Refused(
-                f"{where}: the chain is broken here (a line was changed or removed); take it from a copy"
+                f"{where}: the chain is broken here (a line was changed or removed); restore it from a copy"
             )
         self._note(entry, where)
         self.head = hashlib.sha256(line).hexdigest()
@@ -202,7 +207,7 @@ class Register:
         standing = self.standings.get(entry.number)
         if entry.kind == ISSUED:
             if standing is not None:
-                raise Refused(f"{where}: number {entry.number} was issued twice; take it from a copy")
+                raise Refused(f"{where}: number {entry.number} was issued twice; restore it from a copy")
             self.standings[entry.number] = NumberStatus(entry)
             before = entry.data.get("before") or {}
             old = self.standings.get(str(before.get("number")))
@@ -213,7 +218,9 @@ class Register:
                 standing.entry, REVOKED, str(entry.data.get("reason", ""))
             )
         else:
-            raise Refused(f"{where}: {entry.kind} of {entry.number} is nothing that can follow here")
+            raise Refused(
+                f"{where}: {entry.kind} of {entry.number} cannot follow here; restore it from a copy"
+            )
 
     def _put_in_place(self, entry: Entry) -> None:
         """Rename the temporary files of a certificate to their final names."""
@@ -248,10 +255,13 @@ def opened(folder: Path, known: Register | None = None) -> Iterator[Register]:
             yield register
     except Timeout:
         raise Refused(
-            f"{folder}: another program keeps the register open; try again when it has ended"
+            f"{folder}: another program has the register open; try again when it has ended"
         ) from None
     except OSError as error:
-        raise Refused(f"{error.filename or folder}: cannot be written ({error.strerror})") from error
+        raise Refused(
+            f"{error.filename or folder}: cannot be written ({error.strerror}); free disk space "
+            "or check permissions"
+        ) from error
 
 
 def _write_through(path: Path, content: bytes) -> None:

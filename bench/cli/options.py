@@ -24,8 +24,7 @@ from bench.base.requests import (
     fields_of,
 )
 from bench.cli import completing
-from bench.cli.commands import COMPLETED_BY, Commands
-from bench.cli.helping import MORE, BenchCommand
+from bench.cli.commands import COMPLETED_BY, MORE, BenchCommand, Commands
 from bench.config.devices import FOLDERS
 from bench.services.errors import Refused
 
@@ -103,7 +102,7 @@ def _use_devices(ctx: typer.Context, folders: list[str] | None) -> None:
     """Search these folders before those in the environment (BENCH_DEVICES) for the duration of the command."""
     for folder in folders or ():
         if not Path(folder).is_dir():
-            raise typer.BadParameter(f"{folder}: there is no such folder")
+            raise typer.BadParameter(f"{folder}: no such folder; create it or name another")
     if folders:
         ctx.with_resource(_devices_of(folders))
 
@@ -161,7 +160,7 @@ class WithEstimators(BenchCommand):
 def _writable(target: str | None) -> str | None:
     """Return the target of `--json`. Raises `Refused`, before anything is computed, if its folder is missing."""
     if target not in {None, "-"} and not Path(str(target)).absolute().parent.is_dir():
-        raise Refused(f"--json {target}: there is no such folder")
+        raise Refused(f"--json {target}: no such folder; create it or name another")
     return target
 
 

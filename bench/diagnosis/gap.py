@@ -119,7 +119,7 @@ class Gap:
 
     @property
     def after_rms(self) -> float:
-        """The same with what was named."""
+        """Root mean square of measured less predicted with the named effects, unit of the signal."""
         return rms([f.after.error for f in self.folds])
 
     @property
@@ -129,7 +129,7 @@ class Gap:
 
     @property
     def after_rms_g(self) -> float:
-        """The same with what was named."""
+        """Root mean square of measured less predicted with the named effects, g by the scale factors."""
         return rms([f.after.error_g for f in self.folds])
 
     @property
@@ -379,7 +379,7 @@ def _held_out(
 
 
 def restrict(linear: LinearSystem, rows: Mask) -> LinearSystem:
-    """Return the system with some of its rows; settings are numbered anew."""
+    """Return the system with some of its rows; settings are numbered again."""
     setting = linear.setting[rows]
     present = {number: i for i, number in enumerate(dict.fromkeys(setting[setting >= 0].tolist()))}
     return replace(

@@ -39,15 +39,16 @@ class RunsFolder:
                 names = [one.name for one in found if one.is_dir(follow_symlinks=False)]
         except OSError:
             return []
-        return [Run(self.path / name) for name in names if self._holds(name)]
+        return [Run(self.path / name) for name in names if self.holds(name)]
 
     def run(self, name: str) -> Run:
         """Return the run with this name. Raises `Refusal` (404) if there is none."""
-        if not self._holds(name):
-            raise Refusal(404, message("there is no run of that name"))
+        if not self.holds(name):
+            raise Refusal(404, "no run has that name; see the list of runs")
         return Run(self.path / name)
 
-    def _holds(self, name: str) -> bool:
+    def holds(self, name: str) -> bool:
+        """Whether there is a run with this name."""
         if not name or name.startswith(".") or "/" in name or "\\" in name:
             return False
         try:
@@ -115,7 +116,7 @@ class Certificates:
         """Return a file of a run's certificate. Raises `Refusal` (404), `Refused` if it was tampered with."""
         register = self._read()
         if register is None or not any(name in one.files for one in self.of(run)):
-            raise Refusal(404, message(f"{run.name} has no such certificate"))
+            raise Refusal(404, f"{run.name} has no such certificate; see its page")
         return register.file(name)
 
     def _read(self) -> Register | None:
@@ -126,7 +127,9 @@ class Certificates:
             try:
                 register.read_lines()
             except OSError as error:
-                raise Refused(message(f"{self._folder}: cannot be read ({error.strerror})")) from error
+                raise Refused(
+                    f"{self._folder}: cannot be read ({error.strerror}); check name and permissions"
+                ) from error
             self._register = register
             return register
 

@@ -76,10 +76,8 @@ class RunView:
             self._take(event)
         except (ValueError, KeyError, TypeError, IndexError, AttributeError) as error:
             raise RecordError(
-                message(
-                    f"event {event.number} of the record cannot follow here ({error}); see 'bench show RUN "
-                    f"--verify'"
-                )
+                f"event {event.number} of the record cannot follow here ({error}); check it with 'bench "
+                "show RUN --verify'"
             ) from error
 
     def _take(self, event: Event) -> None:
@@ -163,7 +161,7 @@ class RunView:
 
     @property
     def rest(self) -> tuple[Settle, CameToRest] | None:
-        """The last settling step and its result."""
+        """The last settling step and its result; None before the first."""
         event = self._brought.get(Settle)
         if event is None or not isinstance(event.result, CameToRest):
             return None
@@ -240,7 +238,7 @@ class Tail:
             return
         except OSError as error:
             raise RecordError(
-                message(f"{self._path}: cannot be read ({error.strerror}); see that it is there")
+                f"{self._path}: cannot be read ({error.strerror}); check that it exists"
             ) from error
 
     def _event(self, line: bytes) -> Event:
@@ -255,7 +253,5 @@ class Tail:
 
     def _broken(self) -> RecordError:
         return RecordError(
-            message(
-                f"{self._path}, line {self._count + 1}: cannot be believed; 'bench show RUN --verify' says more"
-            )
+            f"{self._path}, line {self._count + 1}: cannot be trusted; 'bench show RUN --verify' shows why"
         )

@@ -252,7 +252,7 @@ def _doing(seen: RunView, *, alive: bool) -> str:
 
 
 def alarm_of(seen: RunView, asked: AskedPrompt | None, *, alive: bool) -> dict[str, str] | None:
-    """Return the alarm of a run: `cause` in one line, `action` to take, `details`; None where all is well.
+    """Return the alarm of a run: `cause` in one line, `action` to take, `details`; None without one.
 
     `do` is "resume" where the action is to resume the run, else empty. A question that waits is no alarm; an early
     warning that stopped the run before this question is one.

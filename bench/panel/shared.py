@@ -8,6 +8,7 @@ from collections import Counter
 from functools import cache
 from http import HTTPStatus
 from importlib.resources import files
+from pathlib import PurePath
 from typing import Any, Final
 from urllib.parse import parse_qsl, quote
 
@@ -26,8 +27,9 @@ from bench.panel.access import STATE, Access, Person, Refusal, Role, Settings
 from bench.panel.folder import Certificates, RunsFolder, RunsTable
 from bench.panel.holding import read_holding
 from bench.panel.launching import Started, Wishes
+from bench.panel.queue import DayQueue
 from bench.panel.stream import Followers
-from bench.run.events import sha256
+from bench.run.events import RecordError, sha256
 
 
 class Panel:
@@ -43,6 +45,7 @@ class Panel:
         self.certificates = Certificates(settings.laboratory)
         self.streams: Counter[str] = Counter()
         self.access = Access(settings.runs / STATE)
+        self.queue = DayQueue(settings.runs / STATE)
 
 
 LOG: Final = logging.getLogger("uvicorn.error")
@@ -81,7 +84,7 @@ async def acting(request: Request, least: Role, most: int = MOST_FIELDS) -> tupl
     sent = await fields(request, most)
     given = request.headers.get(CSRF_HEADER) or sent.pop("csrf", "")
     if not secrets.compare_digest(given.encode(errors="replace"), person.csrf.encode()):
-        raise Refusal(403, message("this form is of another session; load the page again"))
+        raise Refusal(403, "this form belongs to another session; load the page again")
     person.require(least)
     return person, sent
 
@@ -91,10 +94,8 @@ async def fields(request: Request, most: int = MOST_FIELDS) -> dict[str, str]:
     try:
         body = await request.body()
     except ClientDisconnect:
-        LOG.warning(
-            message("a request ended before its body; further ones within a minute are not written here")
-        )
-        raise Refusal(400, message("the request ended before its body")) from None
+        LOG.warning("a request was incomplete; further ones within a minute are not listed")
+        raise Refusal(400, "the request is incomplete; send it again") from None
     kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
     try:
         if kind == "application/json":
@@ -102,13 +103,13 @@ async def fields(request: Request, most: int = MOST_FIELDS) -> dict[str, str]:
         elif kind == "application/x-www-form-urlencoded" or not body:
             given = dict(parse_qsl(body.decode(), keep_blank_values=True, max_num_fields=most))
         else:
-            raise Refusal(415, message("a form or a JSON object is taken"))
+            raise Refusal(415, "send a form or a JSON object")
     except ValueError:
-        raise Refusal(400, message("what was sent is no form and no JSON that can be read")) from None
+        raise Refusal(400, "send a form or valid JSON") from None
     if isinstance(given, dict) and len(given) > most:
-        raise Refusal(400, message(f"at most {most} fields are taken"))
+        raise Refusal(400, f"at most {most} fields are accepted; send fewer")
     if not isinstance(given, dict) or not all(isinstance(value, str) for value in given.values()):
-        raise Refusal(400, message("a JSON object whose values are texts is taken"))
+        raise Refusal(400, "send a JSON object whose values are texts")
     return given
 
 
@@ -122,6 +123,7 @@ ASSETS: Final = {
     **{f"texts-{name}.js": "text/javascript; charset=utf-8" for name in LANGUAGES if name != ENGLISH},
     "panel.js": "text/javascript; charset=utf-8",
     "bench.js": "text/javascript; charset=utf-8",
+    "fresh.js": "text/javascript; charset=utf-8",
     "waiting.js": "text/javascript; charset=utf-8",
     "plots.js": "text/javascript; charset=utf-8",
     "plots-chart.js": "text/javascript; charset=utf-8",
@@ -162,7 +164,8 @@ def _environment(name: str = ENGLISH) -> Environment:
         lstrip_blocks=True,
     )
     environment.filters["typeset"] = typeset
-    environment.globals.update(asset=asset, language=name, languages=LANGUAGES)
+    environment.filters["filename"] = lambda path: PurePath(str(path)).name
+    environment.globals["asset"] = asset
     return environment
 
 
@@ -189,7 +192,7 @@ async def send_asset(request: Request) -> Response:
     """Send an asset, but only under its current address, which changes with its content."""
     name = request.path_params["name"]
     if name not in ASSETS or request.scope["path"] != asset(name):
-        raise Refusal(404, message("there is no such file"))
+        raise Refusal(404, "no such file; load the page again")
     return Response(read_asset(name), media_type=ASSETS[name], headers=KEPT)
 
 
@@ -233,7 +236,7 @@ def refused(request: Request, refusal: Refusal) -> Response:
 def by_framework(request: Request, error: Exception) -> Response:
     """Return the response to an error of the framework: an unknown address or method."""
     status = error.status_code if isinstance(error, HTTPException) else 500
-    texts = {404: message("there is no such page"), 405: message("this cannot be asked of this page")}
+    texts = {404: "no such page", 405: "this page does not accept that request"}
     return refused(request, Refusal(status, texts.get(status, HTTPStatus(status).phrase)))
 
 
@@ -250,4 +253,9 @@ def by_record(request: Request, error: Exception) -> Response:
         if not (told := missing(error)):
             raise error
         return refused(request, Refusal(409, told))
+    name = request.path_params.get("name", "")
+    if isinstance(error, RecordError) and name and person_of(request) and not wants_json(request):
+        found = panel_of(request).runs.run(name)
+        told = str(error).replace(f"{found.folder.absolute()}/", "").replace(f"{found.folder}/", "")
+        return page(request, "damaged.html.j2", status=409, run=name, text=bounded(told))
     return refused(request, Refusal(409, str(error)))

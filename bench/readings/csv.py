@@ -145,8 +145,8 @@ def _read(
                 raise BadCell(
                     "point",
                     f"series {key[0]:g}, installation {key[1]}, pass {key[2]:g}, point {key[3]:g} "
-                    f"stands already in line {seen[key]}; each may stand once (use the column 'series' "
-                    "for a second visit)",
+                    f"is already in line {seen[key]}; give a second visit another number in the column "
+                    "'series'",
                 )
         except BadCell as problem:
             bad.append(f"{path}, line {line}, column {problem.column}: {problem}")
@@ -163,9 +163,9 @@ def _read(
     if bad and not (skip_bad_rows and columns.installation):
         raise ReadingsError(_listing(bad))
     if not columns.installation:
-        raise ReadingsError(f"{path}: no reading in it; expected a header line and a row for each reading")
+        raise ReadingsError(f"{path}: no readings; expected a header line and a row for each reading")
     unknown = ", ".join(name for name in header if name not in known and not is_of_a_rail(name))
-    notes = (message(f"columns kept and not used: {unknown}"),) if unknown else ()
+    notes = (f"columns kept but not used: {unknown}",) if unknown else ()
     table = _assemble(str(path), UNITS[suffix], signals, columns, notes, tuple(bad))
     doubts = doubtful(table, list(seen.values()))
     return replace(table, notes=(*notes, *doubts), verification_missing=verification_missing)
@@ -195,14 +195,14 @@ def split_table(
                 body.append((line, _without_empty_end(cells, len(header))))
             line = reader.line_num + 1
     except csv.Error as error:
-        raise ReadingsError(f"{path}, line {reader.line_num}: not CSV ({error})") from error
+        raise ReadingsError(f"{path}, line {reader.line_num}: not CSV; save it as CSV ({error})") from error
     if not header:
         raise ReadingsError(f"{path}: empty; expected a header line such as {example}")
     if len(header) == 1 and (";" in header[0] or "\t" in header[0]):
-        raise ReadingsError(f"{path}, line 1: columns must be separated by commas (and decimals by a dot)")
+        raise ReadingsError(f"{path}, line 1: separate columns by commas, and write decimals with a dot")
     twice = sorted(map(shortened, repeated(header)))
     if twice:
-        raise ReadingsError(f"{path}, line 1: column {', '.join(twice)} stands more than once")
+        raise ReadingsError(f"{path}, line 1: column {', '.join(twice)} appears more than once; keep one")
     return header, body
 
 
@@ -223,7 +223,7 @@ def _signal_suffix(path: Path, header: list[str]) -> str:
     if len(present) > 1:
         raise ReadingsError(
             f"{path}, line 1: signal columns in different units ({', '.join(present)}); "
-            "all three must be alike, such as ux_v, uy_v, uz_v"
+            "use one unit for all three, such as ux_v, uy_v, uz_v"
         )
     suffix = present[0] if present else "v"
     missing += [f"u{axis}_{suffix}" for axis in "xyz" if f"u{axis}_{suffix}" not in header]
@@ -246,7 +246,7 @@ def _row(
         raise BadCell(
             header[min(len(cells), len(header) - 1)],
             f"expected {len(header)} cells as in the header, got {len(cells)}"
-            + (" (is there a decimal comma?)" if len(cells) > len(header) else ""),
+            + (" (use a dot, not a decimal comma)" if len(cells) > len(header) else ""),
         )
     text = {name: cell.strip() for name, cell in zip(header, cells, strict=True)}
     label = text["installation"]
@@ -290,7 +290,7 @@ def _listing(bad: list[str]) -> str:
     lines = bad[:LISTED_AT_ONCE]
     if len(bad) > LISTED_AT_ONCE:
         lines.append(f"… and {len(bad) - LISTED_AT_ONCE} more bad rows ({len(bad)} in all)")
-    lines.append("nothing was used; mend the rows, or leave them out with --skip-bad-rows")
+    lines.append("nothing was used; correct the rows, or skip them with --skip-bad-rows")
     return "\n".join(lines)
 
 
@@ -394,11 +394,7 @@ def _time(readings: Readings, lines: Sequence[int]) -> list[str]:
     if not len(back):
         return []
     where = f"line {lines[back[0]]}" + (f" and {len(back) - 1} more" if len(back) > 1 else "")
-    return [
-        message(
-            f"time_s runs backwards ({where}): rows stand in the order of measurement; is the file sorted anew?"
-        )
-    ]
+    return [f"time_s runs backwards ({where}): put the rows back in the order of measurement"]
 
 
 def _scatter(readings: Readings, lines: Sequence[int]) -> list[str]:
@@ -410,6 +406,6 @@ def _scatter(readings: Readings, lines: Sequence[int]) -> list[str]:
             worst = int(np.nanargmax(sd))
             told.append(
                 f"the standard deviation of u{axis} in line {lines[worst]}, {sd[worst]:.3g} {readings.unit}, "
-                f"is more than all readings of it differ by, {span:.3g} {readings.unit}: check its unit"
+                f"exceeds the spread of all its readings, {span:.3g} {readings.unit}: check its unit"
             )
     return told

@@ -243,7 +243,7 @@ def together(parts: Sequence[JoinedPart]) -> Readings:
     units = {part.readings.unit: part.readings.source for part in parts}
     if len(units) > 1:
         each = ", ".join(f"{source} in {unit}" for unit, source in units.items())
-        raise ValueError(f"signals in different units cannot be taken together: {each}")
+        raise ValueError(f"use one unit for readings evaluated together, not {each}")
     ordered, starts, real = _starts(parts)
     tables: list[Readings] = []
     notes: list[str] = []

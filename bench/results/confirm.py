@@ -146,7 +146,9 @@ def print_confirmation(source: str, found: Confirmation, notes: Sequence[str], o
     # if values changed, effects found beside the model merely compensate for its wrong values
     left = words.beside_in_words(found.diagnosis)
     if left and found.verdict == "confirmed":
-        out.print(f"Something else is in these readings: {left}; 'bench diagnose' with this model tells it")
+        out.print(
+            f"These readings also contain another effect: {left}; 'bench diagnose' with this model names it"
+        )
     closed = words.closed_in_words(
         found.closed, found.before.rms_g, found.after.rms_g, found.after.expected_rms_g
     )

@@ -273,31 +273,21 @@ def advice(result: Verification) -> tuple[str, ...]:
     number = {s: sum(p.statement is s for p in result.points) for s in Statement}
     sentences = {
         Statement.FAIL: (
-            message(
-                "beyond the limit by more than the guard band: 'bench diagnose' tells what is wrong with "
-                "block, stand "
-                "or procedure"
-            )
+            "beyond the limit by more than the guard band: 'bench diagnose' finds the cause in block, "
+            "stand or procedure"
         ),
         Statement.INCONCLUSIVE: (
-            message(
-                f"inconclusive: U, up to {result.expanded * 1e6:.0f} µg, is larger than the limit of "
-                f"{result.limit_g * 1e6:.4g} µg, so nothing can be said safely, neither that the block "
-                "conforms nor that it does not; more passes, a better voltmeter or a better known stand make U "
-                "smaller, and 'bench budget' says what makes most of it"
-            )
+            f"inconclusive: U, up to {result.expanded * 1e6:.0f} µg, is larger than the limit of "
+            f"{result.limit_g * 1e6:.4g} µg, so conformity cannot be decided; reduce U by more passes, a "
+            "better voltmeter or a better known stand ('bench budget' shows the largest part)"
         ),
         Statement.CONDITIONAL_FAIL: (
-            message(
-                "beyond the limit by less than the guard band: the block may conform all the same; a smaller U "
-                "tells, and 'bench budget' says what makes most of it"
-            )
+            "beyond the limit by less than the guard band: the block may still conform; reduce U to "
+            "decide ('bench budget' shows its largest part)"
         ),
         Statement.CONDITIONAL_PASS: (
-            message(
-                "within the limit by less than the guard band: the block may not conform all the same; a smaller U "
-                "tells, and 'bench budget' says what makes most of it"
-            )
+            "within the limit by less than the guard band: the block may still not conform; reduce U to "
+            "decide ('bench budget' shows its largest part)"
         ),
     }
     points = len(result.points)
@@ -308,10 +298,7 @@ def advice(result: Verification) -> tuple[str, ...]:
     ]
     if result.missing:
         found.append(
-            message(
-                f"{result.missing} verification points are missing, and nothing is accepted without them: "
-                "measure them, too"
-            )
+            f"{result.missing} verification points are missing; measure them, as nothing is accepted without them"
         )
     return (*found, *_to_pass(result))
 

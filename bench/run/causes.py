@@ -326,7 +326,7 @@ class Confidence:
         self._undecided: tuple[Sighting, list[Suspect]] | None = None
 
     def mounted(self) -> None:
-        """Note that the block was mounted anew: early signs may stop the run again, no reading is undecided."""
+        """Note that the block was mounted again: early signs may stop the run again, no reading is undecided."""
         self._silent, self._undecided = False, None
 
     def forget(self) -> None:

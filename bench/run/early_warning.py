@@ -138,7 +138,7 @@ class EarlyWarning:
         return self._repeats.sizes
 
     def remounted(self) -> None:
-        """Note that the block was mounted anew, in case the next reading has the same installation and series."""
+        """Note that the block was mounted again, in case the next reading has the same installation and series."""
         self._mounted_anew = True
         self._confidence.mounted()
         self._visits.clear()  # later differences come from the remounting, not from noise
@@ -285,7 +285,7 @@ class EarlyWarning:
             self._go_through_again()
 
     def _go_through_again(self) -> None:
-        """Judge and learn all readings anew, with the present estimate of the noise and without struck readings."""
+        """Judge and learn all readings again, with the present estimate of the noise, without struck readings."""
         replay = self._inquiry().replay(self._history)
         self._adopt(replay.taken[:, 0], replay.state)
 

@@ -17,7 +17,15 @@ from bench.base.numbers import read_number
 from bench.base.text import in_json, shortened
 from bench.config.procedure.plan import Mount
 from bench.run.events import Event, EventType, Wish
-from drivers.angles import format_dms, parse_angle, read_angle, typed_bubble, typed_supply, typed_temperature
+from drivers.angles import (
+    format_dms,
+    parse_angle,
+    read_angle,
+    typed_angle,
+    typed_bubble,
+    typed_supply,
+    typed_temperature,
+)
 from drivers.interfaces import BenchError
 from drivers.person import Person, Prompt, PromptKind
 
@@ -120,7 +128,7 @@ class Controls(Protocol):
 
 
 class NoControls:
-    """A source without wishes."""
+    """The wishes of a run that nobody can control: there are none."""
 
     stopped: RunControl | None = None
 
@@ -174,9 +182,9 @@ def parse_wish(text: str) -> RunControl:
         wish = Wish(word.lower())
     except ValueError:
         known = ", ".join(f"{SIGN}{w.value}" for w in Wish)
-        raise ValueError(message(f"{SIGN}{word} is no wish; there are {known}")) from None
+        raise ValueError(f"{SIGN}{word} is unknown; possible are {known}") from None
     if wish is Wish.SKIP and not reason.strip():
-        raise ValueError(message(f"say why: {SIGN}skip REASON"))
+        raise ValueError(f"give a reason: {SIGN}skip REASON")
     return RunControl(wish, reason.strip(), by_person=True)
 
 
@@ -261,7 +269,7 @@ def _read_answer(line: bytes, number: int) -> LeftAnswer:
         return LeftAnswer(prompt_id, text, WishAuthor.from_json(told), number)
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         beginning = line[:100].decode("utf-8", "backslashreplace").strip()
-        flaw = f"line {number} of {ANSWERS} is no answer"
+        flaw = f"line {number} of {ANSWERS} is not an answer"
         return LeftAnswer("", beginning, WishAuthor(where="panel"), number, flaw)
 
 
@@ -395,7 +403,7 @@ def understood_answer(prompt: Prompt, text: str) -> str:
     match prompt.kind:
         case PromptKind.ANGLE:
             value = _read_by_eye(prompt, given)
-            return given if value is None else _spaced(parse_angle(given))
+            return given if value is None else _spaced(_on_scale(prompt, given))
         case PromptKind.NUMBER:
             value = _read_by_eye(prompt, given)
             if prompt.action["do"] == "read_level":
@@ -405,6 +413,12 @@ def understood_answer(prompt: Prompt, text: str) -> str:
             return "no" if given.lower() in NO else "yes"
         case PromptKind.CHOOSE:
             return given
+
+
+def _on_scale(prompt: Prompt, given: str) -> float:
+    """Return a typed angle as the scale shows it, rad."""
+    target_rad: Any = prompt.action.get("target_rad")
+    return parse_angle(given) if target_rad is None else typed_angle(given, float(target_rad))
 
 
 _BY_EYE: Final = frozenset({"turn", "read_temperature", "read_level", "read_supply"})
@@ -438,7 +452,7 @@ def _problem_with_choice(prompt: Prompt, given: str) -> str:
     for beginning in open_ended:
         reason = words[len(beginning) :]
         if words.lower().startswith(beginning) and reason:
-            return message(f"say why in place of {REASON}") if reason == REASON else ""
+            return f"give the reason instead of {REASON}" if reason == REASON else ""
     fits = words.lower() in prompt.choices if open_ended else given in prompt.choices
     return "" if fits else message(f"choose one of {', '.join(prompt.choices)}, not {given!r}")
 
@@ -466,7 +480,7 @@ def _between(prompt: Prompt, value: float) -> float:
     if prompt.maximum is not None and value > prompt.maximum:
         raise ValueError(message(f"{value:g} is above the most, {prompt.maximum:g} {prompt.unit}").rstrip())
     if not math.isfinite(value):
-        raise ValueError(message("a number is wanted"))
+        raise ValueError("type a number")
     return value
 
 

@@ -25,31 +25,32 @@ def sentence(event: Event) -> str:
         case EventType.EARLY_SIGN:
             return message(f"{'stopped' if data.get('confident') else 'look'}: {data['sentence']}")
         case EventType.WENT_ON:
-            return message(f"gone on in spite of '{' or '.join(data['causes'])}': {data['reason']}")
+            return f"continued in spite of '{' or '.join(data['causes'])}': {data['reason']}"
         case EventType.SAME_SERIAL | EventType.CERTIFICATE:
             return message(f"look: {data['words']}")
         case EventType.STEP_FAILED:
             return message(f"failed, tried again: {data['error']}")
         case EventType.CLOCK_JUMPED:
             ahead_s = data["ahead_s"]
-            way = message("ahead") if ahead_s > 0 else message("back")
-            return message(
-                f"look: the computer's clock went {duration(abs(ahead_s))} {way}: it slept, or its time was set; "
-                "what drifts went on, so take the last point again where that matters"
+            way = "ahead" if ahead_s > 0 else "back"
+            return (
+                f"look: the computer's clock went {duration(abs(ahead_s))} {way}: it slept, or its time "
+                "was set; redo the last point if drift matters"
             )
         case EventType.CHAMBER_SLOW:
             return message(
                 f"look: the {data['chamber']} has gone from {data['start_c']:.1f} °C to {data['air_c']:.1f} °C in "
-                f"{duration(data['after_s'])}, sent to {data['target_c']:g} °C: see that it conditions and is shut"
+                f"{duration(data['after_s'])}, sent to {data['target_c']:g} °C: check that it conditions "
+                "and is closed"
             )
         case EventType.POWER:
             return _power_in_words(data)
         case EventType.WARMED_UP if data.get("after_s") is not None:
             return message(f"the block is warm, {duration(data['after_s'])} after it was switched on")
         case EventType.REMOUNTED if data.get("why") == "power":
-            return message(
-                f"the block was without power: its further readings in installation {data['installation']} are "
-                f"another visit, series {data['now_series']}"
+            return (
+                f"the block lost power: its further readings in installation {data['installation']} count "
+                f"as another visit, series {data['now_series']}"
             )
         case EventType.CHOSEN:
             return chosen_in_words(data)
@@ -64,8 +65,8 @@ def said(event: Event) -> str:
     """Return a sentence on a recorded answer: the answer, its author and place."""
     by = _by(event.data) or (f" by {event.data['by']}" if event.data.get("by") else "")
     if event.type == EventType.ANSWERED:
-        return message(f"answered{by}: {event.data['answer']}")
-    return message(f"an answer{by} is not taken: {event.data['why']}")
+        return f"answered{by}: {event.data['answer']}"
+    return f"an answer{by} is not accepted: {event.data['why']}"
 
 
 def _of_somebody(event: Event) -> str:
@@ -84,9 +85,9 @@ def _of_somebody(event: Event) -> str:
 
 
 _DONE: Final[Mapping[str, str]] = {
-    EventType.RUN_PAUSED: message("paused"),
-    EventType.RUN_CONTINUED: message("gone on"),
-    EventType.REDO: message("taken again"),
+    EventType.RUN_PAUSED: "paused",
+    EventType.RUN_CONTINUED: "continued",
+    EventType.REDO: "repeated",
 }
 
 
@@ -113,7 +114,7 @@ def _power_in_words(data: Mapping[str, Any]) -> str:
         case "on":
             return message(f"the block is switched on: {rails}")
         case "found on":
-            return message(f"the block was found on, and as it is to be: {rails}")
+            return f"the block was found on with the stated settings: {rails}"
         case "off":
             return message("the block is switched off")
         case _:
@@ -123,7 +124,7 @@ def _power_in_words(data: Mapping[str, Any]) -> str:
 def duration(seconds: float) -> str:
     """Return a rounded duration: 7500 -> "2 h 05 min", 180 -> "3 min", 40 -> "40 s"."""
     if not math.isfinite(seconds):
-        return message("for ever")
+        return "without end"
     if seconds >= 3600:
         minutes = round(seconds / 60)
         return f"{minutes // 60} h {minutes % 60:02d} min"
@@ -133,9 +134,9 @@ def duration(seconds: float) -> str:
 
 
 _STOPS: Final[Mapping[str, str]] = {
-    "reached": message("enough"),
-    "used up": message("not reached, and nothing is left to measure"),
-    "time": message("the time is up"),
+    "reached": "enough",
+    "used up": "not reached; no setting is left to measure",
+    "time": "the time is up",
 }
 
 
@@ -145,7 +146,7 @@ def chosen_in_words(data: Mapping[str, Any]) -> str:
     now = _goal_in_words(data.get("now"))
     if data["stop"]:
         why = _STOPS.get(data["stop"], data["stop"])
-        words = f"{why}: {now or message('the coefficients are not determined')}; {so_far}"
+        words = f"{why}: {now or 'the coefficients are not yet determined'}; {so_far}"
         needless = data.get("not_needed", 0)
         return message(f"{words}; {needless} are not needed") if needless else words
     coming, in_all = data["next"], data["in_all"]
@@ -155,7 +156,7 @@ def chosen_in_words(data: Mapping[str, Any]) -> str:
         f"next: {count} point{'' if count == 1 else 's'} in installation {place}, {duration(coming['takes_s'])}"
     )
     if coming.get("tells_apart"):
-        words += message(", to tell apart what may explain the misfit")
+        words += ", to separate possible causes of the misfit"
     if (then := coming.get("then")) is not None:
         words += f", for {size_in_words(then['u'], then['unit'])}"
         if (gained := _per_minute(data.get("now"), coming)) is not None:

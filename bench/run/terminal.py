@@ -84,14 +84,14 @@ HELP: Final = "?"
 """The answer that requests help on the possible answers."""
 
 MEANINGS: Final = {
-    Wish.PAUSE: message("wait; nothing on the bench moves until you go on"),
-    Wish.CONTINUE: message("go on after a pause"),
-    Wish.REPEAT_POINT: message("take the last point again; its last reading counts"),
-    Wish.REPEAT_PASS: message("take the last pass again from its first point"),
-    Wish.MOUNT_AGAIN: message("mount the block again, then take the last pass again"),
-    Wish.SKIP: message("leave this point out, with the reason in the record"),
-    Wish.STOP: message("leave the bench safe and stop, as Ctrl-C does; 'bench resume' goes on"),
-    Wish.ABORT: message("end the run for good; what was read is kept"),
+    Wish.PAUSE: "pause; nothing on the bench moves until you continue",
+    Wish.CONTINUE: "continue after a pause",
+    Wish.REPEAT_POINT: "redo the last point; its last reading counts",
+    Wish.REPEAT_PASS: "redo the last pass from its first point",
+    Wish.MOUNT_AGAIN: "mount the block again, then redo the last pass",
+    Wish.SKIP: "leave this point out, with the reason in the record",
+    Wish.STOP: "make the bench safe and stop, as Ctrl-C does; 'bench resume' continues",
+    Wish.ABORT: "end the run for good; its readings are kept",
 }
 
 _ANSWERS: Final = {
@@ -247,8 +247,8 @@ class TerminalPerson:
         if not line:
             raise NoAnswer(
                 "operator",
-                f"the answers ended at the question: {prompt.text}",
-                "answer the rest when the run goes on",
+                f"no answer is left for the question: {prompt.text}",
+                "resume the run and answer it",
             )
         return Answer(prompt.id, in_english(prompt, line.strip()))
 
@@ -258,7 +258,7 @@ class TerminalPerson:
         if line.strip() == HELP:
             return typing_help(prompt, wishes)
         if not wishes:
-            return translated(message("no wish is heard at this question; answer it, or Ctrl-C"))
+            return "this question accepts no command; answer it, or press Ctrl-C"
         try:
             wish = replace(parse_wish(line), who=self.who)
         except ValueError as mistake:

@@ -139,8 +139,8 @@ def _require_same_bench(first: Source, other: Source) -> None:
     different = [what for what, agrees in same.items() if not agrees]
     if different:
         raise Refused(
-            f"--together: {other.name} has another bench than {first.name} ({', '.join(different)}); say with "
-            "--bench FILE which one holds for both"
+            f"--together: {other.name} has another bench than {first.name} ({', '.join(different)}); name "
+            "one for both with --bench FILE"
         )
 
 
@@ -204,14 +204,16 @@ def told_in_words(run: Run) -> list[str]:
         if event.type == EventType.EARLY_SIGN:
             named.update(event.data["causes"][:1])
         elif event.type == EventType.WENT_ON:
-            lines.append(f"gone on in spite of '{' or '.join(event.data['causes'])}': {event.data['reason']}")
+            lines.append(
+                f"continued in spite of '{' or '.join(event.data['causes'])}': {event.data['reason']}"
+            )
     found = [
         f"the early warning named '{cause}' at {times} reading{'s' if times > 1 else ''}"
         for cause, times in named.most_common(MOST_TOLD)
     ]
     more = len(named) - len(found)
     found += [f"… and {more} other causes"] if more > 0 else []
-    return [*found, *lines, f"'bench diagnose {run.name}' goes by what was named"] if found or lines else []
+    return [*found, *lines, f"'bench diagnose {run.name}' uses these causes"] if found or lines else []
 
 
 def _signs(source: Source) -> list[_Named]:
@@ -288,7 +290,7 @@ class _Copy:
         self._series[rows] = before[0] if before[1] == actual else highest + 1
         words = (
             f"the block sat in installation {actual}, not in {mount[1]}, in its {int(rows.sum())} readings from "
-            f"pass {self._given.pass_number[first]}, point {self._given.point[first]} on; the copy says so"
+            f"pass {self._given.pass_number[first]}, point {self._given.point[first]} on; the copy is corrected"
         )
         p = min(one.sign.p for one in told)
         return _mistake(MistakeName.SWAPPED_INSTALLATIONS, (), mount[1], None, None, words, p)
@@ -305,7 +307,8 @@ class _Copy:
         name = MistakeName.REVERSED_POLARITY if "reversed" in cause else MistakeName.SWAPPED_CHANNELS
         words = (
             f"{cause} in installation {mount[1]} from pass {self._given.pass_number[told[0].row]}, point "
-            f"{self._given.point[told[0].row]} on ({int(rows.sum())} readings); the copy has their signals put back"
+            f"{self._given.point[told[0].row]} on ({int(rows.sum())} readings); the copy has their "
+            "signals exchanged back"
         )
         return _mistake(name, channels, mount[1], None, None, words, min(one.sign.p for one in told))
 

@@ -76,9 +76,11 @@ class Conclusion:
 
 
 def make_results(run: Run, interrupts: Interrupts) -> Conclusion:
-    """Return the results of a finished run. A signal raises `Refused`; `bench resume` then makes the results."""
+    """Return the results of a finished run. A signal raises `Refused`; `bench resume` then computes the results."""
     kept = f"all readings are kept in {run.folder}"
-    again = f"stopped before the results were made; {kept}, and 'bench resume {run.name}' makes the results"
+    again = (
+        f"stopped before the results were ready; {kept}, and 'bench resume {run.name}' computes the results"
+    )
     try:
         interrupts.release(again)
         return conclude(run)
@@ -99,8 +101,8 @@ def conclude(run: Run) -> Conclusion:
         write_whole(run.folder / RESULTS, to_text({"made": made}))
     except OSError as error:
         raise Refused(
-            f"{error.filename}: cannot be written ({error.strerror}); the run is finished and kept: free the disk, "
-            f"then 'bench resume {run.name}' makes its results"
+            f"{error.filename}: cannot be written ({error.strerror}); the run is finished and kept; free "
+            f"disk space, then 'bench resume {run.name}' computes its results"
         ) from error
     return Conclusion(run, source, _looks(run), _is_short(run), **found)
 
@@ -191,9 +193,11 @@ def export_readings(request: asked.ExportReadings) -> Exported:
     csv = Path(request.csv or f"{Path(request.run).resolve().name}.csv")
     beside = Path(f"{csv}{SUFFIX}")
     if beside.exists() and not is_told(beside):
-        raise Refused(f"{beside}: another program wrote this file; export to another file with --csv FILE")
+        raise Refused(
+            f"{beside}: this program did not write this file; export to another file with --csv FILE"
+        )
     if request.csv is None and csv.exists() and not beside.exists():
-        raise Refused(f"{csv}: exists already; name the file to write with --csv FILE")
+        raise Refused(f"{csv}: exists; name another file with --csv FILE")
     write_whole(csv, text)
     if source.origin is None:
         return Exported(text, len(source.readings), csv)

@@ -116,7 +116,7 @@ class _Result(ABC):
         except OSError as error:
             if self.source.request.out is not None:
                 raise
-            note = f"{what} is not written ({error.strerror}); use --out DIR"
+            note = f"{what} was not written ({error.strerror}); use --out DIR"
             return None, replace(self, not_written=(*self.not_written, note))
 
     def _with_copy(self, mistakes: Sequence[Mistake], corrected: Readings) -> Self:
@@ -237,8 +237,8 @@ class DiagnosisResult(_WithPage):
         """
         if not self.model_is_due(accept_first=accept_first):
             tied = self.diagnosis.of_copy == "confounded"
-            why = words.why_no_model(self.diagnosis) if tied else "where nothing was found that has a name"
-            raise Refused(f"{path}: no model file is written {why}")
+            why = words.why_no_model(self.diagnosis) if tied else "without a named effect"
+            raise Refused(f"{path}: no model file was written {why}")
         with knowing_effects_of(self.source):
             self._write_model(Path(path))
         return Path(path)
@@ -246,11 +246,11 @@ class DiagnosisResult(_WithPage):
     def write_next(self, path: str | Path) -> Path:
         """Write the procedure to carry out next; return its path. Raises `Refused` where nothing is proposed."""
         if self.next_measurement is None:
-            raise Refused(f"{path}: no procedure would tell more")
+            raise Refused(f"{path}: no procedure would show more; repeat the same one with more passes")
         return self.next_measurement.write(Path(path)).procedure
 
     def written(self, *, accept_first: bool = False, report: bool = True) -> Self:
-        """Write copy, model, next procedure and page; return the result with their paths."""
+        """Write corrected readings, model, next procedure and page; return the result with their paths."""
         mistakes, body = self.diagnosis.mistakes, self.body
         result = self._with_copy(mistakes.mistakes, mistakes.corrected)
         if self.model_is_due(accept_first=accept_first):
@@ -354,7 +354,7 @@ class FreeDiagnosisResult(_WithPage):
         """
         models = self.models_of(accept_first=accept_first)
         if not models:
-            raise Refused(f"{path}: no model file is written {free.why_no_model(self.found)}")
+            raise Refused(f"{path}: no model file was written {free.why_no_model(self.found)}")
         place = Path(path)
         many = len(models) > 1
         paths = [

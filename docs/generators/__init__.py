@@ -10,6 +10,7 @@ from docs.generators import (
     bench_files,
     commands,
     effects,
+    errors,
     estimators,
     example_certificate,
     instruments,
@@ -34,6 +35,7 @@ PAGES: Final[dict[str, Callable[[], str]]] = {
     "estimators.md": estimators.page,
     "example-certificate.md": example_certificate.page,
     "_rooms.md": rooms.fragment,
+    "_errors.md": errors.fragment,
     "_panel.md": panel_pictures.fragment,
 }
 """By file name what makes it; names that begin with `_` are parts of other pages."""

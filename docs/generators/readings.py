@@ -78,8 +78,9 @@ as escapes such as `\\x1b`, backslashes in such a cell twice. Reading the file u
 run, the unit, the bench file with its SHA-256, the identities of the instruments, and the SHA-256 of the
 readings file. As long as this is the readings file's, an analysis of the file is as marked as one of the run, and
 takes the bench file that the run had (its copy in the run's folder, or where it was) unless `--bench` or
-`BENCH_FILE` names another. A readings file that was changed is told, and nothing is taken over. Which bench
-file was taken, and why, stands in the first line that an analysis prints and in its result (`bench`).
+`BENCH_FILE` names another. If a readings file changed since its export, a note says so, and nothing
+is taken over. The first line that an analysis prints names the bench file and why it was taken; the result has
+it, too (`bench`).
 """
 
 

@@ -85,7 +85,7 @@ class ManualHead(ByHand):
                 self.name,
                 f"no reading within {format_dms(self._tolerance_rad)} of {scale_text(target_rad)} "
                 f"in {self._max_attempts} attempts ({trouble})",
-                "check the clamp, the scale and the procedure's angle, then take this point again",
+                "check the clamp, the scale and the procedure's angle, then redo this point",
             ) from None
         return HeadPosition(angle_rad, direction)
 
@@ -190,7 +190,7 @@ class ManualLevel(ByHand):
             raise BadReading(
                 self.name,
                 f"no reading on its scale in {ATTEMPTS} attempts ({trouble})",
-                "level the platform roughly, check the divisions in the bench file, then take this step again",
+                "level the platform roughly, check the divisions in the bench file, then repeat this step",
             ) from None
 
 
@@ -314,7 +314,7 @@ class ManualChamber(ByHand):
         raise BadReading(
             self.name,
             f"no plausible temperature in {ATTEMPTS} attempts",
-            "check the thermometer and the chamber's limits in the bench file, then take this step again",
+            "check the thermometer and the chamber's limits in the bench file, then repeat this step",
         )
 
     def _ask(self, prompt: Prompt) -> str | None:
@@ -358,5 +358,5 @@ class ManualThermometer(ByHand):
         raise BadReading(
             self.name,
             f"no temperature within its range in {ATTEMPTS} attempts",
-            "check the thermometer and its range in the bench file, then take this step again",
+            "check the thermometer and its range in the bench file, then repeat this step",
         )

@@ -254,7 +254,7 @@ def test_a_distribution_brings_an_effect(site, entry):
     [
         ("my_bench_effects.nothing", "the distribution my-bench-effects 1.2 cannot be loaded"),
         ("my_bench_effects:MODULE", "cannot be loaded"),
-        ("math", "is no effect and has none in it"),
+        ("math", "is not an effect and contains none"),
     ],
 )
 def test_what_cannot_be_had_is_said_and_all_else_is_there(site, entry, told):
@@ -269,4 +269,4 @@ def test_a_name_that_is_taken_stays_with_the_bench(site):
     shipped = SimpleNamespace(name="fourth")
     catalogue = Catalogue([shipped])
     assert catalogue["fourth"] is shipped
-    assert "there is one already" in " ".join(catalogue.troubles)
+    assert "which exists already" in " ".join(catalogue.troubles)

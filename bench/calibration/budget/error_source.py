@@ -242,7 +242,7 @@ def foundation_of(readings: Readings | None, bench: BenchFile, *, levelled: bool
     """
     seen = None if readings is None else drift_rad_s(readings.extra)
     if seen is not None:
-        return TiltRate(*seen, "the level, read again after the platform was levelled")
+        return TiltRate(*seen, "the level, read again after the levelling")
     stated = bench.stand.foundation
     if stated is not None:
         rate = stated.to_distribution().u / DAY

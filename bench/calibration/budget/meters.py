@@ -109,10 +109,8 @@ def linearity_of(meter: VoltmeterForm, largest_v: float) -> Size:
 
 def _data_sheet(meter: VoltmeterForm) -> str:
     if isinstance(meter, UnknownVoltmeter):
-        return message(
-            f"the driver {meter.driver} is not here: as of a meter of 6½ digits on {meter.range:g} V"
-        )
-    return message(f"{meter.driver}, limits of 90 days on {meter.range:g} V")
+        return f"the driver {meter.driver} is missing: assumed as a meter of 6½ digits on {meter.range:g} V"
+    return f"{meter.driver}, limits of 90 days on {meter.range:g} V"
 
 
 def _limit(quantity: Quantity, meter: VoltmeterForm, years: float) -> float:
@@ -182,7 +180,7 @@ def joint_errors(
     group = np.array([told.group[place] if place >= 0 else -1 - k for k, place in enumerate(places)])
     basis = contrasts_within(group)
     if not basis.shape[1] or np.all(certified):
-        return "certificates state all of it" if basis.shape[1] else "no two of these meters were compared"
+        return "certificates cover all of it" if basis.shape[1] else "no two of these meters were compared"
     values = np.where(np.array(places) >= 0, told.values[places], 0.0)
     own = told.covariance[np.ix_(places, places)]
     difference, spread = basis.T @ values, basis.T @ own @ basis
@@ -190,7 +188,7 @@ def joint_errors(
     expected = basis.T @ prior @ basis + spread
     chi2 = float(difference @ np.linalg.solve(expected, difference))
     if special.chdtrc(len(difference), chi2) < CONTRADICTS_P:
-        return "they contradict what certificates or makers' limits allow: have the voltmeters calibrated"
+        return "they contradict certificates or makers' limits: have the voltmeters calibrated"
     gain = kept * prior @ basis @ np.linalg.inv(expected)
     found = JointErrors(gain @ difference, prior - kept * gain @ basis.T @ prior)
     found = _never_over(found, prior, certified)
@@ -202,7 +200,7 @@ def joint_errors(
         left = np.sqrt(np.maximum(np.min(prior_u[same]) ** 2 - np.diag(covariance), 0.0)) * free
         covariance += np.outer(left, left)
     if np.any(np.diag(covariance) > (1 + 1e-9) * prior_u**2):
-        return "the certificates beside them are worse than the makers' limits"
+        return "the certificates are worse than the makers' limits"
     return JointErrors(found.mean[:n], covariance)
 
 

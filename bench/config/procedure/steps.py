@@ -366,7 +366,7 @@ class Power(Step):
 class Level(Step):
     """The level on the platform is read with the head at 0°, in two positions half a turn apart.
 
-    The head is set to 0° anew `settings` times. With `within_rad` the platform is levelled for the mounting
+    The head is set to 0° again `settings` times. With `within_rad` the platform is levelled for the mounting
     that follows, and levelled again while its tilt is larger than that. Without `within_rad` the tilt of the
     platform is only read, at the end of the mounting for which it was levelled.
     """

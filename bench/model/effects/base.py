@@ -259,11 +259,11 @@ class InPart(Effect):
         """Derive the class attributes from the parts. Raises `ValueError` if the parts act at different stages."""
         effects = [applied.effect for applied in self.parts]
         if len({effect.stage for effect in effects}) != 1:
-            raise ValueError("the parts of a shape act at one stage of the model")
+            raise ValueError("the parts of a shape must act at one stage of the model")
         told = {
             "stage": effects[0].stage,
             "subsystem": effects[0].subsystem,
-            "sentence": f"what the readings do not tell of the shape of {self.of}",
+            "sentence": f"what the readings leave open about the shape of {self.of}",
             "shown_by": effects[0].shown_by,
             "needs_history": any(effect.needs_history or effect.lasts for effect in effects),
             "needs_path": any(effect.needs_path for effect in effects),

@@ -61,7 +61,7 @@ class OddQuadraticNonlinearity(BlockEffect):
 
     name = "odd_quadratic_nonlinearity"
     parameters = (_size("Koq", "ug/g^2", 20e-6),)
-    sentence = "the output of the accelerometer has a part like the square of the acceleration with its sign"
+    sentence = "the output of the accelerometer has a part with the signed square of the acceleration"
     shown_by = "12 or more angles in a turn; a centrifuge above 1 g"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
@@ -137,7 +137,9 @@ class Hysteresis(BlockEffect):
             "width_g", "g", 1.0, plausible=0.25, per_channel=False, grid=(0.0, 0.1, 0.25, 0.5, 0.8), default=0.0
         ),
     )  # fmt: skip
-    sentence = "the output of the accelerometer depends on the side from which the acceleration came"
+    sentence = (
+        "the output of the accelerometer depends on the side from which the acceleration changes (hysteresis)"
+    )
     shown_by = "both directions of approach"
     needs_history = True
     needs_path = True

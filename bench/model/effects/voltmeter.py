@@ -35,7 +35,7 @@ class VoltmeterDrift(VoltmeterEffect):
 
     name = "voltmeter_drift"
     parameters = (Parameter("rate", "uV/h", 1e-6 / HOUR, plausible=15e-6 / HOUR, per_channel=False),)
-    sentence = "the zero of the voltmeters drifts evenly with time, alike in all channels"
+    sentence = "the zero of the voltmeters drifts evenly with time, equally in all channels"
     shown_by = "a shorted input in each pass"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
@@ -73,7 +73,7 @@ class RangeOffset(VoltmeterEffect):
         Parameter("offset", "uV", 1e-6, plausible=40e-6, per_channel=True),
         Parameter("gain", "ppm", 1e-6, plausible=20e-6, per_channel=True),
     )
-    sentence = "the voltmeters have another zero and gain on the range that they use below 1.2 V"
+    sentence = "zero and gain of the voltmeters differ on the range used below 1.2 V"
     shown_by = "a fixed range; a reference voltage below 1.2 V, read on both ranges"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
@@ -88,7 +88,7 @@ class ChannelCrosstalk(VoltmeterEffect):
 
     name = "channel_crosstalk"
     parameters = (Parameter("fraction", "ppm", 1e-6, plausible=25e-6, per_channel=False),)
-    sentence = "a reading keeps a part of the voltage of the channel that was read before it"
+    sentence = "a reading keeps a part of the previous channel's voltage"
     shown_by = "the scan order of the channels reversed once; a longer delay after a channel is switched"
     needs_history = True
 
@@ -107,7 +107,7 @@ class VoltmeterGain(VoltmeterEffect):
 
     name = "voltmeter_gain"
     parameters = (Parameter("gain", "ppm", 1e-6, plausible=30e-6, per_channel=False),)
-    sentence = "the voltmeters read a common factor too much"
+    sentence = "the voltmeters read too much by a common factor"
     shown_by = "a reference voltage at the inputs; the voltmeters' calibration"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
@@ -122,7 +122,7 @@ class ReferenceStep(VoltmeterEffect):
     parameters = (Parameter("step", "ppm", 1e-6, plausible=20e-6, per_channel=False),)
     sentence = (
         "all voltages changed by a common factor between two passes: the reference of the meters made a step, "
-        "or g was another"
+        "or gravity changed"
     )
     shown_by = "a reference voltage at the inputs in each pass; all passes on one day"
     per_mount = True
@@ -139,7 +139,7 @@ class VoltmeterOffset(VoltmeterEffect):
 
     name = "voltmeter_offset"
     parameters = (Parameter("offset", "uV", 1e-6, plausible=50e-6, per_channel=False),)
-    sentence = "the voltmeters have a zero error, alike in all channels"
+    sentence = "the voltmeters have a zero error, equally in all channels"
     shown_by = "a shorted input"
 
     def addition(self, values: Values, seen: Seen) -> Floats:

@@ -16,6 +16,7 @@ from bench.panel.access import Person, Refusal, Role
 from bench.panel.holding import change, read_holding, require_holder
 from bench.panel.launching import resume_run
 from bench.panel.outcome import Outcome, outcome_of
+from bench.panel.pages.queue import next_unit
 from bench.panel.shared import acting, looking, page, panel_of, person_of, wants_json
 from bench.panel.stream import as_event
 from bench.run.events import RecordError, Wish
@@ -56,6 +57,7 @@ async def run(request: Request) -> Response:
         run=found,
         state=state,
         outcome=ended,
+        next_unit=next_unit(panel_of(request)),
         state_json=json.dumps(without_infinity(state)),
     )
 
@@ -65,7 +67,14 @@ async def outcome(request: Request) -> Response:
     found = run_of(request)
     state = await panel_of(request).followers.state(found.folder)
     told = await run_in_threadpool(_outcome, request, found, state)
-    return page(request, "outcome.html.j2", run=found, state=state, outcome=told)
+    return page(
+        request,
+        "outcome.html.j2",
+        run=found,
+        state=state,
+        outcome=told,
+        next_unit=next_unit(panel_of(request)),
+    )
 
 
 def _outcome(request: Request, run: Run, state: Mapping[str, Any]) -> Outcome:
@@ -127,7 +136,7 @@ def checked(asked: AskedPrompt | None, prompt_id: str, text: str) -> dict[str, s
     Raises `Refusal` (409) if the question is no longer open.
     """
     if asked is None or asked.prompt.id != prompt_id:
-        raise Refusal(409, message("this question does not stand any more"))
+        raise Refusal(409, "this question is closed; load the page again")
     return {
         "problem": problem_with_answer(asked.prompt, text),
         "understood": understood_answer(asked.prompt, text),
@@ -147,12 +156,10 @@ async def answer(request: Request) -> Response:
     await _doing(require_holder, run.folder, person)
     prompt_id, text = sent.get("id", ""), sent.get("text", "")
     if len(text) > LONGEST:
-        raise Refusal(413, message(f"an answer has at most {LONGEST} characters"))
+        raise Refusal(413, f"shorten the answer to at most {LONGEST} characters")
     asked = await panel_of(request).followers.prompt(run.folder)
     if asked is None or asked.prompt.id != prompt_id:
-        raise Refusal(
-            409, message("this question does not stand any more: it was answered, or another is asked")
-        )
+        raise Refusal(409, "this question is closed: it was answered, or another one is open")
     if problem := problem_with_answer(asked.prompt, text):
         raise Refusal(422, problem)
     await _doing(leave_answer, run.folder, LeftAnswer(prompt_id, text, _who(person)))
@@ -167,7 +174,7 @@ async def wish(request: Request) -> Response:
     if word != STOP:
         await _doing(require_holder, run.folder, person)
     if len(reason) > LONGEST_REASON:
-        raise Refusal(413, message(f"a reason has at most {LONGEST_REASON} characters"))
+        raise Refusal(413, f"shorten the reason to at most {LONGEST_REASON} characters")
     try:
         asked = parse_wish(f"{word} {reason}")
     except ValueError as mistake:
@@ -175,9 +182,9 @@ async def wish(request: Request) -> Response:
     if not await _doing(is_being_written, run.folder):
         if asked.wish is Wish.ABORT:
             return await _given_up(request, run, person)
-        raise Refusal(409, message("nobody is carrying out this run"))
+        raise Refusal(409, "no program is carrying out this run")
     await _doing(leave_wish, run.folder, RunControl(asked.wish, asked.reason, who=_who(person)))
-    return _done(request, run, message(f"{asked.wish} is asked for"))
+    return _done(request, run, f"{asked.wish} was sent")
 
 
 async def control(request: Request) -> Response:
@@ -196,7 +203,7 @@ async def resume(request: Request) -> Response:
     run = panel_of(request).runs.run(request.path_params["name"])
     await _doing(_hold, run, person)
     await _doing(resume_run, run)
-    return _done(request, run, message("it goes on"))
+    return _done(request, run, "it continues")
 
 
 async def give_up(request: Request) -> Response:

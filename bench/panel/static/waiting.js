@@ -1,5 +1,5 @@
 "use strict";
-// A page that waits for a process: it is asked for again until it waits no more, and shown anew only then.
+// A page that waits for a process: it is fetched again until the process ends, and only then shown again.
 (function () {
   const waiting = document.querySelector("[data-waiting]");
   if (!waiting) return;
