@@ -10,6 +10,7 @@ import numpy as np
 from scipy import special
 
 from bench.base.arrays import ARCSEC, CHANNELS, HOUR, Floats, Ints, rms
+from bench.base.languages import message
 from bench.base.numbers import scale_for
 from bench.calibration.design import Problem
 from bench.calibration.gls import Fit, finish
@@ -362,10 +363,10 @@ DISAGREES_P: Final = 0.05
 """P-value below which a contradiction to the stated noise is reported: few readings seldom show one."""
 
 _SHARED_BY: Final = {
-    "setting": "the readings at a setting (installation and point) in all passes",
-    ANGLE: "the readings at a setting (installation and point) in all passes",
-    "visit": "the readings of one stay at a setting",
-    "pass": "the readings of one pass",
+    "setting": message("the readings at a setting (installation and point) in all passes"),
+    ANGLE: message("the readings at a setting (installation and point) in all passes"),
+    "visit": message("the readings of one stay at a setting"),
+    "pass": message("the readings of one pass"),
 }
 
 
@@ -406,7 +407,7 @@ def note_on_prior(noise: Noise, unit: str) -> tuple[str, ...]:
 def _on_prior(prior: NoisePrior, unit: str) -> str:
     where = "the bench file states" if prior.stated else "other runs gave"
     scale = scale_for(prior.reading, unit)
-    rests = (
+    rests = message(
         f"u rests on the sizes of the noise that {where} (reading {prior.reading / scale.size:.3g} {scale.unit}, "
         f"setting {prior.setting_rad / ARCSEC:.2g} arcsec, {prior.dof:.2g} degrees of freedom)"
     )
@@ -422,7 +423,7 @@ def _on_components(components: Sequence[Component], unit: str) -> Iterator[str]:
     for what in dict.fromkeys(c.what for c in components):
         own = [c for c in components if c.what == what]
         if what == ANGLE:
-            sizes = f"{own[0].size / ARCSEC:.2g} arcsec of the head"
+            sizes = message(f"{own[0].size / ARCSEC:.2g} arcsec of the head")
         elif own[0].channels == "all":
             sizes = f"{own[0].size:.2g} {unit}"
         else:

@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 
 from bench.base.arrays import ARCSEC, Floats
+from bench.base.languages import message
 from bench.calibration.design import FIXED, SYMBOLS, FreeRows, Problem, StandUnknown
 from bench.calibration.free import modulus_rows
 from bench.calibration.result import CalibrationError
@@ -64,19 +65,23 @@ class Direction:
     def text(self, unit: str = "V") -> str:
         """Return the direction in words; `unit` is the unit of the signals."""
         if self.kind is DirectionKind.TURN and not self.others:
-            return f"{self.kind} about {axis_in_words(self.axis)}: {self._changed(unit)}"
+            return message(f"{self.kind} about {axis_in_words(self.axis)}: {self._changed(unit)}")
         if self.kind is DirectionKind.UNSEEN or not self.others:
             return f"{', '.join(self.others or self.coefficients)}: {self.kind}"
         if self.kind is DirectionKind.ALIKE:
             return f"{self._shown()}; {self.kind}"
         if self.kind is DirectionKind.TURN:
-            return f"{self.kind} about {axis_in_words(self.axis)} ({self._shown()}): {self._changed(unit)}"
+            return message(
+                f"{self.kind} about {axis_in_words(self.axis)} ({self._shown()}): {self._changed(unit)}"
+            )
         return f"{self._together()}: {self.kind}: {self._changed(unit)}"
 
     def _shown(self) -> str:
         names = self.others
         return (
-            f"of {names[0]} and {names[1]} only the {self.only} is shown" if self.only else self._together()
+            message(f"of {names[0]} and {names[1]} only the {self.only} is shown")
+            if self.only
+            else self._together()
         )
 
     def _together(self) -> str:
@@ -87,18 +92,23 @@ class Direction:
             f"{self.members[name] / self.members[names[0]]:.2g}" for name in names[:_MOST_NAMED]
         )
         more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
-        return f"{', '.join(names[:_MOST_NAMED])} as ({ratios}){more}"
+        return message(f"{', '.join(names[:_MOST_NAMED])} as ({ratios}){more}")
 
     def _changed(self, unit: str) -> str:
         """Return the changes of coefficients in words, per arcsecond if the first member is an angle."""
         angle = self.kind is DirectionKind.TURN or self.others[0].startswith(("alpha", "mounting"))
-        size, per = (ARCSEC, "1 arcsec") if angle else (1.0, f"1 of {self.others[0]} (SI)")
+        size = ARCSEC if angle else 1.0
         micro, shown_unit = (1e6, "µV") if unit == "V" else (1.0, unit)
         changes = (
-            f"{self.members[name] * size * micro:+.3g} {shown_unit}{'' if name[0] == 'U' else '/g'} in {name}"
+            message(
+                f"{self.members[name] * size * micro:+.3g} {shown_unit}{'' if name[0] == 'U' else '/g'} in {name}"
+            )
             for name in self.coefficients[:_MOST_NAMED]
         )
-        return f"{per} is {', '.join(changes)}"
+        joined = ", ".join(changes)
+        return (
+            message(f"1 arcsec is {joined}") if angle else message(f"1 of {self.others[0]} (SI) is {joined}")
+        )
 
 
 class _Directions:
@@ -458,10 +468,10 @@ def _absent(
         largest = float(np.max(np.abs(change)))
         changed = [j for j in np.argsort(-np.abs(change)) if abs(change[j]) > max(MATTERS * largest, 1e-15)]
         if changed:
-            where = f"one of the {len(own)} mountings" if len(own) > 1 else ""
+            where = message(f"one of the {len(own)} mountings") if len(own) > 1 else ""
             where = f"{where} in installation {installation}".strip().removeprefix("in ")
             what = ", ".join(f"{_small(change[j], unit)}/g into {COEFFICIENTS[j]}" for j in changed[:3])
-            parts.append(f"1 arcsec in {where} puts {what}")
+            parts.append(message(f"1 arcsec in {where} puts {what}"))
     return (
         f"{name} ({SYMBOLS[name]}, the third mounting angle) is assumed zero and "
         f"{_shown(columns, oriented.shape[1], block, name)}: "
@@ -475,9 +485,9 @@ def _shown(columns: Sensitivities, oriented: int, block: Block, name: str) -> st
     The first `oriented` rows of `columns` are signals, the rows after them moduli.
     """
     if _is_hidden(columns, block, name):
-        return "nothing in these readings shows it"
+        return message("nothing in these readings shows it")
     if not _is_hidden(Sensitivities(columns.rows[:oriented], columns.names), block, name):
-        return "these readings would show it if the bench file stated its size"
+        return message("these readings would show it if the bench file stated its size")
     pairs = [
         f"the {d.only} of {' and '.join(sorted(d.others))}"
         for d in columns.observability(block).directions
@@ -507,7 +517,7 @@ def _together(names: list[str]) -> str:
         return ", ".join(names)
     symbols = dict.fromkeys(name.partition("[")[0] for name in names)
     mountings = dict.fromkeys(name.partition("[")[2] for name in names)
-    return f"{', '.join(symbols)} of {len(mountings)} mountings"
+    return message(f"{', '.join(symbols)} of {len(mountings)} mountings")
 
 
 def _undetermined(found: Observability, unit: str) -> list[str]:

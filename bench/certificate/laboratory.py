@@ -17,6 +17,7 @@ from typing import Annotated, Any, Final, Literal
 import yaml
 from pydantic import BeforeValidator, Field, PrivateAttr, field_validator, model_validator
 
+from bench.base.languages import ENGLISH, known_language, local_number, speaking
 from bench.base.yaml_files import (
     Document,
     FileModel,
@@ -53,13 +54,16 @@ class Texts:
 
     def say(self, key: str, **values: object) -> str:
         """Return a text with its blanks filled. Raises `KeyError` for an unknown key or a blank with no value."""
-        return _BLANK.sub(lambda blank: str(values[blank[1]]), self.entries[key])
+        with speaking(known_language(self.language) or ENGLISH):
+            return _BLANK.sub(lambda blank: local_number(str(values[blank[1]])), self.entries[key])
 
 
 @cache
 def texts_of(language: str) -> Texts:
-    """Return the texts of a language of `LANGUAGES`."""
-    return Texts(language, {key: str(words[language]).strip() for key, words in _WORDS.items()})
+    """Return the texts of a language of `LANGUAGES`; one that is missing is English."""
+    return Texts(
+        language, {key: str(words.get(language, words["en"])).strip() for key, words in _WORDS.items()}
+    )
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from importlib.resources import files
 from typing import Any, Final
 
 from bench.base.files import MEGABYTE, read_regular
+from bench.base.languages import ENGLISH, known_language, local_number, speaking
 from bench.base.numbers import rounded, uncertainty
 from bench.certificate import proof
 from bench.certificate.content import Attached, Certificate, day_of
@@ -40,7 +41,15 @@ def attachments_of(certificate: Certificate, dcc: bytes) -> tuple[Attached, ...]
 
 
 def data_of(certificate: Certificate, dcc: bytes) -> dict[str, Any]:
-    """Return the input data of the page template. Raises `Refused` for a logo that is not a picture."""
+    """Return the input data of the page template. Raises `Refused` for a logo that is not a picture.
+
+    Numbers, figures and what the program says otherwise than by `words.yaml` are in the main language.
+    """
+    with speaking(known_language(certificate.texts[0].language) or ENGLISH):
+        return _data_of(certificate, dcc)
+
+
+def _data_of(certificate: Certificate, dcc: bytes) -> dict[str, Any]:
     write = Writer(certificate)
     laboratory, issue = certificate.laboratory, certificate.issue
     title = write.say("title")
@@ -149,7 +158,9 @@ def _matrix(certificate: Certificate, write: Writer) -> Block:
         for name in (*(f"K{channel}{axis}" for axis in "xyz"), f"U0{channel}"):
             value = values[name]
             exact = value.value == 0.0 and value.U == 0.0
-            cells.append("0" if exact else f"{rounded(value.value, value.U)} ± {uncertainty(value.U)}")
+            cells.append(
+                "0" if exact else local_number(f"{rounded(value.value, value.U)} ± {uncertainty(value.U)}")
+            )
         rows.append(cells)
     units = [values["Kxx"].unit] * 3 + [values["U0x"].unit]
     columns = [{"symbol": "K", "index": f"·{axis}"} for axis in "xyz"] + [{"symbol": "U", "index": "0"}]

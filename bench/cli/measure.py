@@ -7,6 +7,7 @@ from dataclasses import replace
 from itertools import count
 from typing import TYPE_CHECKING
 
+from bench.base.languages import message
 from bench.cli import printing
 from bench.cli.options import JsonOption, app, requested
 from bench.services.errors import Refused
@@ -199,7 +200,7 @@ def _agreed(proposal: Proposal, out: Console) -> bool:
     prompt = Prompt(
         id="follow",
         kind=PromptKind.CONFIRM,
-        text=f"Carry out {proposal.procedure.name} now (about {proposal.minutes:.0f} min)?",
+        text=message(f"Carry out {proposal.procedure.name} now (about {proposal.minutes:.0f} min)?"),
         action={"do": "answer"},
     )
     try:

@@ -11,6 +11,7 @@ from typing import Final
 import numpy as np
 
 from bench.base.arrays import CHANNELS, Floats, Ints, Mask
+from bench.base.languages import message
 from bench.config.bench_file.file import BenchFile
 from bench.diagnosis.linear import MODULUS, LinearSystem
 from bench.diagnosis.noise_grid import Whitener
@@ -516,13 +517,15 @@ class KnownBench:
 
         The ranges in the record take precedence over the bench file.
         """
-        fixed, said = self.fixed_ranges, "the bench file has fixed ranges"
+        fixed, said = self.fixed_ranges, message("the bench file has fixed ranges")
         recorded = {str(text).strip() for text in readings.extra.get("range_v", ())} - {""}
         if recorded:
             fixed, said = len(recorded) == 1, "all readings were taken on one range"
         why = {
             "range_offset": said if fixed else "",
-            "channel_crosstalk": "each channel has a voltmeter of its own" if self.own_meters else "",
+            "channel_crosstalk": message("each channel has a voltmeter of its own")
+            if self.own_meters
+            else "",
             "meters_exchanged": "one voltmeter reads all channels" if self.own_meters is False else "",
             "backlash": "the head's scale sits on the axis itself" if self.scale_on_axis else "",
             **dict.fromkeys(OF_METER_WARMTH, "" if meter_c(readings.extra) is not None else NO_METER_C),

@@ -24,6 +24,7 @@ from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from bench.base.files import from_text, read_regular, to_text, write_whole
+from bench.base.languages import known_language, message, speaking
 from bench.base.text import visible
 from bench.run.events import RecordError
 from drivers.clock import utc_now
@@ -167,14 +168,15 @@ class Gate:
             await self._refuse(Request(scope), refusal)(scope, receive, with_headers)
             return
         taken = counted(receive) if scope["method"] == "POST" else without_body(receive)
-        await self._app(scope, taken, with_headers)
+        with speaking(_language_of(Request(scope))):
+            await self._app(scope, taken, with_headers)
 
     def _refused(self, scope: Scope) -> Refusal | None:
         """Return the refusal of a request by its headers; None if it may pass."""
         headers = Headers(scope=scope)
         host = headers.get("host", "")
         if len(headers.getlist("host")) > 1 or not self._settings.allows_host(host):
-            return Refusal(403, f"this panel is at {self._settings.url}")
+            return Refusal(403, message(f"this panel is at {self._settings.url}"))
         if scope["method"] not in METHODS:
             return Refusal(405, "the panel accepts GET and POST only; use its pages")
         if scope["method"] == "POST" and not self._settings.allows_origin(headers.get("origin", ""), host):
@@ -187,14 +189,25 @@ class Gate:
         return None
 
 
+LANGUAGE: Final = "bench-language"
+"""The cookie with the language that a person chose; without it the browser's languages count."""
+
+
+def _language_of(request: Request) -> str | None:
+    """Return the first known language of the cookie and of Accept-Language; None leaves that of the program."""
+    accepted = request.headers.get("accept-language", "")[:200].split(",")
+    wanted = [request.cookies.get(LANGUAGE, ""), *(one.partition(";")[0] for one in accepted)]
+    return next(filter(None, map(known_language, wanted)), None)
+
+
 def counted(receive: Receive) -> Receive:
     """Return an ASGI `receive` that raises `Refusal` (413) for a body over `LARGEST_BODY` bytes."""
     taken = 0
 
     async def bounded() -> Message:
         nonlocal taken
-        message = await receive()
-        taken += len(message.get("body", b""))
+        received = await receive()
+        taken += len(received.get("body", b""))
         if taken > LARGEST_BODY:
             raise Refusal(413, f"at most {LARGEST_BODY} bytes are accepted; send less")
         return message
@@ -209,8 +222,8 @@ def without_body(receive: Receive) -> Receive:
     """
 
     async def dropped() -> Message:
-        message = await receive()
-        return {**message, "body": b""} if message["type"] == "http.request" else message
+        got = await receive()
+        return {**got, "body": b""} if got["type"] == "http.request" else got
 
     return dropped
 
@@ -226,7 +239,7 @@ def private_folder(folder: Path) -> Path:
             folder.chmod(0o700)
     except OSError as error:
         raise RecordError(
-            f"{folder}: cannot be used ({error.strerror}); choose another folder of runs"
+            message(f"{folder}: cannot be used ({error.strerror}); choose another folder of runs")
         ) from error
     return folder
 
@@ -331,7 +344,7 @@ class Access:
             kept = [row for row in rows if row["name"] != name]
             if len(kept) == len(rows):
                 there = ", ".join(str(row["name"]) for row in rows) or "none"
-                raise RecordError(f"{name}: has no token; there are tokens of: {there}")
+                raise RecordError(message(f"{name}: has no token; there are tokens of: {there}"))
             rows[:] = kept
 
     # --- one-time links -----------------------------------------------------------------------------

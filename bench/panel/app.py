@@ -47,6 +47,7 @@ ROUTES = [
     Route("/sign-in", sign_in.sign_in, methods=["GET"]),
     Route("/sign-in", sign_in.signed_in, methods=["POST"]),
     Route("/sign-out", sign_in.sign_out, methods=["POST"]),
+    Route("/language/{name}", sign_in.choose_language),
     Route("/static/{hash}/{name}", send_asset),
     Route("/start", start.form, methods=["GET"]),
     Route("/start", start.check, methods=["POST"]),

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from bench.base.files import open_regular, read_json
+from bench.base.languages import message
 from bench.certificate.laboratory import load_laboratory
 from bench.certificate.register import Register
 from bench.panel.access import Refusal
@@ -141,7 +142,7 @@ def _head_of(run: Run) -> str:
         return ""
 
 
-UNREAD: Final = "not read yet"
+UNREAD: Final = message("not read yet")
 LONGEST_LOOK_S: Final = 0.1
 """Longest time (s) that a page spends on reading runs; rows of the others show only their manifests."""
 TAIL: Final = 65_536

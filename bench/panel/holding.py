@@ -17,6 +17,7 @@ from typing import Any, Final
 
 from filelock import FileLock
 
+from bench.base.languages import message
 from bench.base.text import in_json
 from bench.panel.access import Person, Refusal, Role
 from drivers.clock import utc_now
@@ -138,7 +139,7 @@ def change(
     allowed, `OSError` if the journal cannot be written.
     """
     if word not in WORDS:
-        raise Refusal(400, f"ask for one of {', '.join(WORDS)}")
+        raise Refusal(400, message(f"ask for one of {', '.join(WORDS)}"))
     path = folder / JOURNAL
     with FileLock(folder / f".{JOURNAL}.lock", mode=0o600):
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o644)
@@ -168,7 +169,7 @@ def _checked(holding: Holding, word: str, person: Person, to: str) -> str:
         case "take" | "ask" | "force" if holds:
             raise Refusal(409, f"{person.name} is already in control; ask for control")
         case "take" if holding.holder:
-            raise Refusal(409, f"{holding.holder} is in control; ask for it")
+            raise Refusal(409, message(f"{holding.holder} is in control; ask for it"))
         case "ask" if not holding.holder:
             raise Refusal(409, "nobody is in control; take control first")
         case "ask" if len(holding.asking) >= MOST_ASKING:
@@ -195,4 +196,6 @@ def require_holder(folder: Path, person: Person) -> None:
     person.require(Role.OPERATOR)
     holder = read_holding(folder).holder
     if holder != person.name:
-        raise Refusal(403, f"{holder or 'nobody'} is in control; {'ask for' if holder else 'take'} it first")
+        raise Refusal(
+            403, message(f"{holder or 'nobody'} is in control; {'ask for' if holder else 'take'} it first")
+        )

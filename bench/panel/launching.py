@@ -17,6 +17,7 @@ from typing import Any, Final
 from filelock import FileLock, Timeout
 
 from bench.base.files import from_text, open_regular, read_regular, to_text, write_whole
+from bench.base.languages import message
 from bench.base.requests import fields_of
 from bench.base.text import visible
 from bench.base.yaml_files import FileMistakes
@@ -247,7 +248,7 @@ class Wishes:
         before.sort(key=lambda one: one.stat().st_mtime)
         idle = [one for one in before if not WishFolder(one).at_work()]
         if len(before) - len(idle) >= MOST_AT_ONCE:
-            raise Refusal(429, "two runs are being tried already; wait until one is done")
+            raise Refusal(429, message("two runs are being tried already; wait until one is done"))
         for old in idle[: max(len(before) - MOST_KEPT + 1, 0)]:
             shutil.rmtree(old, ignore_errors=True)
         wish = WishFolder(self._folder / secrets.token_hex(6))
@@ -323,7 +324,7 @@ def resume_run(run: Run) -> None:
     Raises `Refusal` if a program is carrying out the run, or if the process ends before it has begun.
     """
     if is_being_written(run.folder):
-        raise Refusal(409, "a program is carrying out this run now")
+        raise Refusal(409, message("a program is carrying out this run now"))
     started = start(
         ["resume", str(run.folder.absolute()), f"--runs={_runs(run)}", f"--answers={ANSWERS}"], _output(run)
     )

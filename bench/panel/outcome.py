@@ -85,9 +85,9 @@ def outcome_of(run: Run, runs: RunsFolder, *, alive: bool, finished: bool) -> Ou
 def _misfit(found: Results) -> str:
     """Return the reason to diagnose a run: readings that the model does not fit, or a verdict that is no pass."""
     if found.calibration is not None and not found.calibration.fits:
-        return "The model does not fit the readings. The diagnosis looks for the missing effect."
+        return message("The model does not fit the readings. The diagnosis looks for the missing effect.")
     if found.verdict is not None and not found.verdict.passed:
-        return "The block did not pass. The diagnosis looks for the cause."
+        return message("The block did not pass. The diagnosis looks for the cause.")
     return ""
 
 
@@ -105,7 +105,9 @@ def _change(run: Run, runs: RunsFolder) -> Change | None:
         files = tuple(str(one.folder / CALIBRATE) for one in (previous, run))
         found = compare_result(compared(Compare(files)).found, ())
     except (Refused, ValueError, KeyError, OSError) as error:
-        return Change(previous.name, f"The two calibrations cannot be compared: {error}", changed=False)
+        return Change(
+            previous.name, message(f"The two calibrations cannot be compared: {error}"), changed=False
+        )
     (later,) = found.compared
     rows = sorted(later.intrinsic.values.items(), key=lambda one: one[1].p_all_looks)
     listed = tuple(_row(name, one.difference, 2 * one.u, found.unit) for name, one in rows if one.changed)
@@ -189,6 +191,8 @@ def picture_of(verdict: VerdictTold) -> Picture:
             )
             for i, row in enumerate(verdict.rows)
         ),
-        label=f"Δg ± U at {len(verdict.rows)} verification points, with the limits ±{verdict.limit} "
-        f"{verdict.unit}; worst |Δg| {verdict.worst} ± {verdict.expanded} {verdict.unit}",
+        label=message(
+            f"Δg ± U at {len(verdict.rows)} verification points, with the limits ±{verdict.limit} "
+            f"{verdict.unit}; worst |Δg| {verdict.worst} ± {verdict.expanded} {verdict.unit}"
+        ),
     )

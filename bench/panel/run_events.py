@@ -11,6 +11,7 @@ from typing import Final
 
 from bench.base.computing import uncollected
 from bench.base.files import open_regular
+from bench.base.languages import message
 from bench.config.procedure.plan import Mount, Plan, Read, SetTemperature, Settle, Step, Turn, Wait
 from bench.readings.reading import Reading
 from bench.run.events import (
@@ -222,7 +223,9 @@ class Tail:
             with open_regular(self._path) as file, uncollected():
                 size = file.seek(0, SEEK_END)
                 if size < self._read:
-                    raise RecordError(f"{self._path}: is shorter than it was; another program changed it")
+                    raise RecordError(
+                        message(f"{self._path}: is shorter than it was; another program changed it")
+                    )
                 file.seek(self._read)
                 for line in file:
                     if not line.endswith(b"\n"):

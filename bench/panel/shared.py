@@ -19,7 +19,9 @@ from starlette.responses import HTMLResponse, JSONResponse, RedirectResponse, Re
 
 from bench.base.computing import missing
 from bench.base.files import from_text
+from bench.base.languages import ENGLISH, LANGUAGES, language, message, texts_for_scripts
 from bench.base.numbers import typeset
+from bench.base.template_texts import environment_for
 from bench.base.text import bounded, visible
 from bench.panel.access import STATE, Access, Person, Refusal, Role, Settings
 from bench.panel.folder import Certificates, RunsFolder, RunsTable
@@ -69,7 +71,7 @@ def looking(request: Request) -> Person:
     """Return the signed-in person who requests a page. Raises `Refusal` for a stranger."""
     person = person_of(request)
     if person is None:
-        raise Refusal(401, "sign in first")
+        raise Refusal(401, message("sign in first"))
     return person
 
 
@@ -117,6 +119,8 @@ REPORT_STYLE: Final = "report.css"
 ASSETS: Final = {
     REPORT_STYLE: "text/css; charset=utf-8",
     "panel.css": "text/css; charset=utf-8",
+    "texts.js": "text/javascript; charset=utf-8",
+    **{f"texts-{name}.js": "text/javascript; charset=utf-8" for name in LANGUAGES if name != ENGLISH},
     "panel.js": "text/javascript; charset=utf-8",
     "bench.js": "text/javascript; charset=utf-8",
     "fresh.js": "text/javascript; charset=utf-8",
@@ -138,6 +142,8 @@ def read_asset(name: str) -> bytes:
         raise KeyError(name)
     if name == REPORT_STYLE:
         return (files("bench.results") / "templates" / "style.css.j2").read_bytes()
+    if name.startswith("texts-"):
+        return texts_for_scripts(name.removeprefix("texts-").removesuffix(".js")).encode()
     return (files("bench.panel") / "static" / name).read_bytes()
 
 
@@ -148,8 +154,9 @@ def asset(name: str) -> str:
 
 
 @cache
-def _environment() -> Environment:
-    environment = Environment(
+def _environment(name: str = ENGLISH) -> Environment:
+    environment = environment_for(
+        name,
         loader=PackageLoader("bench.panel", "templates"),
         autoescape=True,
         undefined=StrictUndefined,
@@ -175,7 +182,7 @@ def rendered(name: str, **content: Any) -> str:
 
     A variable missing from `content` is an error.
     """
-    return visible(_environment().get_template(name).render(**content))
+    return visible(_environment(language()).get_template(name).render(**content))
 
 
 KEPT = {"cache-control": "public, max-age=31536000, immutable"}

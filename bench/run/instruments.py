@@ -6,6 +6,7 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
+from bench.base.languages import message
 from bench.base.text import listed
 from bench.run.events import EventType
 from bench.run.person import RunControl, Stopped, agree
@@ -87,7 +88,7 @@ def agree_to_others(person: Person, before: Mapping[str, str], now: Mapping[str,
     Raises `BenchError` if the person disagrees.
     """
     changed = [
-        f"{name} was {identity} and is now {now.get(name, 'gone')}"
+        message(f"{name} was {identity} and is now {now.get(name, 'gone')}")
         for name, identity in before.items()
         if now.get(name) != identity
     ]

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, Final, Protocol
 
 from bench.base.files import open_regular
+from bench.base.languages import ENGLISH, language, message, translated
 from bench.base.numbers import read_number
 from bench.base.text import in_json, shortened
 from bench.config.procedure.plan import Mount
@@ -193,7 +194,7 @@ LONGEST: Final = 4000
 
 YES: Final = frozenset({"y", "yes", "ok", "done"})
 NO: Final = frozenset({"n", "no"})
-REASON: Final = "REASON"
+REASON: Final = message("REASON")
 """Placeholder at the end of a choice for the person's own words: "go on REASON"."""
 
 # --- answers left in a run's folder ------------------------------------------------------------------
@@ -270,6 +271,29 @@ def _read_answer(line: bytes, number: int) -> LeftAnswer:
         beginning = line[:100].decode("utf-8", "backslashreplace").strip()
         flaw = f"line {number} of {ANSWERS} is not an answer"
         return LeftAnswer("", beginning, WishAuthor(where="panel"), number, flaw)
+
+
+_WORDS: Final = {message("yes"): "yes", message("done"): "yes", message("no"): "no"}
+
+
+def in_english(prompt: Prompt, typed: str) -> str:
+    """Return an answer typed in the language of views as a record states it: так → yes, a choice by its name."""
+    given = " ".join(typed.split()).lower()
+    if language() == ENGLISH or not given:
+        return typed
+    if prompt.kind is PromptKind.CONFIRM:
+        return next(
+            (told for word, told in _WORDS.items() if given in (translated(word), translated(word)[0])), typed
+        )
+    for choice in prompt.choices:
+        shown = translated(choice).lower()
+        if given == shown:
+            return choice
+        if choice.endswith(REASON) and given.startswith(
+            start := shown.removesuffix(translated(REASON).lower())
+        ):
+            return choice.removesuffix(REASON) + " ".join(typed.split())[len(start) :]
+    return typed
 
 
 # --- the open prompt ---------------------------------------------------------------------------------
@@ -362,7 +386,7 @@ def problem_with_answer(prompt: Prompt, text: str) -> str:
         return str(trouble).rstrip(".")
     match prompt.kind:
         case PromptKind.CONFIRM:
-            return "" if given.lower() in YES | NO else f"answer yes or no, not {given!r}"
+            return "" if given.lower() in YES | NO else message(f"answer yes or no, not {given!r}")
         case PromptKind.CHOOSE:
             return _problem_with_choice(prompt, given)
         case PromptKind.NUMBER:
@@ -430,7 +454,7 @@ def _problem_with_choice(prompt: Prompt, given: str) -> str:
         if words.lower().startswith(beginning) and reason:
             return f"give the reason instead of {REASON}" if reason == REASON else ""
     fits = words.lower() in prompt.choices if open_ended else given in prompt.choices
-    return "" if fits else f"choose one of {', '.join(prompt.choices)}, not {given!r}"
+    return "" if fits else message(f"choose one of {', '.join(prompt.choices)}, not {given!r}")
 
 
 def _problem_with_number(prompt: Prompt, given: str) -> str:
@@ -446,15 +470,15 @@ def _number(given: str, unit: str) -> float:
         return read_number(given.replace(",", ".").removesuffix(unit).strip())
     except ValueError:
         raise ValueError(
-            f"a number{' in ' + unit if unit else ''} is wanted, not {shortened(given)!r}"
+            message(f"a number{' in ' + unit if unit else ''} is wanted, not {shortened(given)!r}")
         ) from None
 
 
 def _between(prompt: Prompt, value: float) -> float:
     if prompt.minimum is not None and value < prompt.minimum:
-        raise ValueError(f"{value:g} is below the least, {prompt.minimum:g} {prompt.unit}".rstrip())
+        raise ValueError(message(f"{value:g} is below the least, {prompt.minimum:g} {prompt.unit}").rstrip())
     if prompt.maximum is not None and value > prompt.maximum:
-        raise ValueError(f"{value:g} is above the most, {prompt.maximum:g} {prompt.unit}".rstrip())
+        raise ValueError(message(f"{value:g} is above the most, {prompt.maximum:g} {prompt.unit}").rstrip())
     if not math.isfinite(value):
         raise ValueError("type a number")
     return value
@@ -480,7 +504,7 @@ def ask(person: Person, prompt: Prompt) -> str:
         put = replace(prompt, id=f"{prompt.id}#{attempt}", text=text)
         answer = person.ask(put)
         given = answer.text.strip() or (prompt.default or "")
-        problem = "the answer belongs to an earlier question" if answer.prompt_id != put.id else ""
+        problem = message("the answer belongs to an earlier question") if answer.prompt_id != put.id else ""
         problem = problem or problem_with_answer(prompt, given)
         if not problem:
             return given
@@ -494,7 +518,7 @@ def confirm(person: Person, prompt: Prompt) -> None:
     for wait in range(1, MOST_WAITS + 1):
         if ask(person, put).lower() not in NO:
             return
-        text = f"There is no hurry: say yes when it is done. {prompt.text}"
+        text = message(f"There is no hurry: say yes when it is done. {prompt.text}")
         put = replace(prompt, id=f"{prompt.id}#wait{wait}", text=text)
     raise BenchError("operator", f"answered no again and again to: {prompt.text}", "go on when it is done")
 
@@ -506,22 +530,22 @@ def agree(person: Person, prompt: Prompt) -> None:
 
 
 PICTURES: Final[Mapping[str, str]] = {
-    "1": """\
+    "1": message("""\
         z up                 head at 0°, seen from the end of the shaft:
         |   y                the block's z points up, its x lies level to the
         |  /  (shaft)        right, its y lies along the shaft
         | /
-        o------ x""",
-    "2": """\
+        o------ x"""),
+    "2": message("""\
         y up                 head at 0°, seen from the end of the shaft:
         |   z                the block's y points up, its x lies level to the
         |  /  (shaft)        left, its z lies along the shaft
         | /
-  x ----o""",
+  x ----o"""),
 }
 
 
-UNTOUCHED: Final = "untouched"
+UNTOUCHED: Final = message("untouched")
 
 
 def mount_prompt(step: Mount, *, chamber: bool) -> Prompt:
@@ -529,12 +553,12 @@ def mount_prompt(step: Mount, *, chamber: bool) -> Prompt:
 
     It has no default, so that an accidental Enter confirms nothing. With `chamber`, it asks to close the chamber.
     """
-    close = ", close the chamber" if chamber else ""
-    again = "" if step.series == 1 else f" (visit {step.series})"
+    close = message(", close the chamber") if chamber else ""
+    again = "" if step.series == 1 else message(f" (visit {step.series})")
     return Prompt(
         id=step.key,
         kind=PromptKind.CONFIRM,
-        text=f"Mount the block in installation {step.installation}{again}, clamp it{close}",
+        text=message(f"Mount the block in installation {step.installation}{again}, clamp it{close}"),
         action={"do": "mount", "installation": step.installation, "series": step.series},
         picture=PICTURES.get(step.installation, ""),
     )
@@ -542,9 +566,9 @@ def mount_prompt(step: Mount, *, chamber: bool) -> Prompt:
 
 def untouched_prompt(step: Mount) -> Prompt:
     """Return the prompt asking whether the block is still mounted as it was after `step`."""
-    text = (
+    text = message(
         f"The block was mounted in installation {step.installation}. Is it untouched since? "
         "If not, mount it again now, and say so"
     )
-    choices = (UNTOUCHED, "mounted again")
+    choices = (UNTOUCHED, message("mounted again"))
     return replace(mount_prompt(step, chamber=False), kind=PromptKind.CHOOSE, text=text, choices=choices)

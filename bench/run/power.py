@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Final
 
+from bench.base.languages import message
 from bench.base.text import duration
 from bench.config.bench_file.stand import DriftForm, RailSection, UnitSupplySection
 from bench.config.procedure.plan import SWITCHED_ON, Mount, Plan, Power, Read
@@ -107,7 +108,7 @@ class UnitPower:
                 self.on, self.in_charge, self.on_since_s = True, True, self.clock.now_s()
                 self._told("found on", self.look(key))
                 return
-            otherwise = f"of its rails only {', '.join(on)} is on"
+            otherwise = message(f"of its rails only {', '.join(on)} is on")
         self._ask_about(otherwise, key)
         self.switch_off(key)
         self._switch_on(key)
@@ -272,7 +273,7 @@ class UnitPower:
             prompt = Prompt(
                 id=f"{key}/since",
                 kind=PromptKind.CHOOSE,
-                text="The block was on when the run stopped. Has it been on all the time since?",
+                text=message("The block was on when the run stopped. Has it been on all the time since?"),
                 default=WAS_OFF,
                 choices=(STAYED_ON, WAS_OFF),
                 action={"do": "ask"},

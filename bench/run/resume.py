@@ -8,9 +8,10 @@ from copy import copy
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Final
 
+from bench.base.languages import message
 from bench.config.procedure.plan import Level, Mount, Plan, Read, SetTemperature, Step, Turn
 from bench.run.events import Event, EventType, Wish
-from bench.run.person import MOST_ATTEMPTS, REASON, OpenPrompt, OperatorWish, RunControl, problem_with_answer
+from bench.run.person import MOST_ATTEMPTS, OpenPrompt, OperatorWish, RunControl, problem_with_answer
 from drivers.interfaces import BenchError, NoAnswer
 from drivers.person import Person, Prompt, PromptKind
 
@@ -222,12 +223,12 @@ def _is_of_pass(plan: Plan, turn: int, index: int) -> bool:
 
 GO_ON: Final = "go on"
 ANSWERS: Final = {
-    "redo point": Wish.REPEAT_POINT,
-    "redo pass": Wish.REPEAT_PASS,
-    "mount again": Wish.MOUNT_AGAIN,
+    message("redo point"): Wish.REPEAT_POINT,
+    message("redo pass"): Wish.REPEAT_PASS,
+    message("mount again"): Wish.MOUNT_AGAIN,
 }
 """The answers besides "go on REASON", with the wish that each expresses."""
-AGAIN: Final = "the same reading again after it was redone"
+AGAIN: Final = message("the same reading again after it was redone")
 
 
 def halt_prompt(doubt: Event, *, again: bool = False) -> Prompt:

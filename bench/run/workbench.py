@@ -11,6 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from bench.base.arrays import ARCSEC, CHANNELS
+from bench.base.languages import message
 from bench.config.procedure.plan import (
     Ask,
     Level,
@@ -100,7 +101,9 @@ class Levelling:
             found = self._measured(step, level, attempt)
             if max(abs(found.alpha1_arcsec), abs(found.alpha2_arcsec)) <= step.within_rad / ARCSEC:
                 return found
-            off = f"α1 = {found.alpha1_arcsec:+.1f}″ along the shaft and α2 = {found.alpha2_arcsec:+.1f}″ across it"
+            off = message(
+                f"α1 = {found.alpha1_arcsec:+.1f}″ along the shaft and α2 = {found.alpha2_arcsec:+.1f}″ across it"
+            )
         raise LimitExceeded(
             level.name,
             f"after {MOST_ATTEMPTS} attempts the platform is still off by {off}, more than "
@@ -109,13 +112,13 @@ class Levelling:
         )
 
     def _have_levelled(self, step: Level, attempt: int, off: str) -> None:
-        text = "Level the platform by its screws, along the shaft and across it, and confirm"
+        text = message("Level the platform by its screws, along the shaft and across it, and confirm")
         confirm(
             self.person,
             Prompt(
                 id=f"{step.key}/platform{attempt}",
                 kind=PromptKind.CONFIRM,
-                text=f"It is off by {off}. {text}" if off else text,
+                text=message(f"It is off by {off}. {text}") if off else text,
                 action={
                     "do": "level_platform",
                     "installation": step.installation,
@@ -183,14 +186,16 @@ class Levelling:
         """
         if not level.asks_person:
             how = (
-                "half a turn from its first position" if turned else "in its first position, along the shaft"
+                message("half a turn from its first position")
+                if turned
+                else message("in its first position, along the shaft")
             )
             confirm(
                 self.person,
                 Prompt(
                     id=f"{key}/place",
                     kind=PromptKind.CONFIRM,
-                    text=f"Put the level on the platform {how}, let go of it, and confirm",
+                    text=message(f"Put the level on the platform {how}, let go of it, and confirm"),
                     action={"do": "place_level", "turned": turned},
                 ),
             )
@@ -428,7 +433,7 @@ class Workbench:
         prompt = Prompt(
             id=step.key,
             kind=PromptKind.CONFIRM,
-            text=f"{step.describe().capitalize()} (at the meters' terminals)",
+            text=message(f"{step.describe().capitalize()} (at the meters' terminals)"),
             default="yes",
             action={"do": "select_input", "source": step.source, "reference_v": step.reference_v},
         )

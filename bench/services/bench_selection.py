@@ -10,6 +10,7 @@ from typing import Annotated, Final
 from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
 
 from bench.base.files import MEGABYTE, read_regular, to_text
+from bench.base.languages import message
 from bench.base.text import visible
 from bench.config.bench_file.file import BenchFile, load_bench, load_recorded_bench
 from bench.config.bench_file.learned import LearnedFile, load_learned
@@ -278,8 +279,8 @@ def bench_path(given: str | None) -> Path:
 def why_taken(given: str | None) -> str:
     """Return the reason for the choice that `bench_path` makes."""
     if given:
-        return "as asked for"
-    return "named by BENCH_FILE" if os.environ.get("BENCH_FILE") else _NONE_NAMED
+        return message("as asked for")
+    return message("named by BENCH_FILE") if os.environ.get("BENCH_FILE") else _NONE_NAMED
 
 
 def find_bench_file(given: str | Path | BenchFile | BenchTaken | None) -> BenchTaken:
@@ -344,7 +345,9 @@ def _of_run(run: Run, given: str | BenchFile | None) -> tuple[BenchTaken, tuple[
     path = run.folder / BENCH
     recorded = load_recorded_bench(path)
     chosen = run.manifest.get("bench_why", "")
-    return BenchTaken(recorded, str(path), recorded_sha256(run), "as the run recorded it", chosen), ()
+    return BenchTaken(
+        recorded, str(path), recorded_sha256(run), message("as the run recorded it"), chosen
+    ), ()
 
 
 def own_bench(run: Run) -> tuple[BenchFile, Path]:

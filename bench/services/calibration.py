@@ -12,6 +12,7 @@ from rich.console import Console
 
 from bench.base.arrays import Floats
 from bench.base.files import write_whole
+from bench.base.languages import message
 from bench.base.tables import as_html, as_text
 from bench.calibration.budget.sources import assumed_stand
 from bench.calibration.budget.whole import sign
@@ -438,7 +439,7 @@ def report_page(
     source = result.source
     verdict = verification_of(source, result, asked) if len(source.readings.verification()) else None
     content = ReportContent(
-        title=f"Calibration of {source.block_name or source.name}",
+        title=message(f"Calibration of {source.block_name or source.name}"),
         calibration=result.calibration,
         verification=None if verdict is None else verdict.verification,
         compared=_closed_form(source),

@@ -19,6 +19,7 @@ from rich.console import Console
 
 from bench.base.computing import tracked
 from bench.base.files import cache_folder, write_whole
+from bench.base.languages import message
 from bench.base.tables import as_text
 from bench.base.yaml_files import FileMistakes
 from bench.calibration.result import CalibrationError
@@ -210,7 +211,10 @@ class DiagnosisResult(_WithPage):
         from bench.results.diagnosis_page import render_diagnosis
 
         source = self.source
-        title, limit_g = f"Diagnosis of {source.block_name or source.name}", source.bench.verification_limit_g
+        title, limit_g = (
+            message(f"Diagnosis of {source.block_name or source.name}"),
+            source.bench.verification_limit_g,
+        )
         with knowing_effects_of(source):
             return render_diagnosis(self.found, self.files, title, limit_g, provenance(source))
 
@@ -332,7 +336,7 @@ class FreeDiagnosisResult(_WithPage):
 
     def html(self) -> str:
         """Return the HTML page."""
-        title = f"Diagnosis of {self.source.block_name or free.readings_named(self.found)}"
+        title = message(f"Diagnosis of {self.source.block_name or free.readings_named(self.found)}")
         simulated = any(source.simulated for source in self.body.sources)
         with knowing_effects_of(self.source):
             return free.render_free(

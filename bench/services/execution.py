@@ -17,6 +17,7 @@ from rich.console import Console
 
 from bench.base.computing import quiet, versions
 from bench.base.files import read_regular, to_text, write_whole
+from bench.base.languages import message
 from bench.config.bench_file.file import BenchFile, foreign_drivers, load_bench, missing_drivers
 from bench.config.devices.sections import ControlledChamberForm
 from bench.config.model_file import load_model
@@ -312,7 +313,7 @@ def accept_changes(run: Run, asker: Asker | None, out: Console) -> None:
     for kind, copy in (("procedure", PROCEDURE), ("bench", BENCH)):
         original = Path(str(run.manifest.get(kind)))
         if original.is_file() and read_regular(original) != read_regular(run.folder / copy):
-            changes.append(f"{original} was changed since the run began")
+            changes.append(message(f"{original} was changed since the run began"))
     for change in changes:
         out.print(f"note: {change}; the run continues with the copy in its folder")
     if changes and not run.simulated and asker is not None:

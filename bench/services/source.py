@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from bench.base.computing import versions
+from bench.base.languages import message
 from bench.base.text import civil_minute, repeated, shown_path
 from bench.calibration.budget.meters import KnownMeters
 from bench.calibration.noise import KnownStand
@@ -463,8 +464,8 @@ def provenance(source: Source) -> dict[str, str]:
     run, origin = source.run, source.origin
     stated = {
         "source": shown_path(source.name),
-        "unit under test": source.block_name or "not stated",
-        "bench": f"{source.taken.words} (SHA-256 {source.taken.sha256})",
+        "unit under test": source.block_name or message("not stated"),
+        "bench": message(f"{source.taken.words} (SHA-256 {source.taken.sha256})"),
         "model": source.model.name,
         **source.traced.stated(),
     }
@@ -493,8 +494,8 @@ def _measured(origin: Origin) -> dict[str, str]:
     """Return the recorded date, operator, procedure and instruments of the run, by name, for a report."""
     stated = {"begun": civil_minute(origin.begun), "operator": origin.operator or "not stated"}
     if origin.procedure:
-        stated["procedure"] = f"{shown_path(origin.procedure)} (plan SHA-256 {origin.plan_hash})"
-        stated["instruments"] = "simulated" if origin.simulated else "real"
+        stated["procedure"] = message(f"{shown_path(origin.procedure)} (plan SHA-256 {origin.plan_hash})")
+        stated["instruments"] = message("simulated") if origin.simulated else message("real")
     return stated | origin.instruments
 
 

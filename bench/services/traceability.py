@@ -10,6 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from bench.base.languages import message
 from bench.calibration.budget.meters import KnownMeters, LearnedDifferences, LearnedMeters, known_meters
 from bench.calibration.noise import KnownNoise, KnownStand
 from bench.config.bench_file.file import (
@@ -78,19 +79,23 @@ class Traced:
 
     def stated(self) -> dict[str, str]:
         """Return a description of each certificate for the page, by its instrument."""
-        return {f"certificate of {s.instrument}": _in_words(s, why_not) for s, why_not in self.entries}
+        return {
+            message(f"certificate of {s.instrument}"): _in_words(s, why_not) for s, why_not in self.entries
+        }
 
 
 def _in_words(standing: Standing, why_not: str) -> str:
     certificate, answered = standing.certificate, standing.answered
     until = certificate.valid_until
-    parts = [f"{certificate.number} of {certificate.date}, {certificate.laboratory}"]
+    parts = [message(f"{certificate.number} of {certificate.date}, {certificate.laboratory}")]
     if until is not None:
-        parts.append(f"EXPIRED on {until}" if standing.expired else f"valid until {until}")
+        parts.append(message(f"EXPIRED on {until}") if standing.expired else message(f"valid until {until}"))
     if certificate.serial:
-        said = "not compared" if answered is None else f"{answered or 'none'} answered"
-        parts.append(f"serial number {certificate.serial} ({said})")
-    parts.append(f"nothing corrected: {why_not}" if why_not else f"corrected: {standing.correction}")
+        said = message("not compared") if answered is None else message(f"{answered or 'none'} answered")
+        parts.append(message(f"serial number {certificate.serial} ({said})"))
+    parts.append(
+        message(f"nothing corrected: {why_not}") if why_not else message(f"corrected: {standing.correction}")
+    )
     return "; ".join(parts)
 
 

@@ -10,6 +10,7 @@ from typing import Final, Literal
 import numpy as np
 
 from bench.base.arrays import ARCSEC, CHANNELS, Floats, rms
+from bench.base.languages import message
 from bench.calibration.design import EffectUnknown
 from bench.calibration.noise import KnownNoise, KnownStand
 from bench.config.bench_file.file import BenchFile
@@ -106,7 +107,7 @@ class ErrorSource:
 
 
 MEANS: Final = "stand_means"
-LEARNED: Final = "learned of the bench"
+LEARNED: Final = message("learned of the bench")
 
 
 def learned_sources(

@@ -10,6 +10,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import JSONResponse, RedirectResponse, Response, StreamingResponse
 
+from bench.base.languages import message
 from bench.base.numbers import without_infinity
 from bench.panel.access import Person, Refusal, Role
 from bench.panel.holding import change, read_holding, require_holder
@@ -92,7 +93,7 @@ async def stream(request: Request) -> Response:
     """Send the snapshot of a run at each change, as server-sent events."""
     found, name, streams = run_of(request), looking(request).name, panel_of(request).streams
     if streams[name] >= MOST_STREAMS:
-        raise Refusal(429, f"{name} has {MOST_STREAMS} live pages open; close one")
+        raise Refusal(429, message(f"{name} has {MOST_STREAMS} live pages open; close one"))
     events = panel_of(request).followers.stream(found.folder)
     return StreamingResponse(
         _as_long_as_signed_in(request, events, name),
@@ -217,7 +218,7 @@ async def _given_up(request: Request, run: Run, person: Person) -> Response:
     from bench.services.execution import give_up as end_for_good  # takes long to import
 
     left = await _doing(end_for_good, run, _who(person))
-    return _done(request, run, "; ".join(("ended for good", *left)))
+    return _done(request, run, "; ".join((message("ended for good"), *left)))
 
 
 def _hold(run: Run, person: Person) -> None:
@@ -236,7 +237,7 @@ async def _doing(work: Callable[..., Told], *given: object) -> Told:
     try:
         return await run_in_threadpool(work, *given)
     except OSError as error:
-        raise Refusal(409, f"it cannot be written ({error.strerror}); free the disk") from error
+        raise Refusal(409, message(f"it cannot be written ({error.strerror}); free the disk")) from error
 
 
 def _done(request: Request, run: Run, what: str) -> Response:

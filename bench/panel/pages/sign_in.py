@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import re
 from typing import Final
-from urllib.parse import quote
+from urllib.parse import quote, urlsplit
 
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 
-from bench.panel.access import LONGEST_SESSION, Refusal, Role
+from bench.base.languages import known_language, message
+from bench.panel.access import LANGUAGE, LONGEST_SESSION, Refusal, Role
 from bench.panel.shared import acting, fields, page, panel_of
 
 _HERE: Final = re.compile(r"/(?:[^/\\\s][^\\]*)?")
@@ -57,6 +58,16 @@ async def sign_out(request: Request) -> Response:
     await run_in_threadpool(panel.access.sign_out, person.secret)
     response = RedirectResponse("/sign-in", status_code=303)
     response.delete_cookie(panel.settings.cookie)
+    return response
+
+
+def choose_language(request: Request) -> Response:
+    """Keep the language that a person chose in a cookie, and show the page from which it was chosen again."""
+    response = RedirectResponse(
+        _here(urlsplit(request.headers.get("referer", "/")).path or "/"), status_code=303
+    )
+    if name := known_language(request.path_params["name"]):
+        response.set_cookie(LANGUAGE, name, max_age=int(LONGEST_SESSION.total_seconds()), samesite="lax")
     return response
 
 

@@ -14,6 +14,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 
+from bench.base.languages import message
 from bench.base.requests import fields_of
 from bench.base.text import visible
 from bench.config.shipped import CONFIG, PROCEDURES
@@ -41,7 +42,7 @@ from drivers.clock import utc_now
 
 FORM: Final = ("procedure", "bench", "unit", "operator", "name", "dry_run")
 """The fields of `RunRequest` in the form; label, help and kind come from the request."""
-IN_THE_PANEL: Final = {"dry_run": ("Practice", "Simulated instruments, and you answer.")}
+IN_THE_PANEL: Final = {"dry_run": ("Practice", message("Simulated instruments, and you answer."))}
 """Label and help of fields with another meaning in the panel than at a terminal."""
 FOLDERS: Final = {"procedures": PROCEDURES, "bench_files": CONFIG}
 """The folder of the files to choose from, for fields with these completions (`Option.completes`)."""
@@ -185,7 +186,7 @@ def printable(text: str, name: str) -> str:
     """Return what was typed in a field without outer blanks. Raises `Refusal` (400) if it cannot be printed."""
     text = text.strip()
     if len(text) > LONGEST or (text and not text.isprintable()) or visible(text) != text:
-        raise Refusal(400, f"{name}: at most {LONGEST} characters that can be printed")
+        raise Refusal(400, message(f"{name}: at most {LONGEST} characters that can be printed"))
     return text
 
 

@@ -18,14 +18,14 @@
       const reply = await fetch("/bench/search", { headers: { accept: "application/json" } });
       if (!(await reply.json()).at_work) {
         const typing = document.activeElement && document.activeElement.matches("input, select, textarea");
-        if (searching) searching.textContent = "The search is done.";
+        if (searching) searching.textContent = _("The search is done.");
         if (typing) return;
         if (again) location.reload();
         else form.requestSubmit(form.querySelector("[data-found]"));
         return;
       }
     } catch (error) {
-      if (searching) searching.textContent = "The panel does not answer; it is asked again.";
+      if (searching) searching.textContent = _("The panel does not answer; it is asked again.");
     }
     setTimeout(look, 500);
   }

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from typing import Final
 
 from bench.base.files import cache_folder
+from bench.base.languages import message
 from bench.config.bench_file.file import BenchFile
 from bench.config.procedure.plan import Plan, Read
 from bench.config.procedure.steps import in_scan_order, read_order
@@ -90,7 +91,9 @@ class LivingOperator:
         action = prompt.action
         if action["do"] in _LOOKED_AT:
             seen = self._hands.ask(prompt).text
-            return self._person.ask(replace(prompt, text=f"{prompt.text} (Simulated: it shows {seen}.)"))
+            return self._person.ask(
+                replace(prompt, text=f"{prompt.text} {message(f'(Simulated: it shows {seen}.)')}")
+            )
         answer = self._person.ask(prompt)
         if answer.prompt_id != prompt.id or problem_with_answer(prompt, answer.text):
             return answer  # invalid, so the caller asks again
