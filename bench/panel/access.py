@@ -209,8 +209,8 @@ def counted(receive: Receive) -> Receive:
         received = await receive()
         taken += len(received.get("body", b""))
         if taken > LARGEST_BODY:
-            raise Refusal(413, f"at most {LARGEST_BODY} bytes are accepted; send less")
-        return message
+            raise Refusal(413, message(f"at most {LARGEST_BODY} bytes are accepted; send less"))
+        return received
 
     return bounded
 

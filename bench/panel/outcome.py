@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
+from bench.base.languages import message
 from bench.base.numbers import probability, rounded, uncertainty
 from bench.panel.folder import RunsFolder
 from bench.panel.results import CALIBRATE, Results, VerdictTold, is_plain, results_of

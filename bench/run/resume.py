@@ -11,7 +11,7 @@ from typing import Any, Final
 from bench.base.languages import message
 from bench.config.procedure.plan import Level, Mount, Plan, Read, SetTemperature, Step, Turn
 from bench.run.events import Event, EventType, Wish
-from bench.run.person import MOST_ATTEMPTS, OpenPrompt, OperatorWish, RunControl, problem_with_answer
+from bench.run.person import MOST_ATTEMPTS, REASON, OpenPrompt, OperatorWish, RunControl, problem_with_answer
 from drivers.interfaces import BenchError, NoAnswer
 from drivers.person import Person, Prompt, PromptKind
 
