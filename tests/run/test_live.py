@@ -164,7 +164,7 @@ def prompt(**action):
 
 
 def test_signals_are_moving_until_they_have_rested_for_three_seconds(looking, tmp_path):
-    signals, bench, lines = looking
+    signals, _, lines = looking
     signals.begin(prompt())
     for _ in range(40):
         signals.look()
