@@ -99,12 +99,14 @@ def _shown(panel: Panel) -> dict[str, Any]:
         "number_done": sum(row.run is not None and _is_done(row.run) for row in rows),
         "benches": [
             bench_today(name, list(runs.values()), on.get(name))
-            for name in dict.fromkeys(
-                row.item.bench for row in rows if row.run is None or not _is_done(row.run)
-            )
+            for name in dict.fromkeys(row.item.bench for row in rows if _needs_bench(row))
         ],
         "duty": panel.queue.on_duty(),
     }
+
+
+def _needs_bench(row: QueueRow) -> bool:
+    return not row.item.dry_run and (row.run is None or not _is_done(row.run))
 
 
 def _is_done(run: RunRow) -> bool:
