@@ -211,7 +211,7 @@ def test_a_reading_that_is_not_a_number_is_named(column):
 
 
 def test_an_unknown_estimator_is_refused():
-    with pytest.raises(CalibrationError, match="'best'; there are gls, closed-form, least-squares, robust"):
+    with pytest.raises(CalibrationError, match="'best'; choose from gls, closed-form, least-squares, robust"):
         calibrate(simulate(None, 0.0), MODEL, STAND_U, 9.81, "best")
 
 
@@ -385,7 +385,7 @@ def test_every_command_refuses_another_and_its_help_names_all(bench, readings):
     for command in commands(readings):
         refused(
             bench(*command, "--estimator", "magic"),
-            "no estimator 'magic'; there are gls, closed-form, least-squares, robust, halved",
+            "no estimator 'magic'; choose from gls, closed-form, least-squares, robust, halved",
         )
         _, out, _ = bench(command[0], "--help-all")
         told = " ".join(out.split())
