@@ -198,7 +198,7 @@ def test_no_oriented_reading_is_refused():
 def test_an_installation_that_the_bench_lacks_is_refused():
     readings = simulate(None, 0.0)
     readings.installation[3] = "7"
-    with pytest.raises(CalibrationError, match=r"installation 7 is not known \(known are 1, 2\)"):
+    with pytest.raises(CalibrationError, match=r"installation 7 is unknown \(known are 1, 2\)"):
         calibrate(readings, MODEL, STAND_U, 9.81)
 
 
