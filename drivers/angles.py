@@ -14,6 +14,9 @@ ROUNDING_RAD: Final = 1e-10
 _MARKS: Final = (("°", "°º˚:"), ("′", "′'’´`:"), ("″", '″"”“'))
 """The mark after degrees, minutes and seconds, each with its substitutes on keyboards."""
 
+_DEVIATION: Final = re.compile(r"(?P<sign>[+-])\s*(?P<seconds>[0-9]{1,4}(?:[.,][0-9]+)?)\s*[″\"”“]")
+"""A reading typed as its deviation from the commanded angle, such as `+5"`: sign and mark are needed."""
+
 _PART: Final = re.compile(r"(?P<number>[0-9]+(?P<decimals>\.[0-9]+)?)(?P<mark>\s*[^\s0-9.]*)\s*")
 
 
@@ -62,6 +65,16 @@ def parse_angle(text: str) -> float:
     return math.radians(-degrees if sign == "-" else degrees)
 
 
+def typed_angle(text: str, target_rad: float) -> float:
+    """Return a typed angle in rad; `+5"` or `-12″` is the deviation from `target_rad`. Raises as `parse_angle`."""
+    stripped = text.strip().replace("−", "-").replace("''", "″").replace("′′", "″")
+    match = _DEVIATION.fullmatch(stripped)
+    if match is None:
+        return parse_angle(text)
+    seconds = float(match["seconds"].replace(",", "."))
+    return target_rad + math.radians((-seconds if match["sign"] == "-" else seconds) / 3600.0)
+
+
 def _parts(body: str) -> tuple[float, ...] | None:
     """Return the one to three numbers (degrees, minutes, seconds) of a typed angle, None if it is malformed."""
     numbers: list[float] = []
@@ -92,7 +105,7 @@ def read_angle(text: str, target_rad: float, tolerance_rad: float) -> float:
     if not text.strip():
         raise ValueError("Nothing was typed: read the scale and type what it shows.")
     try:
-        read_rad = parse_angle(text)
+        read_rad = typed_angle(text, target_rad)
     except ValueError as error:
         raise ValueError(f"{error}.") from None
     difference_rad = wrapped_rad(read_rad - target_rad)

@@ -18,7 +18,13 @@ from bench.calibration.free import first_guess_free, triangular
 from bench.calibration.gls import Estimator, WeightingTask
 from bench.calibration.linear import linear_estimate
 from bench.calibration.noise import KnownStand, require_told
-from bench.calibration.observability import GAIN, GRAVITY, assumptions, require_rank
+from bench.calibration.observability import (
+    GAIN,
+    GRAVITY,
+    assumptions,
+    require_rank,
+    unseen_coefficients,
+)
 from bench.calibration.outliers import FittedRows
 from bench.calibration.result import (
     Calibration,
@@ -30,7 +36,7 @@ from bench.calibration.result import (
 )
 from bench.model.forward import ForwardModel
 from bench.model.geometry import STAND_ANGLES, Block
-from bench.readings.table import FREE, VERIFICATION, Readings
+from bench.readings.table import FREE, REFERENCE, VERIFICATION, Readings
 
 ROUNDING: Final = 1e-9
 """Noise below this fraction of the largest signal means computed readings, which have no outliers."""
@@ -122,6 +128,7 @@ def calibrate(
         stand=_stand(problem, fit) if by.weighs_all else {},
         effects=_effects(problem, fit) if by.weighs_all else {},
         assume=partial(_assumed, problem, fit.block, fit.gain, readings.unit),
+        unseen=partial(unseen_coefficients, problem, fit.block),
         free=chosen.free if len(chosen.free) else None,
         modulus_error=fit.modulus,
         outliers=found,
@@ -171,6 +178,11 @@ def usable_rows(readings: Readings, model: ForwardModel) -> Readings:
     Raises `CalibrationError` if there are none, an installation is not in the model, or a value is no number.
     """
     rows = readings.oriented()
+    if len(readings) and np.all(readings.installation == REFERENCE):
+        raise CalibrationError(
+            f"{readings.source}: a record at a known input has no coefficients of a block; 'bench diagnose' gives "
+            "zero, drift and effects of each channel"
+        )
     if len(rows) == 0:
         raise CalibrationError(
             f"{readings.source}: no reading in an installation of known orientation; "

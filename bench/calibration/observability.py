@@ -291,7 +291,7 @@ class Sensitivities:
         return np.asarray(self.rows[:, self.names.index(name)])
 
     def without(self, names: Collection[str]) -> Sensitivities:
-        """Return the columns of the other unknowns."""
+        """Return the sensitivities without the columns of the unknowns `names`."""
         kept = [j for j, name in enumerate(self.names) if name not in names]
         return Sensitivities(self.rows[:, kept], tuple(self.names[j] for j in kept))
 
@@ -422,6 +422,21 @@ def assumptions(problem: Problem, block: Block, gain: Floats, unit: str) -> tupl
 
 _ASSUMED: Final = ("mounting_roll",)
 """Stand angles that every bracket has and that a bench file may leave out."""
+
+
+def unseen_coefficients(problem: Problem, block: Block) -> Floats:
+    """Return changes (12, d) of the coefficients that no reading tells from angles of the stand.
+
+    The third mounting angle counts as unknown, too. Each change has the largest element of K as its size.
+    """
+    if problem.upper:
+        return np.zeros((FIXED, 0))
+    columns = columns_of(with_angles(problem, _ASSUMED), block)
+    length = np.linalg.norm(columns.rows, axis=0)
+    found = columns.observability(block).null / np.where(length > 0, length, np.inf)[:, None]
+    basis, size, _ = np.linalg.svd(found[:FIXED], full_matrices=False)
+    basis = basis[:, size > _IN_SPAN * max(float(size.max(initial=0.0)), 1e-300)]
+    return np.asarray(basis * (np.max(np.abs(block.K)) / np.max(np.abs(basis), axis=0, initial=1e-300)))
 
 
 def _is_unknown(problem: Problem, name: str) -> bool:

@@ -167,7 +167,7 @@ class RecordSeen:
 
     @property
     def proved(self) -> str:
-        """The verified integrity of the record: broken, none, chain (hashes) or read (every event)."""
+        """How far the record was verified: "read" (every event), "chain" (hashes), "none" or "broken"."""
         if self.problem:
             return "broken"
         return ("read" if self.whole else "chain") if self.count else "none"

@@ -18,6 +18,7 @@ from bench.base.text import visible
 from bench.calibration.budget.sources import hidden_sources
 from bench.calibration.budget.whole import dof_through
 from bench.calibration.conformity import DecisionRule
+from bench.calibration.intrinsic import intrinsic_unit
 from bench.calibration.result import INVERSE, MISALIGNMENTS
 from bench.certificate.content import (
     Certificate,
@@ -181,7 +182,7 @@ def _values(result: CalibrationResult, k: float) -> dict[str, Values]:
     own, derived = result.calibration, replace(result.derived, k=k)
     units = {name: coefficient_unit(name, own.unit) for name in COEFFICIENTS}
     inverted = {name: own.unit if name.startswith("U0") else derived.inverse_unit for name in INVERSE}
-    n, angles = derived.inverse, derived.misalignments
+    n, angles, nine = derived.inverse, derived.misalignments, derived.intrinsic
     return {
         "coefficients": Values.of(units, own.block.vector, own.covariance, k, own.dof),
         "inverse": Values.of(inverted, n.values, n.covariance, k, dof_through(own, n.jacobian)),
@@ -191,6 +192,13 @@ def _values(result: CalibrationResult, k: float) -> dict[str, Values]:
             angles.covariance,
             k,
             dof_through(own, angles.jacobian),
+        ),
+        "intrinsic": Values.of(
+            {name: intrinsic_unit(name, own.unit) for name in nine.names},
+            nine.values,
+            nine.covariance,
+            k,
+            dof_through(own, nine.jacobian),
         ),
     }
 

@@ -99,6 +99,8 @@ class Writer:
 
 def symbol(name: str) -> Cell:
     """Return the cell for the symbol of a coefficient: K with its indices as subscripts."""
+    if name.startswith("theta_"):
+        return {"symbol": "θ", "index": name[6:]}
     if name.startswith("alpha_"):
         return {"symbol": "α", "index": name[6:]}
     return {"symbol": name[0], "index": name[1:]}
@@ -121,7 +123,7 @@ def value_cells(value: Value, size: float = 1.0, unit: str = "") -> list[Cell]:
         uncertainty(U),
         f"{value.k:.3g}",
         freedom,
-        unit or value.unit,
+        unit or value.unit.replace("deg", "°"),
     ]
 
 
@@ -270,6 +272,9 @@ def _results(certificate: Certificate, write: Writer) -> list[Block]:
         _result_table(found, write, "inverse"),
         write.heading("misalignments", 2),
         _result_table(found, write, "misalignments"),
+        write.heading("intrinsic", 2),
+        write.words("intrinsic_text"),
+        _result_table(found, write, "intrinsic"),
     ]
     if before is not None:
         blocks += [write.heading("before"), _result_table(before, write, "coefficients")]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 import typer
 
 from bench.cli import printing
-from bench.cli.helping import HELP_FLAGS, CommandGroup
+from bench.cli.commands import HELP_FLAGS, CommandGroup
 from bench.cli.options import JsonOption, requested
 from bench.services.requests.documents import (
     AmendCertificate,

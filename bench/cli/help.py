@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from bench.cli.helping import ask_whole_help
+from bench.cli.commands import ask_whole_help
 from bench.cli.options import app
 from bench.services.errors import Refused
 

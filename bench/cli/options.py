@@ -23,8 +23,7 @@ from bench.base.requests import (
     fields_of,
 )
 from bench.cli import completing
-from bench.cli.commands import COMPLETED_BY, Commands
-from bench.cli.helping import MORE, BenchCommand
+from bench.cli.commands import COMPLETED_BY, MORE, BenchCommand, Commands
 from bench.config.devices import FOLDERS
 from bench.services.errors import Refused
 

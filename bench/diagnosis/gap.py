@@ -118,7 +118,7 @@ class Gap:
 
     @property
     def after_rms(self) -> float:
-        """The same with what was named."""
+        """Root mean square of measured less predicted with the named effects, unit of the signal."""
         return rms([f.after.error for f in self.folds])
 
     @property
@@ -128,7 +128,7 @@ class Gap:
 
     @property
     def after_rms_g(self) -> float:
-        """The same with what was named."""
+        """Root mean square of measured less predicted with the named effects, g by the scale factors."""
         return rms([f.after.error_g for f in self.folds])
 
     @property

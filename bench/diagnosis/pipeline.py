@@ -224,7 +224,7 @@ class _Estimated:
 
 
 def _estimated(prepared: Prepared, naming: Naming, setting_rad: float) -> _Estimated:
-    """Estimate the named effects with the coefficients; say where something is left that has no name."""
+    """Estimate the named effects together with the coefficients, and locate residuals that they do not explain."""
     linear, candidates, whitened, data = (
         prepared.linear, prepared.candidates, prepared.whitened, prepared.data,
     )  # fmt: skip

@@ -37,13 +37,13 @@ PRODUCTS: Final = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
 @dataclass(frozen=True)
 class UnitDrift:
-    """The drift of one block from n calibrations; arrays are (12,), in the order of `COEFFICIENTS`.
+    """The drift of one block from n calibrations; arrays are (12,), in the order of `COEFFICIENTS`, or (9,).
 
     `rate` with standard uncertainty `u_rate` is per year. `between` is the scatter between calibrations beyond
     their stated u, `walk` the random walk in a year (1 σ each, restricted maximum likelihood, 0 if not detected);
     `…_most` are their upper 95 % limits. `first` and `last` are the dates of the first and last calibration,
-    `count` is their number. `p_all_looks` is the p-value of the rate with Bonferroni's correction for twelve
-    coefficients. `states` serve to predict; `common` is the u of errors that all calibrations share.
+    `count` is their number. `p_all_looks` is the p-value of the rate with Bonferroni's correction for all
+    of them. `states` serve to predict; `common` is the u of errors that all calibrations share.
     """
 
     rate: Floats
@@ -137,12 +137,13 @@ class States:
 
 @dataclass(frozen=True)
 class OfUnit:
-    """The drift of a unit, with notes on other effects that may look like drift."""
+    """The drift of a unit in the `nine` and in the twelve, with notes on other effects that may look like drift."""
 
     unit: str
     signal: str
     simulated: bool
     drift: UnitDrift
+    nine: UnitDrift
     notes: tuple[str, ...]
 
 
@@ -156,9 +157,14 @@ def drift_of_unit(measured: ComparedCalibrations) -> OfUnit:
     notes: tuple[str, ...] = ()
     if len(benches) > 1:
         notes = (f"measured on {', '.join(benches)}: differences between benches appear as drift or scatter",)
-    alike = np.sqrt(np.min(measured.meters**2, axis=0)) if len(benches) == 1 else None
-    found = unit_drift(measured.when, measured.vector, measured.covariance, alike)
-    return OfUnit(units[0], measured.signal, measured.simulated, found, notes)
+    twelve, nine = (
+        unit_drift(
+            of.when, of.vector, of.covariance,
+            np.sqrt(np.min(of.meters**2, axis=0)) if len(benches) == 1 else None,
+        )
+        for of in (measured, measured.in_nine())
+    )  # fmt: skip
+    return OfUnit(units[0], measured.signal, measured.simulated, twelve, nine, notes)
 
 
 def day_of(text: str) -> np.datetime64:

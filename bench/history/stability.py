@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -225,6 +226,34 @@ def reading_advice(
     return ReadingAdvice(samples, each, samples * each / line_frequency_hz)
 
 
+LONGEST_SEGMENT: Final = 4096
+SEGMENTS: Final = 8
+"""A record is cut into about twice so many segments, which overlap by half, none longer than `LONGEST_SEGMENT`."""
+
+
+@dataclass(frozen=True)
+class Spectrum:
+    """The one-sided power spectral density of the channels, `density` (m, 3) in unit²/Hz, at frequencies (m,), Hz.
+
+    White noise of the Allan term N has the density 2 N². `segments` is the number of segments averaged.
+    """
+
+    frequency_hz: Floats
+    density: Floats
+    segments: int
+
+
+def spectrum_of(record: StaticRecord) -> Spectrum:
+    """Return the spectrum by Welch's method, Hann windows, a straight line removed from each (IEEE Std 1554)."""
+    from scipy.signal import welch  # slow to import
+
+    n = len(record.signal)
+    length = min(max(n // SEGMENTS, 8), LONGEST_SEGMENT, n)
+    trend: Any = "linear"  # which the stubs of scipy lack
+    frequency, density = welch(record.signal, 1.0 / record.interval_s, nperseg=length, detrend=trend, axis=0)
+    return Spectrum(frequency[1:], density[1:], max(1, (n - length) // (length - length // 2) + 1))
+
+
 @dataclass(frozen=True)
 class Stability:
     """The analysis of a static record: Allan deviations, noise terms and averaging times by channel, and advice.
@@ -240,6 +269,11 @@ class Stability:
     averages: tuple[Averaging, ...]
     advice: ReadingAdvice | None
     no_advice: str = ""
+
+    @cached_property
+    def spectrum(self) -> Spectrum:
+        """The power spectral density of the channels."""
+        return spectrum_of(self.record)
 
     @property
     def longest_s(self) -> float:

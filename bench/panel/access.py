@@ -232,10 +232,13 @@ def private_folder(folder: Path) -> Path:
 
 
 class KeptList:
-    """A list of JSON objects in a file with a lock, so that several programs can change it."""
+    """A list of JSON objects in a file with a lock, so that several programs can change it.
 
-    def __init__(self, folder: Path, name: str) -> None:
-        self._path = folder / name
+    `remedy` tells what to do about a damaged file for which there is no copy.
+    """
+
+    def __init__(self, folder: Path, name: str, remedy: str = "remove it and make new tokens") -> None:
+        self._path, self._remedy = folder / name, remedy
         self._lock = FileLock(folder / f"{name}.lock", mode=0o600)
         self._stamp: tuple[int, int, int] | None = None
         self._rows: list[dict[str, Any]] = []
@@ -254,9 +257,17 @@ class KeptList:
             self._rows, self._stamp = [], None
         except (OSError, ValueError) as error:
             raise RecordError(
-                f"{self._path}: cannot be read; restore it from a copy, or remove it and make new tokens"
+                f"{self._path}: cannot be read; put a copy in its place, or {self._remedy}"
             ) from error
         return list(self._rows)
+
+    def put_aside(self, now: datetime, check: Callable[[list[dict[str, Any]]], object]) -> None:
+        """Rename the file if it is damaged: if reading it or `check` raises `RecordError`. Raises `OSError`."""
+        with self._lock:
+            try:
+                check(self.rows())
+            except RecordError:
+                self._path.rename(f"{self._path}.damaged-{now:%Y%m%d-%H%M%S}")
 
     @contextmanager
     def changed(self) -> Iterator[list[dict[str, Any]]]:

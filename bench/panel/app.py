@@ -31,7 +31,7 @@ from bench.config.shipped import find_bench
 from bench.panel.access import PORT, STATE, Access, Gate, Refusal, Settings, is_loopback, private_folder
 from bench.panel.launching import Started, wait_until
 from bench.panel.launching import start as start_program
-from bench.panel.pages import bench, catalogue, plots, run, runs, sign_in, start, verdict
+from bench.panel.pages import bench, catalogue, plots, procedure, queue, run, runs, sign_in, start, verdict
 from bench.panel.shared import Panel, by_framework, by_record, by_refusal, load, refused, send_asset
 from bench.readings.csv import ReadingsError
 from bench.run.events import RecordError
@@ -52,6 +52,12 @@ ROUTES = [
     Route("/start", start.check, methods=["POST"]),
     Route("/start/{wish}", start.found),
     Route("/start/{wish}/go", start.go, methods=["POST"]),
+    Route("/queue", queue.queue, methods=["GET"]),
+    Route("/queue", queue.changed, methods=["POST"]),
+    Route("/queue/{item}", queue.item_changed, methods=["POST"]),
+    Route("/procedures", procedure.procedures),
+    Route("/procedures/form", procedure.form, methods=["GET"]),
+    Route("/procedures/form", procedure.sent, methods=["POST"]),
     Route("/bench", bench.benches),
     Route("/bench/form", bench.form, methods=["GET"]),
     Route("/bench/form", bench.sent, methods=["POST"]),
@@ -115,6 +121,7 @@ LATE: Final = (
     "bench.services.check_block",
     "bench.services.execution",
     "bench.services.source",
+    "bench.services.until",
     "bench.results.control_chart",
     "bench.results.verification",
     "bench.results.residuals",

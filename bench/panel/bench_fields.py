@@ -50,6 +50,8 @@ class BenchField:
     shows: bool = False
     found: bool = False
     """Whether the field takes a resource, for which those found are offered."""
+    many: bool = False
+    """Whether the field holds a list, written with commas between its members."""
 
 
 @dataclass(frozen=True)
@@ -232,25 +234,24 @@ def _words(annotation: Any, metadata: Iterable[Any]) -> str | None:
     kind = quantity_of(annotation, tuple(metadata))
     if kind is not None:
         return f"{kind.called} such as {kind.example}"
-    bare = _bare(annotation)
-    return "" if _choices(annotation) else _PLAIN.get(bare)
+    return "" if _choices(annotation) else _PLAIN.get(bare(annotation))
 
 
-def _bare(annotation: Any) -> Any:
+def bare(annotation: Any) -> Any:
     """Return the type of an annotation without metadata and without None; a union of several types as it is."""
     if get_origin(annotation) is Annotated:
-        return _bare(get_args(annotation)[0])
+        return bare(get_args(annotation)[0])
     if get_origin(annotation) in {Union, types.UnionType}:
         parts = [part for part in get_args(annotation) if part is not type(None)]
-        return _bare(parts[0]) if len(parts) == 1 else annotation
+        return bare(parts[0]) if len(parts) == 1 else annotation
     return annotation
 
 
 def _choices(annotation: Any) -> tuple[tuple[str, str], ...]:
-    bare = _bare(annotation)
-    if bare is bool:
+    inner = bare(annotation)
+    if inner is bool:
         return (("yes", "yes"), ("no", "no"))
-    return tuple((str(word), str(word)) for word in get_args(bare)) if get_origin(bare) is Literal else ()
+    return tuple((str(word), str(word)) for word in get_args(inner)) if get_origin(inner) is Literal else ()
 
 
 def _left_out(info: FieldInfo, default: Any) -> str:
@@ -298,6 +299,14 @@ def values_of(data: Any) -> dict[str, str]:
     meters = instruments.get("voltmeters") if isinstance(instruments, dict) else None
     values[METERS] = str(len(meters)) if isinstance(meters, list) else str(len(CHANNELS))
     return values
+
+
+def listed(values: Values, name: str) -> str:
+    """Return the members of a list with commas between them, as its field shows them."""
+    members: list[str] = []
+    while (inside := f"{name}[{len(members) + 1}]") in values:
+        members.append(values[inside])
+    return ", ".join(members)
 
 
 FORMS_OF_GRAVITY: Final = {

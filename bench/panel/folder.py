@@ -38,15 +38,16 @@ class RunsFolder:
                 names = [one.name for one in found if one.is_dir(follow_symlinks=False)]
         except OSError:
             return []
-        return [Run(self.path / name) for name in names if self._holds(name)]
+        return [Run(self.path / name) for name in names if self.holds(name)]
 
     def run(self, name: str) -> Run:
         """Return the run with this name. Raises `Refusal` (404) if there is none."""
-        if not self._holds(name):
+        if not self.holds(name):
             raise Refusal(404, "no run has that name; see the list of runs")
         return Run(self.path / name)
 
-    def _holds(self, name: str) -> bool:
+    def holds(self, name: str) -> bool:
+        """Whether there is a run with this name."""
         if not name or name.startswith(".") or "/" in name or "\\" in name:
             return False
         try:

@@ -112,11 +112,12 @@ class WantedRun:
     """A requested run: the fields of `RunRequest` from the form, and the hashes of its files when checked.
 
     Procedure and bench are absolute paths; `sha256` has the hash of each. A dry run is for practice: a person
-    answers its prompts.
+    answers its prompts. `queued` is the id of the item of the queue that it is for, empty for none.
     """
 
     fields: Mapping[str, str | bool]
     sha256: Mapping[str, str] = field(default_factory=dict)
+    queued: str = ""
 
     @property
     def request(self) -> RunRequest:
@@ -293,12 +294,14 @@ def name_of(wanted: WantedRun, runs: RunsFolder) -> str:
     return name
 
 
-def start_run(wish: WishFolder, runs: RunsFolder) -> Run:
-    """Start a requested run in a separate process; return the run once its record exists. Raises `Refusal`."""
+def start_run(wish: WishFolder, name: str, runs: RunsFolder) -> Run:
+    """Start a requested run in a separate process; return the run once its record exists. Raises `Refusal`.
+
+    `name` is its name, from `name_of`.
+    """
     wanted = wish.wanted()
     if wanted.changed():
         raise Refusal(409, "procedure or bench file changed after the check; check them again")
-    name = name_of(wanted, runs)
     wish.mark_started(name)
     asked = replace(wanted.request, name=name, runs=runs.path.absolute(), answers=ANSWERS)
     arguments = ["run", *arguments_of(asked)]

@@ -160,7 +160,7 @@ class RunView:
 
     @property
     def rest(self) -> tuple[Settle, CameToRest] | None:
-        """The last settling step and its result."""
+        """The last settling step and its result; None before the first."""
         event = self._brought.get(Settle)
         if event is None or not isinstance(event.result, CameToRest):
             return None

@@ -8,6 +8,7 @@ from collections import Counter
 from functools import cache
 from http import HTTPStatus
 from importlib.resources import files
+from pathlib import PurePath
 from typing import Any, Final
 from urllib.parse import parse_qsl, quote
 
@@ -24,8 +25,9 @@ from bench.panel.access import STATE, Access, Person, Refusal, Role, Settings
 from bench.panel.folder import Certificates, RunsFolder, RunsTable
 from bench.panel.holding import read_holding
 from bench.panel.launching import Started, Wishes
+from bench.panel.queue import DayQueue
 from bench.panel.stream import Followers
-from bench.run.events import sha256
+from bench.run.events import RecordError, sha256
 
 
 class Panel:
@@ -41,6 +43,7 @@ class Panel:
         self.certificates = Certificates(settings.laboratory)
         self.streams: Counter[str] = Counter()
         self.access = Access(settings.runs / STATE)
+        self.queue = DayQueue(settings.runs / STATE)
 
 
 LOG: Final = logging.getLogger("uvicorn.error")
@@ -116,6 +119,7 @@ ASSETS: Final = {
     "panel.css": "text/css; charset=utf-8",
     "panel.js": "text/javascript; charset=utf-8",
     "bench.js": "text/javascript; charset=utf-8",
+    "fresh.js": "text/javascript; charset=utf-8",
     "waiting.js": "text/javascript; charset=utf-8",
     "plots.js": "text/javascript; charset=utf-8",
     "plots-chart.js": "text/javascript; charset=utf-8",
@@ -153,6 +157,7 @@ def _environment() -> Environment:
         lstrip_blocks=True,
     )
     environment.filters["typeset"] = typeset
+    environment.filters["filename"] = lambda path: PurePath(str(path)).name
     environment.globals["asset"] = asset
     return environment
 
@@ -241,4 +246,9 @@ def by_record(request: Request, error: Exception) -> Response:
         if not (told := missing(error)):
             raise error
         return refused(request, Refusal(409, told))
+    name = request.path_params.get("name", "")
+    if isinstance(error, RecordError) and name and person_of(request) and not wants_json(request):
+        found = panel_of(request).runs.run(name)
+        told = str(error).replace(f"{found.folder.absolute()}/", "").replace(f"{found.folder}/", "")
+        return page(request, "damaged.html.j2", status=409, run=name, text=bounded(told))
     return refused(request, Refusal(409, str(error)))

@@ -160,7 +160,7 @@ class Outlook:
 
     @property
     def open(self) -> list[str]:
-        """The other directions in the null space, as text."""
+        """The directions in the null space other than `turns`, as text."""
         return [d.text() for d in self.found.directions if d.kind is not DirectionKind.TURN]
 
 

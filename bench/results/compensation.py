@@ -136,6 +136,10 @@ class CompensateResult(ResultModel):
     readings: ReadingsPart
     notes: list[str]
     table: TablePart
+    check: Matrix = Field(
+        description="check vectors: temperature, °C, three signals, and three accelerations by the table, g"
+    )
+    python: list[str] = Field(description="three lines of Python that test the file named as their argument")
     verification: list[VerdictAtPart]
     sources: list[str]
     bench: BenchPart
@@ -155,8 +159,8 @@ def compensate_result(
     """Return the result of a temperature model.
 
     `of_readings` is the part of the covariance that comes from the readings, `hidden` are the error sources that
-    they do not show. `checks` holds temperature (°C) and verification. `made_from` are the members from `sources`
-    on.
+    they do not show. `checks` holds temperature (°C) and verification. `made_from` are the check vectors, their
+    test, and the members from `sources` on.
     """
     u, count = u_of(model.covariance).reshape(model.values.shape), model.values.shape[1]
     return CompensateResult.from_object(

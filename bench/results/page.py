@@ -11,9 +11,11 @@ from markupsafe import Markup
 
 from bench.base.numbers import probability, rounded, scale_for, uncertainty
 from bench.calibration.conformity import Statement
+from bench.calibration.intrinsic import intrinsic_of
 from bench.calibration.result import Calibration, LackOfFit
 from bench.calibration.verification import Verification
 from bench.results import plots, tables
+from bench.results.intrinsic import ellipses, joint_in_words, shown_rows
 from bench.results.tables import page
 from bench.results.verification import advice, global_risk_in_words, headline, risk_in_words, rule_in_words
 
@@ -55,6 +57,7 @@ def render_report(content: ReportContent) -> str:
         verdict=verdict(content.verification),
         fit=fit_in_words(calibration.lack_of_fit),
         coefficients=_coefficients(calibration),
+        nine=_nine(calibration),
         stand=tables.stand(calibration),
         effects=tables.effects(calibration),
         noise=tables.noise(calibration),
@@ -221,6 +224,19 @@ def _coefficients(calibration: Calibration) -> dict[str, Any]:
         "strongest": tables.strongest_correlations(calibration),
         "figure": Markup(plots.correlations(calibration)),  # noqa: S704 - our own drawing
         "g": f"{calibration.g_m_s2:.7g}",
+    }
+
+
+def _nine(calibration: Calibration) -> dict[str, Any] | None:
+    """Return the section on the numbers that do not depend on the mounting; None if there are none."""
+    own = intrinsic_of(calibration)
+    if own is None:
+        return None
+    return {
+        "rows": [tables.Row(tables.symbol(name), tuple(cells)) for name, *cells in shown_rows(own)],
+        "mounting": own.mounting,
+        "joint": joint_in_words(calibration, own),
+        "figure": Markup(ellipses(own)),  # noqa: S704 - our own drawing
     }
 
 

@@ -252,8 +252,10 @@ def residual_scale(calibration: Calibration) -> Scale:
 
 
 def symbol(name: str) -> str:
-    """Return a coefficient's name for matplotlib: "Kxy" -> "$K_{xy}$"."""
-    return f"$U_{{0{name[2:]}}}$" if name.startswith("U0") else f"$K_{{{name[1:]}}}$"
+    """Return the name of one of the twelve or the nine for matplotlib: "Kxy" -> "$K_{xy}$"."""
+    if name.startswith("theta_"):
+        return rf"$\theta_{{{name[6:]}}}$"
+    return f"$U_{{0{name[2:]}}}$" if name.startswith("U0") else f"${name[0]}_{{{name[1:]}}}$"
 
 
 # --- drawing ----------------------------------------------------------------------------------------

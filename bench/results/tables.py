@@ -55,10 +55,12 @@ class Row:
 
 
 def symbol(name: str) -> Markup:
-    """Return a coefficient's name as HTML: "Kxy" -> K with the indices as subscripts."""
+    """Return the name of one of the twelve or the nine as HTML: "Kxy" -> K with the indices as subscripts."""
     if name.startswith("U0"):
         return Markup("<i>U</i><sub>0{}</sub>").format(name[2:])
-    return Markup("<i>K</i><sub>{}</sub>").format(name[1:])
+    if name.startswith("theta_"):
+        return Markup("<i>θ</i><sub>{}</sub>").format(name[6:])
+    return Markup("<i>{}</i><sub>{}</sub>").format(name[0], name[1:])
 
 
 # --- coefficients -----------------------------------------------------------------------------------

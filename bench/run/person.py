@@ -16,7 +16,15 @@ from bench.base.numbers import read_number
 from bench.base.text import in_json, shortened
 from bench.config.procedure.plan import Mount
 from bench.run.events import Event, EventType, Wish
-from drivers.angles import format_dms, parse_angle, read_angle, typed_bubble, typed_supply, typed_temperature
+from drivers.angles import (
+    format_dms,
+    parse_angle,
+    read_angle,
+    typed_angle,
+    typed_bubble,
+    typed_supply,
+    typed_temperature,
+)
 from drivers.interfaces import BenchError
 from drivers.person import Person, Prompt, PromptKind
 
@@ -119,7 +127,7 @@ class Controls(Protocol):
 
 
 class NoControls:
-    """A source without wishes."""
+    """The wishes of a run that nobody can control: there are none."""
 
     stopped: RunControl | None = None
 
@@ -371,7 +379,7 @@ def understood_answer(prompt: Prompt, text: str) -> str:
     match prompt.kind:
         case PromptKind.ANGLE:
             value = _read_by_eye(prompt, given)
-            return given if value is None else _spaced(parse_angle(given))
+            return given if value is None else _spaced(_on_scale(prompt, given))
         case PromptKind.NUMBER:
             value = _read_by_eye(prompt, given)
             if prompt.action["do"] == "read_level":
@@ -381,6 +389,12 @@ def understood_answer(prompt: Prompt, text: str) -> str:
             return "no" if given.lower() in NO else "yes"
         case PromptKind.CHOOSE:
             return given
+
+
+def _on_scale(prompt: Prompt, given: str) -> float:
+    """Return a typed angle as the scale shows it, rad."""
+    target_rad: Any = prompt.action.get("target_rad")
+    return parse_angle(given) if target_rad is None else typed_angle(given, float(target_rad))
 
 
 _BY_EYE: Final = frozenset({"turn", "read_temperature", "read_level", "read_supply"})

@@ -180,7 +180,7 @@ def origin_beside(readings: Path) -> OriginBeside:
 
 
 def is_told(file: Path) -> bool:
-    """Return whether a file is an origin file, for any readings file."""
+    """Return whether a file is an origin file; the readings file beside it is not checked."""
     try:
         _About.model_validate_json(_read(file) or b"")
     except ValidationError:

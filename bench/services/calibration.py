@@ -17,6 +17,7 @@ from bench.calibration.budget.sources import assumed_stand
 from bench.calibration.budget.whole import sign
 from bench.calibration.calibrate import calibrate as estimate
 from bench.calibration.estimators import CLOSED_FORM, GLS
+from bench.calibration.intrinsic import Intrinsic, intrinsic_of
 from bench.calibration.mistakes import implausible, refuse_mixed_units, sheet_of
 from bench.calibration.result import COVERAGE_FACTOR, Calibration, CalibrationError
 from bench.calibration.temperature import separate_temperatures
@@ -195,6 +196,14 @@ class CalibrationResult:
             for name, value, u, own, dof in rows
         }
 
+    @cached_property
+    def intrinsic(self) -> Intrinsic | None:
+        """The nine numbers that do not depend on the mounting: `names`, `values`, `u`, `U`, `covariance` (9, 9).
+
+        None for a block with a dead channel.
+        """
+        return intrinsic_of(self.calibration)
+
     @property
     def covariance(self) -> Floats:
         """Combined covariance of the coefficients, shape (12, 12), in the order of `coefficients`."""
@@ -249,12 +258,17 @@ class CalibrationResult:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as `bench calibrate --json` writes it."""
+        from bench.services.coefficients import TEMPERATURE_EFFECTS
+
         source = self.source
         return calibrate_result(
             self.calibration,
             **source.made_from(),
             **({} if source.run is None else {"record": source.run.record_head}),
             **({} if self.prior is None else {"prior": self.prior}),
+            temperature_effects=[
+                one.effect.name for one in source.model.effects if one.effect.name in TEMPERATURE_EFFECTS
+            ],
             meters=source.meters,
             notes=[*self._said, *source.readings.notes],
             skipped_rows=source.readings.skipped,
@@ -272,17 +286,23 @@ class CalibrationResult:
         return block_result(self.to_dict(), self.source.name)
 
     def write(
-        self, path: str | Path, form: str, *, nominal: tuple[float, float, float] | None = None
+        self,
+        path: str | Path,
+        form: str,
+        *,
+        nominal: tuple[float, float, float] | None = None,
+        without_temperature: bool = False,
     ) -> tuple[str, ...]:
         """Write the coefficients as `bench coefficients --as FORM` does; return what the form cannot hold.
 
         `form` is "json", "csv", "c", "excel", "kalibr", "px4" or "ardupilot". The last three are for signals in
-        m/s^2; `nominal` are the scale factors (unit/g) by which the signals were converted. Raises `Refused` for
-        another form, `OSError`.
+        m/s^2; `nominal` are the scale factors (unit/g) by which the signals were converted. A calibration whose
+        model takes temperature out is written only `without_temperature`. Raises `Refused` for another form,
+        `OSError`.
         """
         from bench.services.coefficients import write_form
 
-        return write_form(self.derived, Path(path), form, nominal)
+        return write_form(self.derived, Path(path), form, nominal, without_temperature=without_temperature)
 
     def print_on(self, out: Console) -> None:
         """Print the coefficients, the noise, the fit, and the notes."""

@@ -17,10 +17,11 @@ from bench.base.arrays import Floats, u_of
 from bench.base.files import cache_folder, from_text, read_regular, write_whole
 from bench.base.text import duration
 from bench.base.yaml_files import load_document, part
+from bench.calibration.intrinsic import INTRINSIC
 from bench.calibration.result import CalibrationError
 from bench.config.bench_file.file import BenchFile
 from bench.config.bench_file.sections import LEAST_ARL, LEAST_SMOOTHING, MOST_ARL, CheckBlockSection
-from bench.history.control_chart import CheckRun, KnownDrift, Reference, control_chart
+from bench.history.control_chart import CheckRun, ControlChart, KnownDrift, Reference, control_chart
 from bench.model.geometry import COEFFICIENTS
 from bench.results.control_chart import CheckBlockChart
 from bench.run.events import MANIFEST, CheckedBefore, Manifest, RecordError, RunState, UnitUnderTest, sha256
@@ -208,17 +209,40 @@ def chart_of(
     g = values[0].g_m_s2
     taken = {one.name: one.per(g).check_run(section.between_runs) for one in values}
     baseline, later, reference = _parts(taken, section, of_bench, folder, g)
-    basis, on_basis = _basis(section.limits, len(baseline), reference)
-    design = ChartDesign(_arl(section), section.smoothing, basis)
     try:
-        chart = control_chart(
-            baseline, later, design, reference=reference, drift=_drift(section), restarted=_restarted(section)
+        (nine, on_basis), (twelve, _) = (
+            _charted(baseline, later, reference, section, in_nine=which) for which in (True, False)
         )
     except CalibrationError as reason:
         raise Refused(str(reason)) from reason
     return CheckBlockChart(
-        chart, values[-1].block, values[-1].unit, g, values[-1].simulated, (*notes, *on_basis)
+        nine, twelve, values[-1].block, values[-1].unit, g, values[-1].simulated, (*notes, *on_basis)
     )
+
+
+def _charted(
+    baseline: Sequence[CheckRun],
+    later: Sequence[CheckRun],
+    reference: Reference | None,
+    section: CheckBlockSection,
+    *,
+    in_nine: bool,
+    smoothing: float | None = None,
+) -> tuple[ControlChart, tuple[str, ...]]:
+    """Return the chart of the nine or of the twelve, with a note if its limits have another basis than wanted."""
+    drift = _drift(section)
+    if in_nine:
+        if drift is not None:
+            drift = drift.in_nine(reference.value if reference is not None else baseline[0].value)
+        reference = None if reference is None else reference.in_nine()
+        baseline, later = ([run.in_nine() for run in runs] for runs in (baseline, later))
+    count = len(INTRINSIC if in_nine else COEFFICIENTS)
+    basis, on_basis = _basis(section.limits, len(baseline), reference, count)
+    design = ChartDesign(_arl(section), section.smoothing if smoothing is None else smoothing, basis)
+    chart = control_chart(
+        baseline, later, design, reference=reference, drift=drift, restarted=_restarted(section)
+    )
+    return chart, on_basis
 
 
 def _values(runs: Iterable[Run]) -> tuple[list[CheckValues], tuple[str, ...]]:
@@ -249,17 +273,19 @@ def _arl(section: CheckBlockSection) -> float:
     return DEFAULT_ARL if section.arl is None else section.arl
 
 
-def _basis(wanted: Basis, baseline: int, reference: Reference | None) -> tuple[Basis, tuple[str, ...]]:
-    """Return the basis of the chart limits that `baseline` runs allow, with a note if it is not the one wanted."""
+def _basis(
+    wanted: Basis, baseline: int, reference: Reference | None, count: int
+) -> tuple[Basis, tuple[str, ...]]:
+    """Return the basis that `baseline` runs allow for a chart of `count` numbers, with a note if not as wanted."""
     if reference is not None:
         return "stated", ()
     order: tuple[Basis, ...] = ("scatter", "scaled", "stated")
     for basis in order[order.index(wanted) :]:
-        if baseline >= least_runs(basis, len(COEFFICIENTS)):
+        if baseline >= least_runs(basis, count):
             break
     if basis == wanted:
         return basis, ()
-    need = least_runs(wanted, len(COEFFICIENTS))
+    need = least_runs(wanted, count)
     return basis, (
         f"give limits from '{basis}' until the baseline has {need} runs, for '{wanted}': it has {baseline}",
     )
@@ -308,9 +334,7 @@ def _begun(runs: Sequence[CheckRun], section: CheckBlockSection) -> tuple[list[C
         if len(baseline) >= section.baseline:
             later.append(run)
             continue
-        basis, _ = _basis(section.limits, len(baseline), None)
-        design = ChartDesign(_arl(section), 1.0, basis)
-        fits = control_chart(baseline, [run], design, drift=_drift(section)).in_control
+        fits = _charted(baseline, [run], None, section, in_nine=True, smoothing=1.0)[0].in_control
         (baseline if fits else later).append(run)
     return baseline, [*later, *runs[1:][-1:]]
 

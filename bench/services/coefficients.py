@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -31,6 +31,9 @@ LARGEST: Final = 1e12
 WORST: Final = 1e9
 """Coefficients above `LARGEST`, or a K with a ratio of elements or a condition number above `WORST`, belong to no
 block."""
+
+TEMPERATURE_EFFECTS: Final = ("thermal_bias", "thermal_scale", "thermal_settling", "thermal_emf")
+"""Effects by which a model takes temperature out of the coefficients."""
 
 ROUNDING: Final = 1_000_000 * 2.0**-53
 """Largest rounding error of a correlation that is computed from a million readings."""
@@ -150,7 +153,29 @@ def block_result(data: Any, where: str) -> BlockResult:
         covariance_readings=_further_covariance(data, "covariance_readings", where),
         gravity_u=_positive(data.get("gravity_u")),
         certificates=tuple(_certificates(data.get("corrections"))),
+        temperature=_temperature(data),
     )
+
+
+def _temperature(data: Any) -> str:
+    """Return in words which effects of temperature a result took out of its coefficients; empty for none."""
+    listed = data.get("temperature_effects")
+    fitted = data.get("effects") if isinstance(data.get("effects"), dict) else {}
+    names = [*(listed if isinstance(listed, list) else ()), *fitted]
+    used = [
+        effect for effect in TEMPERATURE_EFFECTS if any(str(n).partition(".")[0] == effect for n in names)
+    ]
+    return f"{' and '.join(used)} of its model, with which the coefficients count" if used else ""
+
+
+def require_temperature(results: Sequence[BlockResult], *, without: bool) -> None:
+    """Raise `Refused` if a result used temperature, which no form holds, unless it is asked for `without`."""
+    for result in results:
+        if result.temperature and not without:
+            raise Refused(
+                f"{result.source}: used temperature ({result.temperature}), which these forms do not hold: 'bench "
+                "compensate' writes coefficients over temperature, --without-temperature writes these without it"
+            )
 
 
 def _certificates(corrections: Any) -> Iterator[str]:
@@ -331,7 +356,16 @@ def _snapshot(data: Any, name: str) -> Snapshot:
         found.meters,
         found.block_terms,
         found.wander,
+        _least_dof(data),
     )
+
+
+def _least_dof(data: Any) -> float:
+    """Return the least degrees of freedom of the nine in a result, or of the twelve; infinite if it states none."""
+    nine = data.get("intrinsic")
+    stated = nine["values"] if isinstance(nine, dict) and isinstance(nine.get("values"), dict) else None
+    rows = [one for one in (stated or data["coefficients"]).values() if isinstance(one, dict)]
+    return min((dof for dof in (_positive(one.get("dof")) for one in rows) if dof), default=math.inf)
 
 
 def date_of(text: str | None, where: str) -> datetime | None:
@@ -391,13 +425,19 @@ def nominal_of(text: str | None, results: list[BlockResult]) -> Floats | None:
 
 
 def write_form(
-    result: BlockResult, path: Path, form: str, nominal: tuple[float, float, float] | None
+    result: BlockResult,
+    path: Path,
+    form: str,
+    nominal: tuple[float, float, float] | None,
+    *,
+    without_temperature: bool = False,
 ) -> tuple[str, ...]:
     """Write a result in one form to a file; return what the form cannot hold. Raises `Refused`, `OSError`."""
     from bench.exchange.forms import FORMS
 
     if form not in FORMS:
         raise Refused(f"{form!r}: choose from {', '.join(FORMS)}")
+    require_temperature([result], without=without_temperature)
     chosen = FORMS[form]
     factors = nominal_of(None if nominal is None else ",".join(map(repr, nominal)), [result])
     write_whole(path, chosen.write(result, factors))

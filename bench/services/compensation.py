@@ -17,15 +17,10 @@ from bench.calibration.budget.sources import assumed_stand
 from bench.calibration.budget.whole import sign
 from bench.calibration.calibrate import calibrate
 from bench.calibration.result import SourceOfError
-from bench.calibration.temperature import (
-    CompensationTable,
-    TemperatureModel,
-    c_header,
-    make_table,
-    table_csv,
-)
+from bench.calibration.temperature import CompensationTable, TemperatureModel, make_table
 from bench.calibration.temperature_fit import temperature_model
 from bench.calibration.tumble import DEFAULT, TumbleView, combine, tumble_view
+from bench.exchange.compensation import c_header, json_test, table_checks, table_csv
 from bench.exchange.result import BlockResult
 from bench.model.geometry import COEFFICIENTS
 from bench.results.compensation import CompensateResult, compensate_result
@@ -127,12 +122,15 @@ def compensated(request: Compensate, loaded: Sequence[Source]) -> Compensation:
     signed = sign_model(shown, first)
     table = make_table(signed.combined, first.bench.unit_under_test.range, request.step)
     checks = tuple(check for source in loaded for check in _checks(source, signed.same_meters))
+    checked = table_checks(signed.combined, table)
     result = compensate_result(
         signed.combined,
         of_readings=shown.covariance,
         hidden=signed.sources,
         shown=table,
         checks=checks,
+        check=checked,
+        python=json_test(len(checked)),
         sources=names,
         bench=first.taken.part(),
         corrections=[part for source in loaded for part in source.traced.parts()],

@@ -18,6 +18,7 @@ from bench.base.files import to_text
 from bench.base.tables import as_text
 from bench.calibration.budget.meters import may_move
 from bench.calibration.budget.sources import assumed_stand
+from bench.calibration.intrinsic import least_dof
 from bench.calibration.noise import METERS_DRIFT
 from bench.calibration.result import CalibrationError
 from bench.config.bench_file.file import BenchFile
@@ -463,7 +464,7 @@ def _snapshots(name: str, request: asked.Compare, taken: list[tuple[str, BenchTa
         Snapshot(
             name, date_of(source.made_at, name), source.block_name, found.unit, found.g_m_s2, found.block.vector,
             found.covariance, source.simulated, found.covariance_same_meters, source.meters,
-            found.block_terms if found.sources else None, found.wander,
+            found.block_terms if found.sources else None, found.wander, least_dof(found),
         )
     ]  # fmt: skip
 

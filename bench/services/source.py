@@ -490,7 +490,7 @@ def provenance(source: Source) -> dict[str, str]:
 
 
 def _measured(origin: Origin) -> dict[str, str]:
-    """Return the facts known of the run that measured the readings: date, operator, unit and instruments."""
+    """Return the recorded date, operator, procedure and instruments of the run, by name, for a report."""
     stated = {"begun": civil_minute(origin.begun), "operator": origin.operator or "not stated"}
     if origin.procedure:
         stated["procedure"] = f"{shown_path(origin.procedure)} (plan SHA-256 {origin.plan_hash})"

@@ -79,6 +79,7 @@ from bench.run.sentences import size_in_words
 from bench.services.bench_selection import bench_path
 from bench.services.calibration import CalibrationResult, calibration_of
 from bench.services.errors import Refused, named, quantity
+from bench.services.fitness import reminders
 from bench.services.planning import delta_g_of, stand_of
 from bench.services.requests.planning import Check
 from bench.services.requests.shared import runs_folder
@@ -332,7 +333,7 @@ def look_ahead(request: Check) -> Findings:
     """
     bench = None if request.bench is None else str(request.bench)
     plan, file = _load(request.procedure, bench)
-    found = _find(plan, file, runs_folder(request.runs))
+    found = findings_of(plan, file, runs_folder(request.runs))
     if not request.until:
         return found
     learned = learned_for_run(file, bench_path(bench), utc_now().isoformat(), simulated=None)
@@ -358,7 +359,8 @@ def _load(procedure: str, bench_name: str | None) -> tuple[Plan, BenchFile]:
     return plan, bench
 
 
-def _find(plan: Plan, bench: BenchFile, runs: Path) -> Findings:
+def findings_of(plan: Plan, bench: BenchFile, runs: Path) -> Findings:
+    """Return the findings of `bench check` on a plan; `runs` is the folder whose free space counts."""
     supply = bench.unit_under_test.supply
     needed, free = disk_needed_bytes(plan), _free_bytes(runs)
     problems = check(plan, bench)
@@ -397,6 +399,7 @@ def _find(plan: Plan, bench: BenchFile, runs: Path) -> Findings:
 def _hints(bench: BenchFile) -> Iterator[str]:
     """Yield remarks on certificates, and hints on likely mistakes that only a real bench would reveal."""
     yield from remarks(bench)
+    yield from reminders(bench)
     for meter in bench.instruments.voltmeters:
         if is_serial(meter.resource) and meter.interface == "lan":
             yield (

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 import shutil
 import subprocess
 from functools import cache
@@ -10,11 +11,13 @@ import numpy as np
 import pytest
 
 from bench.calibration import CalibrationError, calibrate
-from bench.calibration.temperature import c_header, inverse_entries, make_table, table_csv
+from bench.calibration.temperature import inverse_entries, make_table
 from bench.calibration.temperature_fit import temperature_model
+from bench.exchange.compensation import c_header, json_test, table_checks, table_csv
 from bench.model.geometry import COEFFICIENTS, Block
 from bench.results.compensation import table_part
 from tests.support.paper_bench import STAND_U, TRUTH
+from tests.support.self_tests import compiled_test, own_test, with_a_digit_changed
 from tests.support.thermal_bench import MODEL, REFERENCE_C, coefficients, simulate, truth
 
 SEED = 2026
@@ -342,6 +345,27 @@ def test_the_header_compiles_and_computes_what_the_table_says(compiled, table, d
     assert np.all(np.abs(found - force) <= 1.5 * allowed_g(table, force))
     # the same arithmetic in numpy; a fused multiplication may differ in the last digits of 10 g
     assert found == pytest.approx(table.specific_force(signal, temperature), abs=4e-6)
+
+
+def test_what_is_exported_tests_itself_with_temperature(model, table, tmp_path):
+    """C to 1e-12 in double precision; CSV and JSON by their three lines; each fails once a digit changes."""
+    header = c_header(model, table, "block 1")
+    assert compiled_test(tmp_path, "compensation", header) == 0
+    at = re.search(r"compensation_table.*?\{\s*\{-?", header, re.DOTALL).end()
+    assert compiled_test(tmp_path, "compensation", with_a_digit_changed(header, at)) > 0
+    text = table_csv(model, table, "block 1")
+    checks = table_checks(model, table)
+    assert len(checks) == table.nodes - 1
+    data = {"table": table_part(table).to_dict(), "check": checks.tolist(), "python": json_test(len(checks))}
+    for name, made, first in (
+        ("x.csv", text, r"\n-2\d\.\d+,-?"),
+        ("x.json", json.dumps(data), r'"rows": \[\[-?'),
+    ):
+        (tmp_path / name).write_text(made)
+        assert own_test(tmp_path / name) == 0
+        changed = with_a_digit_changed(made, re.search(first, made).end())
+        (tmp_path / name).write_text(changed)
+        assert own_test(tmp_path / name) != 0
 
 
 def test_the_header_tells_a_temperature_outside_and_one_that_is_none(compiled, model):

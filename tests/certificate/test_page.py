@@ -49,6 +49,7 @@ def pages_of(pdf):
     return [" ".join(page.split()) for page in told.decode().split("\f")[:-1]]
 
 
+@pytest.mark.slow
 def test_the_same_content_gives_the_same_bytes(certificate, body):
     assert body_of(certificate, DCC) == body
 

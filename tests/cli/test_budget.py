@@ -98,6 +98,7 @@ def test_the_words_on_the_mounting_roll_are_those_of_the_table(bench):
     assert not any("zero" in note for note in (*silent["notes"], *stated["notes"]))
 
 
+@pytest.mark.slow
 def test_a_page_with_figures(bench):
     code, _, _ = bench("budget", "--trials", 2500, "--out", "page", "--rule", "simple")
     assert code == 0

@@ -47,18 +47,24 @@ def of_days(bench, count: int, name: str = "shifted"):
     return chart_of(runs[:count], bench.check_block)
 
 
+@pytest.mark.slow
 def test_days_in_control_and_the_day_of_a_shift(there):
     first = of_days(there, 1)
     assert first.sentence().startswith("NO VERDICT yet: check-0 is the first")
     good = of_days(there, 4)
     assert good.accepted
     assert [run.name for run in good.chart.baseline] == ["check-0", "check-1", "check-2"]
-    assert good.chart.centre.dof == 24.0
+    assert (good.chart.centre.dof, good.twelve.centre.dof) == (18.0, 24.0)
     bad = of_days(there, 5)
     assert not bad.accepted
     assert bad.sentence().startswith("OUT OF CONTROL: shifted: T² = ")
-    assert "U0x" in bad.sentence()
-    keeps_to("chart", json.loads(json.dumps(bad.to_dict())))
+    assert "bx" in bad.sentence()
+    told = json.loads(json.dumps(bad.to_dict()))
+    keeps_to("chart", told)
+    nine = told["intrinsic"]["runs"]["shifted"]
+    assert nine["t2"] > told["intrinsic"]["limits"]["t2"]
+    assert len(nine["values"]) == 9
+    assert len(told["runs"][-1]["coefficients"]) == 12
 
 
 def test_with_two_runs_stated_u_has_to_do(there):

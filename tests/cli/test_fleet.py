@@ -87,6 +87,10 @@ def test_degrees_of_equivalence_with_figure_and_exit_status(laboratory):
     assert (both["dof"], both["apart"]) == (12, True)
     assert both["chi2"] > (pair["difference"] / pair["u"]) ** 2
     assert "all twelve together, bench-01 and bench-02: chi2" in out
+    assert {row["coefficient"] for row in told["intrinsic"]["beyond"]} >= {"Sy"}
+    (pair,) = told["intrinsic"]["together"]["pairs"]
+    assert (pair["dof"], pair["apart"]) == (9, True)
+    assert "all nine together, bench-01 and bench-02: chi2" in out
     assert "<svg" in Path("there/equivalence.svg").read_text(encoding="utf-8")
     assert json.loads(Path("there/fleet-compare.json").read_text()) == told
 
@@ -114,6 +118,10 @@ def test_a_units_history_and_what_is_expected_of_it(laboratory):
     expected = told["expected"]["coefficients"]["Kxx"]
     assert abs(expected["value"] - VECTOR[0]) < 1e-3
     assert expected["u"] > U
+    of_nine = told["expected"]["intrinsic"]["Sx"]
+    assert abs(of_nine["value"] + VECTOR[0]) < 2e-3
+    assert len(told["intrinsic_per_year"]) == 9
+    assert told["drifts"] == (told["p"] < 0.05)
     assert "at 2027-01-01" in out
     refused(laboratory("fleet", "drift"), "a drift is of one unit, not 8: add unit=")
 

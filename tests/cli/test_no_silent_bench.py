@@ -201,6 +201,7 @@ def test_another_file_is_not_written_over_and_what_an_import_is_of_is_kept(expor
 # --- one folder holds one verdict -------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_what_if_leaves_the_runs_own_verdict_alone(exported):
     bench = exported
     assert bench("verify", "finished")[0] == 0

@@ -8,9 +8,11 @@ import pytest
 
 from bench.base.yaml_files import read_yaml
 from bench.config.bench_file.file import load_bench
+from bench.config.shipped import CONFIG
 from bench.panel.access import Role
 from bench.panel.bench_fields import GRAVITY_FORM, METERS, completed, groups_of, placed, values_of
-from bench.panel.bench_files import mistakes_in, own_files, shipped_files
+from bench.panel.own_files import own_files, shipped_files
+from bench.panel.pages.bench import mistakes_in
 from bench.panel.round_trip import changed_text, signed, with_comments
 from bench.panel.searching import IDENTIFY, OFFERS, Findings, Search, carried_out
 from bench.services.search import FoundResource
@@ -18,7 +20,7 @@ from drivers.clock import utc_now
 from drivers.wire.resources import Offer, SerialPort
 from tests.support.panel_client import OWN, Browser, stranger
 
-SHIPPED = shipped_files()
+SHIPPED = shipped_files(CONFIG)
 LAN = "TCPIP0::192.0.2.99::5025::SOCKET"
 
 
@@ -187,7 +189,7 @@ def test_nothing_is_read_or_written_outside_the_working_folder(runs, tmp_path):
     outside = tmp_path / "outside.yaml"
     outside.write_text(SHIPPED["bench-lan"].read_text("utf-8"))
     Path("linked.yaml").symlink_to(outside)
-    assert own_files() == {}
+    assert own_files(CONFIG) == {}
     for file in ("linked.yaml", "../outside.yaml", "bench-lan", "/etc/passwd", "none"):
         assert anna.get("/bench/form", params={"file": file}).status_code == 404
         assert anna.post("/bench/form", file=file, do="write", sha256="").status_code == 404

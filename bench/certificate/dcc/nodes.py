@@ -33,8 +33,8 @@ MS2: Final = r"\metre\second\tothe{-2}"
 
 _OURS: Final = {
     "V": VOLT, "V/g": VOLT, "g/V": PER_VOLT, "counts": ONE, "counts/g": ONE, "g/counts": ONE, "g": ONE, "g/g": ONE,
-    "m/s^2": MS2, "m/s^2/g": MS2, "g/(m/s^2)": r"\metre\tothe{-1}\second\tothe{2}", "rad": RADIAN, "°C": CELSIUS,
-    "A": AMPERE, "m/s²": MS2, "": ONE,
+    "m/s^2": MS2, "m/s^2/g": MS2, "g/(m/s^2)": r"\metre\tothe{-1}\second\tothe{2}", "rad": RADIAN, "deg": DEGREE,
+    "°C": CELSIUS, "A": AMPERE, "m/s²": MS2, "": ONE,
 }  # fmt: skip
 """D-SI notation of each unit in results. Ratios to local g are quantities of dimension one."""
 

@@ -10,7 +10,16 @@ from typing import Any, Final
 
 from bench.base.computing import uncollected
 from bench.base.files import MEGABYTE
-from bench.base.yaml_files import Document, FileMistake, FileMistakes, Place, load_document, part, validated
+from bench.base.yaml_files import (
+    Document,
+    FileMistake,
+    FileMistakes,
+    Place,
+    document_of,
+    load_document,
+    part,
+    validated,
+)
 from bench.config.procedure.check import check
 from bench.config.procedure.expansion import Expansion
 from bench.config.procedure.file import IncludedFile, ProcedureFile
@@ -48,16 +57,19 @@ class Procedure:
 
 
 @uncollected()
-def load_procedure(path: Path) -> Procedure:
-    """Read and check a procedure. Raises `FileMistakes` with every mistake in it and its included files."""
+def load_procedure(path: Path, content: bytes | None = None) -> Procedure:
+    """Read and check a procedure. Raises `FileMistakes` with every mistake in it and its included files.
+
+    With `content` the file itself is not read, as it may not be written yet.
+    """
     try:
-        return _loaded(path)
+        return _loaded(path, content)
     except RecursionError:
         raise FileMistakes(path, [FileMistake(0, "steps", _TOO_DEEP)]) from None
 
 
-def _loaded(path: Path) -> Procedure:
-    tree = _Tree(path)
+def _loaded(path: Path, content: bytes | None) -> Procedure:
+    tree = _Tree(path, content)
     if tree.mistakes:
         raise FileMistakes(path, sorted(set(tree.mistakes), key=_in_order))
     root = tree.files[path.resolve()]
@@ -78,13 +90,13 @@ def _in_order(mistake: FileMistake) -> tuple[str, int, str, str]:
 class _Tree:
     """A procedure file and all included files, by resolved path, with the mistakes in all of them."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, content: bytes | None) -> None:
         self.documents: dict[Path, Document] = {}
         self.files: dict[Path, IncludedFile] = {}
         self.mistakes: list[FileMistake] = []
         self._refused: dict[Path, str] = {}
         self._checked: set[tuple[Path, frozenset[str]]] = set()
-        self._root = load_document(path, MOST_BYTES)
+        self._root = load_document(path, MOST_BYTES) if content is None else document_of(path, content)
         if not (isinstance(self._root.data, dict) and {"procedure", "steps"} & set(self._root.data)):
             text = "this is not a procedure: 'procedure' and 'steps' are missing"
             raise FileMistakes(path, [FileMistake(0, "", text)])

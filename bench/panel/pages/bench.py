@@ -14,8 +14,9 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, RedirectResponse, Response
 
 from bench.base.text import visible
-from bench.base.yaml_files import dotted, read_yaml
+from bench.base.yaml_files import FileMistake, FileMistakes, document_of, dotted, read_yaml, validated
 from bench.config.bench_file.file import BenchFile
+from bench.config.shipped import CONFIG
 from bench.panel.access import STATE, Person, Refusal, Role
 from bench.panel.bench_fields import (
     METERS_PLACE,
@@ -28,19 +29,18 @@ from bench.panel.bench_fields import (
     placed,
     values_of,
 )
-from bench.panel.bench_files import (
-    BenchText,
+from bench.panel.launching import choices
+from bench.panel.own_files import (
+    FileText,
     difference,
-    listed,
-    mistakes_in,
     new_path,
     own_file,
-    read_bench,
+    own_files,
+    read_file,
     shipped_file,
     shipped_files,
-    write_bench,
+    write_file,
 )
-from bench.panel.launching import choices
 from bench.panel.searching import IDENTIFY, OFFERS, TEST, Findings, Search
 from bench.panel.shared import Panel, acting, looking, page, panel_of
 from drivers.clock import utc_now
@@ -61,7 +61,7 @@ class FormState:
 
     name: str
     start: str
-    base: BenchText
+    base: FileText
     values: dict[str, str]
     groups: list[Group] = field(default_factory=list)
     placed: Placed = field(default_factory=Placed)
@@ -80,8 +80,43 @@ def benches(request: Request) -> Response:
     """Show the bench files of the working folder and the shipped ones to start from."""
     _operator(request)
     return page(
-        request, "benches.html.j2", own=listed(), shipped=list(shipped_files()), folder=str(Path().resolve())
+        request,
+        "benches.html.j2",
+        own=listed(),
+        shipped=list(shipped_files(CONFIG)),
+        folder=str(Path().resolve()),
     )
+
+
+@dataclass(frozen=True)
+class Listed:
+    """A bench file in the list: its name, its description, and the number of its mistakes."""
+
+    name: str
+    path: str
+    description: str
+    mistakes: int
+
+
+def listed() -> list[Listed]:
+    """Return the bench files of the working folder for the list."""
+    rows = []
+    for name, path in own_files(CONFIG).items():
+        try:
+            text = read_file(path)
+            mistakes, file = mistakes_in(text.text, path)
+        except Refusal:
+            mistakes, file = (FileMistake(0, "", "it cannot be read"),), None
+        rows.append(Listed(name, str(path), file.description if file else "", len(mistakes)))
+    return rows
+
+
+def mistakes_in(text: str, path: Path) -> tuple[tuple[FileMistake, ...], BenchFile | None]:
+    """Return the mistakes of a bench file with this text, and the bench file if there are none."""
+    try:
+        return (), validated(document_of(path, text.encode()), BenchFile)
+    except FileMistakes as mistakes:
+        return mistakes.mistakes, None
 
 
 # --- the form ---------------------------------------------------------------------------------------
@@ -101,13 +136,13 @@ def form(request: Request) -> Response:
 def _begun(name: str, start: str, new_name: str = "") -> FormState:
     """Return the form of a file as it stands. Raises `Refusal` if there is none."""
     if name:
-        base = read_bench(own_file(name))
+        base = read_file(own_file(CONFIG, name))
         return FormState(name, "", base, _values(base.text))
-    shipped = read_bench(shipped_file(start))
+    shipped = read_file(shipped_file(CONFIG, start))
     values = _values(shipped.text)
     if new_name := new_name.strip():
         values["name"] = new_name
-    return FormState(new_name, start, BenchText(shipped.path, shipped.text), values)
+    return FormState(new_name, start, FileText(shipped.path, shipped.text), values)
 
 
 def _values(text: str) -> dict[str, str]:
@@ -217,7 +252,7 @@ def _write(panel: Panel, person: Person, state: FormState, expected: str) -> boo
     from bench.panel.round_trip import signed
 
     try:
-        path = state.base.path if not state.start else new_path(state.name)
+        path = state.base.path if not state.start else new_path(CONFIG, state.name)
     except Refusal as refusal:
         state.placed.at.setdefault("new_name", []).append(refusal.text)
         return False
@@ -225,12 +260,12 @@ def _write(panel: Panel, person: Person, state: FormState, expected: str) -> boo
         state.refusal = f"Not written: {state.placed.number} mistakes. See each at its field."
         return False
     state.written = signed(state.written, person.name, utc_now())
-    if expected == state.base.sha256 and write_bench(
+    if expected == state.base.sha256 and write_file(
         path, state.written, expected, panel.settings.runs / STATE
     ):
         return True
     state.refusal = "Not written: the file changed since this form was opened. See the difference below."
-    state.difference = difference(read_bench(path).text, state.written, path.name)
+    state.difference = difference(read_file(path).text, state.written, path.name)
     return False
 
 
@@ -295,7 +330,7 @@ async def test(request: Request) -> Response:
     """Start a process that opens, tests and reads the instruments of a bench file that was written."""
     _, given = await acting(request, Role.OPERATOR)
     name = given.get("file", "")
-    path = own_file(name)
+    path = own_file(CONFIG, name)
     await run_in_threadpool(search_of(panel_of(request)).begin, TEST, bench=path)
     return RedirectResponse(f"/bench/form?file={quote(name)}#try", status_code=303)
 

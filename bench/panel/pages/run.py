@@ -15,6 +15,7 @@ from bench.panel.access import Person, Refusal, Role
 from bench.panel.holding import change, read_holding, require_holder
 from bench.panel.launching import resume_run
 from bench.panel.outcome import Outcome, outcome_of
+from bench.panel.pages.queue import next_unit
 from bench.panel.shared import acting, looking, page, panel_of, person_of, wants_json
 from bench.panel.stream import as_event
 from bench.run.events import RecordError, Wish
@@ -55,6 +56,7 @@ async def run(request: Request) -> Response:
         run=found,
         state=state,
         outcome=ended,
+        next_unit=next_unit(panel_of(request)),
         state_json=json.dumps(without_infinity(state)),
     )
 
@@ -64,7 +66,14 @@ async def outcome(request: Request) -> Response:
     found = run_of(request)
     state = await panel_of(request).followers.state(found.folder)
     told = await run_in_threadpool(_outcome, request, found, state)
-    return page(request, "outcome.html.j2", run=found, state=state, outcome=told)
+    return page(
+        request,
+        "outcome.html.j2",
+        run=found,
+        state=state,
+        outcome=told,
+        next_unit=next_unit(panel_of(request)),
+    )
 
 
 def _outcome(request: Request, run: Run, state: Mapping[str, Any]) -> Outcome:

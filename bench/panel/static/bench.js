@@ -1,12 +1,12 @@
 "use strict";
-// The form of a bench file: a choice on which other fields depend shows them at once; a search that ends is shown.
+// The form of a bench file or a procedure: a choice on which other fields depend shows them at once; a search that ends is shown.
 (function () {
   const form = document.getElementById("bench");
   if (!form) return;
   const show = form.querySelector("button[value=show]");
   for (const choice of form.querySelectorAll("[data-shows]")) {
     choice.addEventListener("change", () => {
-      form.action = "/bench/form#" + choice.id;
+      form.action = form.action.split("#")[0] + "#" + choice.id;
       form.requestSubmit(show);
     });
   }

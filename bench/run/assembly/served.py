@@ -32,7 +32,7 @@ from bench.run.events import Event, EventType
 from bench.run.instruments import Instruments
 from bench.run.person import NO, problem_with_answer
 from bench.run.runner import Observer
-from drivers.angles import parse_angle
+from drivers.angles import typed_angle
 from drivers.clock import Clock, Haste, SystemClock
 from drivers.interfaces import BenchError, Voltmeter
 from drivers.person import Answer, Person, Prompt, PromptKind, WatchingPerson
@@ -98,7 +98,8 @@ class LivingOperator:
             typed = answer.text.strip() or prompt.default or ""
             if prompt.kind is PromptKind.CONFIRM:  # an encoder reads the head that the hands turn now
                 return self._hands.ask(prompt) if typed.lower() not in NO else answer
-            self._hands.turn_to(prompt.id, parse_angle(typed), action["direction"], action.get("backoff_rad"))
+            angle_rad = typed_angle(typed, action["target_rad"])
+            self._hands.turn_to(prompt.id, angle_rad, action["direction"], action.get("backoff_rad"))
         elif action["do"] in _DONE and answer.text.strip().lower() not in NO:
             self._hands.ask(prompt)
         return answer
