@@ -29,7 +29,7 @@ from drivers.clock import utc_now
 
 TO_DO: Final = "to do"
 DUE_WITHIN: Final = timedelta(days=30)
-"""How long before its end a certificate is called due."""
+"""How long before it expires a certificate is called due."""
 WARM: Final = timedelta(hours=1)
 """The warm-up after which voltmeters meet their specification (34401A User's Guide, chapter 8)."""
 MOVES: Final = {"up": -1, "down": 1}
