@@ -297,7 +297,7 @@ def judge_stop(status: Any, outcome: FedOutcome) -> None:
     outcome.judge_stop(status)
     said = outcome.said
     named = (
-        "rail p15", "rail n15", "its output", "did not answer", "no answer", "not set any more", "is off",
+        "rail p15", "rail n15", "its output", "did not answer", "no answer", "its settings changed", "is off",
     )  # fmt: skip
     if "power_supply:" not in said or not any(words in said for words in named):
         outcome.violations.append(f"the cause is not named: {said.strip()}")

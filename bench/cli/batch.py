@@ -1,4 +1,4 @@
-"""batch: many runs evaluated anew, restartable, by processes or a cluster; changed results and verdicts."""
+"""batch: many runs evaluated again, restartable, by processes or a cluster; changed results and verdicts."""
 
 from __future__ import annotations
 

@@ -75,7 +75,7 @@ def issue(request: IssueCertificates, json: JsonOption = None) -> int:
 
 def _say_unsigned(request: Issuing) -> None:
     if request.key is None:
-        printing.aside("bench: not signed; --key FILE signs what is issued")
+        printing.aside("bench: not signed; --key FILE signs it")
 
 
 @GROUP.command(

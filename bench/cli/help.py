@@ -31,7 +31,7 @@ def help(
             context.command.get_command(context, word) if hasattr(context.command, "get_command") else None
         )
         if found is None:
-            raise Refused(f"there is no command '{' '.join(command or ())}'; 'bench help --all' lists all")
+            raise Refused(f"unknown command '{' '.join(command or ())}'; 'bench help --all' lists all")
         context = typer.Context(found, parent=context, info_name=word)
     typer.echo(context.get_help())
     return 0

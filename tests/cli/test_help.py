@@ -79,7 +79,7 @@ def test_a_group_lists_its_commands_with_whole_summaries(narrow, name):
 
 @pytest.mark.parametrize("words", [["brew"], ["run", "brew"], ["fleet", "brew"]])
 def test_the_help_of_an_unknown_command_is_refused(bench, words):
-    refused(bench("help", *words), f"there is no command '{' '.join(words)}'; 'bench help --all' lists all")
+    refused(bench("help", *words), f"unknown command '{' '.join(words)}'; 'bench help --all' lists all")
 
 
 # --- a procedure is an argument everywhere ----------------------------------------------------------

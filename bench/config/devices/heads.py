@@ -56,7 +56,7 @@ class AcutrolSection(MotorisedHeadForm):
         if tolerance_rad < finest_rad:
             raise ValueError(
                 f"the tolerance is finer than the {acutrol.FINEST_DEMAND_DEG:.4f}° "
-                f"({finest_rad / ARCSEC:.1f} arcsec) to which it takes demands"
+                f"({finest_rad / ARCSEC:.1f} arcsec) to which it rounds demands; widen it"
             )
         return tolerance_rad
 
@@ -181,12 +181,12 @@ class ZaberSection(MotorisedHeadForm):
     def _steps_fit(self) -> ZaberSection:
         steps_per_degree = abs(self.steps_per_degree)
         if steps_per_degree == 0.0:
-            raise ValueError("steps_per_degree is not zero: see the stage's data sheet")
+            raise ValueError("state 'steps_per_degree' other than 0, from the stage's data sheet")
         farthest_rad = max(abs(self.minimum), abs(self.maximum))
         if math.degrees(farthest_rad) * steps_per_degree > zaber.MOST_STEPS:
-            raise ValueError("the limits of the head are more steps than its controller counts")
+            raise ValueError("the limits of the head exceed the controller's range of steps; narrow them")
         if 0.5 / steps_per_degree > math.degrees(self.tolerance):
-            raise ValueError("a step of the head is coarser than its tolerance: no angle would pass")
+            raise ValueError("a step of the head is coarser than its tolerance; widen the tolerance")
         return self
 
     def driver_options(self) -> dict[str, Any]:
@@ -255,7 +255,7 @@ class LeicaNivelSection(LevelForm, WiredForm):
     @model_validator(mode="after")
     def _two_axes(self) -> LeicaNivelSection:
         if self.along[1] == self.across[1]:
-            raise ValueError(f"along and across are both axis {self.along[1]}; one of them is the other axis")
+            raise ValueError(f"along and across are both axis {self.along[1]}; change one of them")
         return self
 
     def driver_options(self) -> dict[str, Any]:
@@ -385,14 +385,22 @@ class EncoderLineSection(ReadOutHeadForm):
     def _fits(self) -> EncoderLineSection:
         match = re.fullmatch(self.pattern, self.example)
         if match is None:
-            raise ValueError(f"the pattern '{self.pattern}' does not fit the example '{self.example}'")
+            raise ValueError(
+                f"the pattern '{self.pattern}' does not match the example; correct one of "
+                f"them: '{self.example}'"
+            )
         if re.fullmatch(r"[+-]? *\d+(?:\.\d+)?", match[encoder_line.ANGLE] or "") is None:
-            raise ValueError(f"the angle in the example is no number, but '{match[encoder_line.ANGLE]}'")
+            raise ValueError(
+                "correct the pattern: the angle in the example is not a number, but "
+                f"'{match[encoder_line.ANGLE]}'"
+            )
         for error in self.errors:
             if re.fullmatch(self.pattern, error) is not None:
-                raise ValueError(f"the pattern fits the error '{error}': it would be read as an angle")
+                raise ValueError(
+                    f"the pattern matches the error '{error}': exclude it, or it is read as an angle"
+                )
         if (self.unit == "counts") != (self.counts_per_turn is not None):
-            raise ValueError("state counts_per_turn where the unit is counts, and nowhere else")
+            raise ValueError("state 'counts_per_turn' if, and only if, the unit is counts")
         return self
 
     @property
