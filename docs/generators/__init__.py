@@ -12,6 +12,7 @@ from docs.generators import (
     commands,
     constants,
     effects,
+    errors,
     estimators,
     example_certificate,
     instruments,
@@ -37,6 +38,7 @@ PAGES: Final[dict[str, Callable[[], str]]] = {
     "example-certificate.md": example_certificate.page,
     "measured.md": measured.page,
     "_rooms.md": rooms.fragment,
+    "_errors.md": errors.fragment,
     "_constants.md": constants.fragment,
     "_blind-trial.md": blind_trial_shown,
 }

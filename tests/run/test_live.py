@@ -207,12 +207,12 @@ def test_a_lost_meter_is_said_once_and_stops_no_question(looking):
 
 def test_a_scanner_is_left_alone_and_says_why(looking):
     signals, bench, lines = looking
-    bench.voltmeters[0].not_live = "a scanner's relays wear with every look"
+    bench.voltmeters[0].not_live = "a scanner's relays wear with every query"
     signals.begin(prompt())
     signals.look()
     signals.look()
     assert bench.looks == 0
-    assert lines == ["live: voltmeter.x: a scanner's relays wear with every look"]
+    assert lines == ["live: voltmeter.x: a scanner's relays wear with every query"]
 
 
 def test_at_a_terminal_the_line_stands_above_what_is_typed():

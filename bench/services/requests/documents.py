@@ -116,7 +116,7 @@ class DueUnits(_Dated):
 
 @dataclass(frozen=True, kw_only=True)
 class Batch(OnReadings):
-    """Many runs to be evaluated anew; the results are written into a folder."""
+    """Many runs to be evaluated again; the results are written into a folder."""
 
     over: Annotated[
         list[str],
@@ -145,7 +145,7 @@ class Batch(OnReadings):
 
 @dataclass(frozen=True, kw_only=True)
 class BatchCalibrate(Batch):
-    """Coefficients and verdicts of many runs, computed anew."""
+    """Coefficients and verdicts of many runs, computed again."""
 
     estimator: EstimatorField = "gls"
     nominal_angles: NominalField = False
@@ -159,7 +159,7 @@ class BatchCalibrate(Batch):
 
 @dataclass(frozen=True, kw_only=True)
 class BatchDiagnose(Batch):
-    """Diagnoses of many runs, computed anew."""
+    """Diagnoses of many runs, computed again."""
 
     strict: Annotated[bool, Option("Accept no changed effect under the same verdict.", common=True)] = False
 
@@ -313,6 +313,83 @@ class ReadCertificate:
         str | None,
         Option("Noise of a reading, such as '50 uV', for a foreign certificate.", metavar="VOLTAGE"),
     ] = None
+
+
+# --- validation ---------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class Validate:
+    """The validation of an installation: to be made, accepted, withdrawn or listed."""
+
+    bench: Annotated[
+        str | None,
+        Option(
+            "Bench file, by path or name (default: BENCH_FILE, else paper-stand).",
+            metavar="FILE",
+            completes="bench_files",
+            common=True,
+        ),
+    ] = None
+    quick: Annotated[bool, Option("Take a minute: fewer simulated files, one kill.", common=True)] = False
+    against: Annotated[
+        str | None,
+        Option("Also recompute past runs (a path pattern or catalogue query) and list changes beyond 0.1 u.",
+               metavar="OLD", common=True),
+    ] = None  # fmt: skip
+    out: Annotated[
+        Path | None,
+        Option("Folder for page, PDF and result (default: validation-DATE).", metavar="DIR"),
+    ] = None
+    key: Annotated[Path | None, Option("Private key (Ed25519) that signs the seal.", metavar="FILE")] = None
+    laboratory: LaboratoryField = None
+    accept: Annotated[
+        Path | None,
+        Option(
+            "Accept the validation in DIR as authorised person: it is registered.", metavar="DIR", common=True
+        ),
+    ] = None
+    withdraw: Annotated[str | None, Option("Withdraw the accepted validation NUMBER.", metavar="NUMBER")] = (
+        None
+    )
+    by: Annotated[
+        str | None, Option("Authorised person, as named in the laboratory file.", metavar="NAME", common=True)
+    ] = None
+    reason: Annotated[str | None, Option("Reason, for the register.", metavar="TEXT")] = None
+    register: Annotated[bool, Option("List the register of validations.")] = False
+    runs: RunsField = None
+    catalogue: CatalogueField = None
+
+
+class FailureState(StrEnum):
+    """The state of a failure in the register."""
+
+    OPEN = "open"
+    REMEDIED = "remedied"
+    CLOSED = "closed"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Failures:
+    """The register of failures: to be brought up to date from the records, amended, or shown for a year."""
+
+    laboratory: LaboratoryField = None
+    number: Annotated[
+        str | None, Option("Failure whose state and remedy are noted.", metavar="NUMBER", common=True)
+    ] = None
+    state: Annotated[
+        FailureState | None,
+        Option("Its state: open, remedied or closed (by an authorised person).", common=True),
+    ] = None
+    remedy: Annotated[str | None, Option("Cause and remedy, in words.", metavar="TEXT", common=True)] = None
+    by: Annotated[str | None, Option("Who notes it.", metavar="NAME", common=True)] = None
+    year: Annotated[
+        int | None, Option("Show the failures of this year only.", metavar="YYYY", common=True)
+    ] = None
+    page: Annotated[
+        Path | None, Option("Write an HTML page, as for the management review.", metavar="FILE", common=True)
+    ] = None
+    runs: RunsField = None
 
 
 # --- the panel ----------------------------------------------------------------------------------------
