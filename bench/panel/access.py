@@ -210,7 +210,7 @@ def counted(receive: Receive) -> Receive:
         taken += len(received.get("body", b""))
         if taken > LARGEST_BODY:
             raise Refusal(413, f"at most {LARGEST_BODY} bytes are accepted; send less")
-        return message
+        return received
 
     return bounded
 
