@@ -155,11 +155,13 @@ def _trimmed(segment: _Segment) -> tuple[str, _Segment, str]:
             closed += told.startswith("</") and not opened
             opened += 1 if not told.startswith("</") else -1 if opened else 0
     for _ in range(closed):  # tags around the text stay with it where their other ends are in it
-        before, start = re.fullmatch(r"(.*)(<[^/][^<]*)", before, re.DOTALL).groups()  # type: ignore[union-attr]
-        tokens.insert(0, (-1, ("tag", start)))
+        if (start := re.fullmatch(r"(.*)(<[^/][^<]*)", before, re.DOTALL)) is not None:
+            before = start[1]
+            tokens.insert(0, (-1, ("tag", start[2])))
     for _ in range(opened):
-        end, after = re.fullmatch(r"(\s*</[^>]*>)(.*)", after, re.DOTALL).groups()  # type: ignore[union-attr]
-        tokens.append((-1, ("tag", end)))
+        if (end := re.fullmatch(r"(\s*</[^>]*>)(.*)", after, re.DOTALL)) is not None:
+            after = end[2]
+            tokens.append((-1, ("tag", end[1])))
     raw = {new for new, (old, _) in enumerate(tokens) if old in segment.raw}
     return before, _Segment([token for _, token in tokens], raw), after
 
