@@ -66,15 +66,17 @@ $(STAMP): $(PRODUCT)
 	PIP_CONSTRAINT=constraints.txt $(VENV)/bin/python -m pip install --quiet --editable '.[test,dev]'
 	touch $@
 
-# A site of the pages under docs, with the references made from the code; a broken link is an error.
+# A site of the pages under docs, with references, pictures and the gallery made by the program; a broken link is an error.
+# Then a look at it in the system's Chromium; without one it has no screenshots, and says so.
 docs: $(VENV)/.documented
-	$(VENV)/bin/sphinx-build -q -W --keep-going -b html docs docs/_build/html
+	OPENBLAS_NUM_THREADS=1 $(VENV)/bin/sphinx-build -q -W --keep-going -b html docs docs/_build/html
+	$(VENV)/bin/python -m docs.generators.accessible docs/_build/html
 
 $(VENV)/.documented: $(STAMP)
 	PIP_CONSTRAINT=constraints.txt $(VENV)/bin/python -m pip install --quiet --editable '.[docs,browser]'
 	touch $@
 
-# About half an hour on two cores, after which docs/diagnosis-trial.md has its tables; TRIAL=--short takes a few minutes.
+# About half an hour on two cores, after which the site has its tables; TRIAL=--short takes a few minutes.
 TRIAL ?= --page --seed 7
 blind-trial: $(STAMP)
 	OPENBLAS_NUM_THREADS=1 $(VENV)/bin/python -m benchmarks.blind_trial $(TRIAL)

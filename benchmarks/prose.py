@@ -33,9 +33,7 @@ _LEFT_OUT: Final = re.compile(
     r"|(?<=\n\n)(?: {4}\S[^\n]*\n)+",
     re.M | re.S,
 )
-_PICTURE: Final = re.compile(
-    r"!\[[^\]]*\]\([^)]*\)|^```\{(?:figure|image)\}.*$|^```\{include\} reference/_panel\.md$", re.M
-)
+_PICTURE: Final = re.compile(r"!\[[^\]]*\]\([^)]*\)|^```\{(?:figure|image|picture)\}.*$", re.M)
 _ITEM: Final = re.compile(r"^\s*(?:[-*+]|\d+\.|:|>)\s+", re.M)
 _END: Final = re.compile(r"(?<!\b[A-Z])(?<!e\.g)(?<!i\.e)[.!?][\"'”’)*_]*\s+(?=[\"'“‘(*_]*[^\sa-z])")
 

@@ -37,7 +37,7 @@ from bench.calibration.result import (
 )
 from bench.model.forward import ForwardModel
 from bench.model.geometry import STAND_ANGLES, Block
-from bench.readings.table import FREE, VERIFICATION, Readings
+from bench.readings.table import FREE, REFERENCE, VERIFICATION, Readings
 
 ROUNDING: Final = 1e-9
 """Noise below this fraction of the largest signal means computed readings, which have no outliers."""
@@ -179,6 +179,11 @@ def usable_rows(readings: Readings, model: ForwardModel) -> Readings:
     Raises `CalibrationError` if there are none, an installation is not in the model, or a value is no number.
     """
     rows = readings.oriented()
+    if len(readings) and np.all(readings.installation == REFERENCE):
+        raise CalibrationError(
+            f"{readings.source}: a record at a known input has no coefficients of a block; 'bench diagnose' gives "
+            "zero, drift and effects of each channel"
+        )
     if len(rows) == 0:
         raise CalibrationError(
             f"{readings.source}: no reading in an installation of known orientation; "

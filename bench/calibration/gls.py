@@ -228,18 +228,15 @@ def finish(problem: Problem, fit: Fit, covariance: Floats, noise: Noise) -> Fit:
     prior[:, p - len(others) : p] = problem.prior_rows
     prior[:, p] = -problem.pulls(others)
     scaled = np.concatenate([whitened[:, :p] * scale, prior[:, :p]])
-    q, r = np.linalg.qr(scaled)
-    inverse = np.linalg.solve(r, np.eye(p)) * scale[:, None]
-    found = inverse @ (q.T @ np.concatenate([whitened[:, p], prior[:, p]]))
+    solved = solve_rows(scaled, np.concatenate([whitened[:, p], prior[:, p]]), scale)
+    found, inverse, q = solved.step, solved.inverse, solved.q
     back = linalg.solve_triangular(lower, q[: len(target)], lower=True, trans="T")
     gain = inverse @ back.T
     step = np.zeros(FIXED + len(others))
     step[places.unknowns] = found[places.own]
     block = Block.from_vector(fit.block.vector + step[:FIXED])
     further = others + step[FIXED:]
-    return _result(
-        problem, system, block, further, noise, places, found, inverse @ inverse.T, gain, fit.shifts
-    )
+    return _result(problem, system, block, further, noise, places, found, solved.covariance, gain, fit.shifts)
 
 
 def noise_floor(signal: Floats, resolution: float, free: FreeRows | None = None) -> float:
@@ -352,7 +349,14 @@ class Solution:
 
 def solve(problem: Problem, system: System, noise: Noise, others: Floats) -> Solution:
     """Return one step of the fit from the values `others` (q,), for noise of these sizes."""
-    rows, target, scale = whitened_rows(problem, system, noise, others)
+    return solve_rows(*whitened_rows(problem, system, noise, others))
+
+
+def solve_rows(rows: Floats, target: Floats, scale: Floats) -> Solution:
+    """Return the least-squares solution of rows (n, p) of unit noise and their targets (n,), by QR.
+
+    Column j belongs to unknown j divided by `scale` (p,).
+    """
     q, r = np.linalg.qr(rows)
     inverse = np.linalg.solve(r, np.eye(len(r))) * scale[:, None]
     return Solution(inverse @ (q.T @ target), inverse @ inverse.T, inverse, q)

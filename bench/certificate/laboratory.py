@@ -167,7 +167,8 @@ class Laboratory(Contact, StatedRule):
 
     `rule` and `guard_band` are the decision rule if neither the order nor the record states one. `numbers` is
     the scheme of certificate numbers, and `k` the coverage factor of the coefficients. `texts` replaces the
-    program's texts, by language and key.
+    program's texts, by language and key. With `require_validation`, real runs and certificates need a program
+    whose validation was accepted.
     """
 
     accreditation: Accreditation | None = None
@@ -182,6 +183,7 @@ class Laboratory(Contact, StatedRule):
         tuple[Language, ...], BeforeValidator(_languages), Field(min_length=1, max_length=2)
     ] = ("en",)
     texts: Mapping[Language, Mapping[str, str]] = {}
+    require_validation: bool = False
     _file: Path = PrivateAttr(default=Path())
     _logo: Path | None = PrivateAttr(default=None)
 

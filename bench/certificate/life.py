@@ -21,6 +21,7 @@ from bench.results.certificate import IssuedRun, RegisteredCertificate, Register
 from bench.services.errors import Refused, sentence
 from bench.services.requests.documents import CheckRegister, IssueCertificates, Issuing, RevokeCertificate
 from bench.services.requests.shared import runs_folder
+from bench.services.validated import refuse_unvalidated_certificate
 from drivers.clock import utc_now
 
 if TYPE_CHECKING:
@@ -109,12 +110,12 @@ class Bodies:
         return {name: hashlib.sha256(body).hexdigest() for name, body in vars(self).items()}
 
 
-def authorised(laboratory: Laboratory, name: str) -> Person:
-    """Return the person called `name`. Raises `Refused` if this person may not authorise certificates."""
+def authorised(laboratory: Laboratory, name: str, option: str = "--authorised-by") -> Person:
+    """Return the person called `name`. Raises `Refused`, naming the option, if this person may not authorise."""
     person = laboratory.person(name)
     if person is None:
         names = ", ".join(one.name for one in laboratory.authorised)
-        raise Refused(f"--authorised-by {name}: the laboratory file names {names}; choose one of them")
+        raise Refused(f"{option} {name}: the laboratory file names {names}; choose one of them")
     return person
 
 
@@ -161,13 +162,21 @@ def _told(name: str) -> Iterator[list[IssuedRun]]:
 def _issue(
     name: str, desk: Desk, laboratory: Laboratory, order: Order, person: Person, register: Register
 ) -> IssuedRun:
-    certificate = certificate_of(name, desk.runs, laboratory, order)
+    certificate = _wanted(name, desk, laboratory, order)
     with opened(register.folder, register):
         before = _holding(register, certificate)
         if before is not None:
             files = [str(register.folder / file) for file in before.entry.files]
             return _outcome(name, before.entry.number, files=files, issued_before=True)
         return _write(certificate, desk, laboratory, person, register, None)
+
+
+def _wanted(name: str, desk: Desk, laboratory: Laboratory, order: Order) -> Certificate:
+    """Return the certificate of a run. Raises `Refused` where the laboratory demands a validated program."""
+    certificate = certificate_of(name, desk.runs, laboratory, order)
+    if laboratory.require_validation and not certificate.simulated:
+        refuse_unvalidated_certificate(desk.laboratory_file.path)
+    return certificate
 
 
 def _holding(register: Register, certificate: Certificate) -> NumberStatus | None:
@@ -185,7 +194,7 @@ def amend(number: str, name: str, desk: Desk, reason: str, *, replaced: bool) ->
     """
     laboratory, order = desk.laboratory, desk.order
     person = desk.person(laboratory)
-    certificate = certificate_of(name, desk.runs, laboratory, order)
+    certificate = _wanted(name, desk, laboratory, order)
     with opened(laboratory.register_folder) as register:
         old = holds(register, number).entry
         item = certificate.found.item

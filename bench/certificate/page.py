@@ -230,13 +230,16 @@ def pictures_of(certificate: Certificate, dcc: bytes, dots_per_inch: float = 110
     return made if isinstance(made, list) else [made]
 
 
-def typeset_pdf(data: dict[str, str], moment: int) -> bytes:
-    """Return the PDF typeset from the template; `moment` (s since 1970) is its stated creation time."""
+def typeset_pdf(data: dict[str, str], moment: int, template: bytes | None = None) -> bytes:
+    """Return the PDF typeset from a template, that of certificates by default.
+
+    `moment` (s since 1970) is its stated creation time.
+    """
     import typst
 
     try:
         made: Any = typst.compile(
-            _template(),
+            template or _template(),
             format="pdf",
             pdf_standards=["a-3b"],
             ignore_system_fonts=True,

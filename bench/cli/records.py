@@ -114,9 +114,14 @@ def export(request: ExportReadings) -> int:
 @requested
 def import_(request: ImportReadings) -> int:
     """Import a readings file that was measured elsewhere as a run."""
-    from bench.services.conclusion import import_readings
+    from bench.services.conclusion import import_readings, preview_log
 
     out = printing.console()
+    if request.preview:
+        log = preview_log(request)
+        sys.stdout.write(f"{log.preview()}\n")
+        out.print(f"{log.rows} rows, {len(log.skipped)} left out; nothing was imported")
+        return 0
 
     def announce(taken: BenchTaken, notes: Sequence[str]) -> None:
         printing.bench_file(taken.part(), None)

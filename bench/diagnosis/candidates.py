@@ -18,6 +18,7 @@ from bench.diagnosis.noise_grid import Whitener
 from bench.diagnosis.residual_dictionary import DictionaryTerm, dictionary
 from bench.model.effects import CATALOGUE, AppliedEffect, Effect, Parameter
 from bench.model.effects.base import pass_label
+from bench.readings.columns import METER_C, ROOM_C, meter_c
 from bench.readings.table import UNORIENTED, VERIFICATION, Readings
 
 Cell = tuple[str, int]
@@ -484,6 +485,11 @@ def _phase(linear: LinearSystem) -> Floats:
     return np.asarray((t - t.min()) / max(float(np.ptp(t)), 1e-300))
 
 
+OF_METER_WARMTH: Final = ("voltmeter_thermal_gain", "voltmeter_thermal_offset")
+NO_METER_C: Final = f"the readings have no column {METER_C} or {ROOM_C}"
+OF_RECORDS: Final = ("voltmeter_move", "reference_supply")
+
+
 @dataclass(frozen=True)
 class KnownBench:
     """Properties of the bench that rule effects out; None where a property is unknown.
@@ -522,6 +528,8 @@ class KnownBench:
             else "",
             "meters_exchanged": "one voltmeter reads all channels" if self.own_meters is False else "",
             "backlash": "the head's scale sits on the axis itself" if self.scale_on_axis else "",
+            **dict.fromkeys(OF_METER_WARMTH, "" if meter_c(readings.extra) is not None else NO_METER_C),
+            **dict.fromkeys(OF_RECORDS, "it is looked for in records at a known input"),
         }
         return {name: why[name] for name in CATALOGUE if why.get(name)}
 

@@ -37,7 +37,7 @@ def facts(model: TemperatureModel, table: CompensationTable, of: str) -> list[st
         f"{error.bias:.2g} g,",
         f"and {error.per_g:.2g} for each g of acceleration; single precision at most {error.single:.2g} g up to "
         f"{error.reach_g:g} g.",
-        "The uncertainty of the calibration is not in these figures; it stands in the JSON result.",
+        "The uncertainty of the calibration is not included; the JSON result has it.",
         *picture(model.unit),
     ]
 

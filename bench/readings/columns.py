@@ -244,11 +244,26 @@ def above_nominal_v(extra: Mapping[str, Labels]) -> Floats | None:
     if not rails:
         return None
     columns = [
-        _numbers(extra[voltage_column(rail)])
-        - (_numbers(extra[nominal_column(rail)]) if nominal_column(rail) in extra else np.nan)
+        numbers(extra[voltage_column(rail)])
+        - (numbers(extra[nominal_column(rail)]) if nominal_column(rail) in extra else np.nan)
         for rail in rails
     ]
     return np.stack(columns, axis=1)
+
+
+METER_C: Final = "meter_temperature_c"
+"""The column of the temperature of the voltmeters, °C."""
+ROOM_C: Final = "room_c"
+"""The column of the temperature of the room, °C."""
+
+
+def meter_c(extra: Mapping[str, Labels]) -> Floats | None:
+    """Return the temperature of the voltmeters, °C, shape (n,), that of the room where no other is recorded.
+
+    Values are NaN where not given. Returns None without either column.
+    """
+    own = next((name for name in (METER_C, ROOM_C) if any(map(str.strip, extra.get(name, ())))), None)
+    return None if own is None else numbers(extra[own])
 
 
 SINCE_POWER_ON_S: Final = "since_power_on_s"
@@ -257,7 +272,7 @@ SINCE_POWER_ON_S: Final = "since_power_on_s"
 
 def since_power_on_s(extra: Mapping[str, Labels]) -> Floats | None:
     """Return the time since the block was switched on, s, shape (n,), NaN if not given; None without the column."""
-    return _numbers(extra[SINCE_POWER_ON_S]) if SINCE_POWER_ON_S in extra else None
+    return numbers(extra[SINCE_POWER_ON_S]) if SINCE_POWER_ON_S in extra else None
 
 
 def since_power_on_cells(read_s: Sequence[float | None], power: Sequence[tuple[float, str]]) -> list[str]:
@@ -277,7 +292,8 @@ def since_power_on_cells(read_s: Sequence[float | None], power: Sequence[tuple[f
     return cells
 
 
-def _numbers(cells: Labels) -> Floats:
+def numbers(cells: Labels) -> Floats:
+    """Return the cells of a column as numbers, NaN for an empty cell, shape (n,)."""
     return np.array([float(cell) if cell.strip() else np.nan for cell in cells.tolist()], dtype=np.float64)
 
 

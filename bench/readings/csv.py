@@ -18,6 +18,8 @@ from bench.base.languages import message
 from bench.base.text import repeated, shortened
 from bench.readings.columns import (
     LEVEL_COLUMNS,
+    METER_C,
+    ROOM_C,
     SINCE_POWER_ON_S,
     BadCell,
     angle,
@@ -58,6 +60,8 @@ AS_TEXT: Final = (
     REFERENCE_V,
     TEMPERATURE_SOURCE,
     CHAMBER_C,
+    METER_C,
+    ROOM_C,
     SINCE_POWER_ON_S,
     *LEVEL_COLUMNS,
 )
@@ -128,6 +132,7 @@ def _read(
     *,
     skip_bad_rows: bool,
 ) -> Readings:
+    header, body, unused = _completed(header, body)
     suffix = _signal_suffix(path, header)
     signals = [f"u{axis}_{suffix}" for axis in "xyz"]
     known = {*REQUIRED, *OPTIONAL, *AS_TEXT, *signals, *(f"u{axis}_sd_{suffix}" for axis in "xyz")}
@@ -139,7 +144,7 @@ def _read(
     seen: dict[tuple[float, str, float, float], int] = {}
     for line, cells in body:
         try:
-            row = _row(header, cells, signals, labels)
+            row = _row(header, cells, signals, labels, unused)
             key = (row["series"], cells[header.index("installation")].strip(), row["pass"], row["point"])
             if key in seen:
                 raise BadCell(
@@ -169,6 +174,31 @@ def _read(
     table = _assemble(str(path), UNITS[suffix], signals, columns, notes, tuple(bad))
     doubts = doubtful(table, list(seen.values()))
     return replace(table, notes=(*notes, *doubts), verification_missing=verification_missing)
+
+
+def _completed(
+    header: list[str], body: list[tuple[int, list[str]]]
+) -> tuple[list[str], list[tuple[int, list[str]]], frozenset[str]]:
+    """Return a table with the columns that a record at a known input may lack, and its unused signal columns.
+
+    A record has rows R alone: pass and point may be absent, and one or two of the three signals. Other tables
+    are returned unchanged.
+    """
+    label = header.index("installation") if "installation" in header else len(header)
+    if not body or any(cells[label : label + 1] != [REFERENCE] for _, cells in body):
+        return header, body, frozenset()
+    suffixes = [s for s in UNITS if any(f"u{axis}_{s}" in header for axis in "xyz")]
+    signals = [f"u{axis}_{suffixes[0]}" for axis in "xyz"] if len(suffixes) == 1 else []
+    added = [name for name in ("pass", "point", "angle_deg", *signals) if name not in header]
+    whole = [*header, *added]
+    rows = []
+    for number_of_row, (line, cells) in enumerate(body, start=1):
+        known = {"pass": "1", "point": str(number_of_row)}
+        rest = [known.get(name, "") for name in added] if len(cells) == len(header) else []
+        rows.append((line, [*cells, *rest]))
+    full = [cells for _, cells in rows if len(cells) == len(whole)]
+    blank = {name for name in signals if not any(cells[whole.index(name)].strip() for cells in full)}
+    return whole, rows, frozenset(blank if len(blank) < len(signals) else ())
 
 
 def split_table(
@@ -239,9 +269,12 @@ def _example_header() -> str:
 
 
 def _row(
-    header: list[str], cells: list[str], signals: list[str], labels: Collection[str]
+    header: list[str], cells: list[str], signals: list[str], labels: Collection[str], unused: Collection[str]
 ) -> dict[str, float]:
-    """Return the numbers of one row by column name. Raises `BadCell` for the first invalid cell."""
+    """Return the numbers of one row by column name; the cells of `unused` signals are empty.
+
+    Raises `BadCell` for the first invalid cell.
+    """
     if len(cells) != len(header):
         raise BadCell(
             header[min(len(cells), len(header) - 1)],
@@ -272,14 +305,15 @@ def _row(
         raise BadCell(SCAN_ORDER, str(problem)) from None
     if wrong := wrong_level_cell(text):
         raise BadCell(*wrong)
-    temperature(text, CHAMBER_C)
+    for name in (CHAMBER_C, METER_C, ROOM_C):
+        temperature(text, name)
     number(text, SINCE_POWER_ON_S, "a time in seconds, 0 or more", optional=True, least=0.0)
     number(text, REFERENCE_V, "the voltage at the inputs in V", optional=True)
     for name in filter(is_of_a_rail, header):
         number(text, name, "a voltage or a current of a rail in V or A", optional=True)
     for name in signals:
         row[name], sd = (
-            number(text, name, "a number with a dot as decimal sign"),
+            number(text, name, "a number with a dot as decimal sign", optional=name in unused),
             name[:2] + "_sd" + name[2:],
         )
         row[sd] = number(text, sd, "a standard deviation, 0 or more", optional=True, least=0.0)

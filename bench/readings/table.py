@@ -16,7 +16,7 @@ from bench.base.arrays import Floats, Ints, Labels
 from bench.base.languages import message
 from bench.base.text import shortened
 from bench.model.conditions import Conditions
-from bench.readings.columns import above_nominal_v, level_rad, since_power_on_s
+from bench.readings.columns import above_nominal_v, level_rad, meter_c, since_power_on_s
 
 # --- one table --------------------------------------------------------------------------------------
 
@@ -151,6 +151,7 @@ class Readings:
             on_s=since_power_on_s(self.extra),
             level_rad=level_rad(self.extra, len(self)),
             supply_v=above_nominal_v(self.extra),
+            meter_c=meter_c(self.extra),
         )
 
 

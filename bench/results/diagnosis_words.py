@@ -18,6 +18,7 @@ from bench.diagnosis.gap import Gap
 from bench.diagnosis.mistakes.search import Mistake
 from bench.diagnosis.next_measurement import Proposal
 from bench.diagnosis.pipeline import LISTED_FAR, FullDiagnosis, Rival
+from bench.diagnosis.record_diagnosis import RecordDiagnosis
 from bench.diagnosis.residual_model import FormTerm, FreeForm, UnexplainedScatter
 from bench.diagnosis.result import UNNAMED_WORDS, Diagnosis, EffectValue, NamedEffect
 from bench.diagnosis.show import CoefficientChange, ModelComparison, label
@@ -211,12 +212,18 @@ def lead(diagnosis: Diagnosis) -> str:
     return LEAD[diagnosis.verdict] if diagnosis.verdict != "confounded" or tied else UNCONFIRMED
 
 
-def closed_in_words(part: float | None, before_g: float, after_g: float, noise_g: float) -> str:
+def closed_in_words(
+    part: float | None, before_g: float, after_g: float, noise_g: float, unit: str = "g"
+) -> str:
     """Return the fraction of a gap that is closed, at most 100 %, with the gap's root mean squares.
 
-    Example: "gap closed 99 %, from 412 µg to 9.0 µg (noise alone: 8.8 µg)". `part` is None if there was no gap.
+    Example: "gap closed 99 %, from 412 µg to 9.0 µg (noise alone: 8.8 µg)". `part` is None if there was no gap; the
+    root mean squares are in `unit`.
     """
-    sizes = message(f"from {micro_g(before_g)} to {micro_g(after_g)} (noise alone: {micro_g(noise_g)})")
+    before, after, noise = (
+        micro_g(v) if unit == "g" else quantity(v, unit) for v in (before_g, after_g, noise_g)
+    )
+    sizes = message(f"from {before} to {after} (noise alone: {noise})")
     if part is None:
         return message(f"gap {sizes}, no larger than chance before")
     if part <= 0.0:
@@ -359,7 +366,7 @@ def mountings_of(block: ModelComparison) -> str:
     return ", ".join(str(mount) for mount in block.before.calibration.fitted.conditions().mounts)
 
 
-def beside_in_words(diagnosis: Diagnosis | FreeDiagnosis) -> str:
+def beside_in_words(diagnosis: Diagnosis | FreeDiagnosis | RecordDiagnosis) -> str:
     """Return the names of the effects found in a diagnosis of any kind of readings."""
     if isinstance(diagnosis, FreeDiagnosis):
         return "; ".join(" or ".join([one.name, *one.cannot_tell_from]) for one in diagnosis.found)

@@ -26,6 +26,7 @@ RESULTS: Final = {
     "diagnose": "diagnosis.DiagnoseResult",
     "diagnose-free": "free_diagnosis.FreeDiagnoseResult",
     "confirm": "confirm.ConfirmResult",
+    "failures": "failures.FailuresResult",
     "fleet-cmc": "fleet.CapabilityResult",
     "fleet-compare": "compare.BenchesResult",
     "fleet-drift": "fleet.DriftResult",
@@ -44,6 +45,8 @@ RESULTS: Final = {
     "source-failed": "parts.FailedPart",
     "stability": "stability.StabilityResult",
     "tumble": "tumble.TumbleResult",
+    "validate": "validation.ValidationResult",
+    "validate-register": "validation.ValidationRegisterResult",
     "verify": "verification.VerifyResult",
 }
 """The model of each result by schema name: module (in `bench.results`, or in full) and class."""

@@ -17,6 +17,9 @@ from bench.diagnosis.confirm import Confirmation, confirm
 from bench.diagnosis.free_positions import all_free, confirm_free
 from bench.diagnosis.free_records import OUTLIER, FreeDiagnosis
 from bench.diagnosis.mistakes.search import Mistake
+from bench.diagnosis.record_confirm import confirm_record
+from bench.diagnosis.record_diagnosis import RecordDiagnosis
+from bench.diagnosis.record_model import is_record
 from bench.results.confirm import confirm_result, print_confirmation
 from bench.services.bodies import put_right
 from bench.services.errors import Refused
@@ -56,7 +59,7 @@ class ConfirmationResult:
         diagnosis = self.found.diagnosis
         return (
             self.known
-            if isinstance(diagnosis, FreeDiagnosis)
+            if isinstance(diagnosis, FreeDiagnosis | RecordDiagnosis)
             else (*self.known, *diagnosis.mistakes.mistakes)
         )
 
@@ -115,6 +118,8 @@ def confirmation_of(source: Source) -> ConfirmationResult:
     if all_free([source.readings]):
         with knowing_effects_of(source):
             return ConfirmationResult(source, confirm_free([source.readings], source.model), ())
+    if is_record(source.readings):
+        return ConfirmationResult(source, confirm_record(source.readings, source.model.effects), ())
     bench = source.bench
     readings, known = put_right(source)
     found = confirm(

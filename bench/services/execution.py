@@ -61,6 +61,7 @@ from bench.run.terminal import ProgressBar, TerminalPerson
 from bench.run.workbench import BenchSetup
 from bench.services.bench_selection import bench_for_record, bench_path, why_taken
 from bench.services.errors import Refused
+from bench.services.fitness import agree_to_expired, refuse_unfit
 from bench.services.own_effects import effects_for_record, knowing_effects_on_record, simulated_truth
 from bench.services.requests.measuring import ResumeRequest, RunRequest
 from bench.services.requests.shared import name_to_type, runs_folder
@@ -119,6 +120,8 @@ def new_run(request: RunRequest) -> NewRun:
     model = None if request.model is None else Path(request.model)
     if dry_run:
         simulated_truth(file, model)
+    else:
+        refuse_unfit(file, bench_file_path, request, away=is_away(request.answers, panel=request.panel))
     inputs = {
         PLAN: json.dumps(plan.to_json(), indent=1).encode(),
         PROCEDURE: procedure_path.read_bytes(),
@@ -271,6 +274,7 @@ def started(
             record = new.record(interrupts.shield)
             run = Run(new.folder)
             heard = heard_in(run, record, None, wishes, out, away=away)
+            agree_to_expired(run, record, heard.asker)
             carry_out(run, record, out, wire=wire, interrupts=interrupts, heard=heard)
         yield Run(new.folder), interrupts
 

@@ -79,6 +79,7 @@ from bench.run.sentences import size_in_words
 from bench.services.bench_selection import bench_path
 from bench.services.calibration import CalibrationResult, calibration_of
 from bench.services.errors import Refused, named, quantity
+from bench.services.fitness import reminders
 from bench.services.planning import delta_g_of, stand_of
 from bench.services.requests.planning import Check
 from bench.services.requests.shared import runs_folder
@@ -398,6 +399,7 @@ def findings_of(plan: Plan, bench: BenchFile, runs: Path) -> Findings:
 def _hints(bench: BenchFile) -> Iterator[str]:
     """Yield remarks on certificates, and hints on likely mistakes that only a real bench would reveal."""
     yield from remarks(bench)
+    yield from reminders(bench)
     for meter in bench.instruments.voltmeters:
         if is_serial(meter.resource) and meter.interface == "lan":
             yield (

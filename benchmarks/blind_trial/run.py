@@ -148,7 +148,7 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         only={"metavar": "KIND", "help": "null, single, own, pair, outside, hidden, mistake, many, ..."},
         ties={"choices": ["signature", "table"], "default": "signature"},
         json={"metavar": "FILE", "help": "score and outcomes; - for standard output"},
-        page=(False, "write docs/blind-trial.json and docs/diagnosis-trial.md"),
+        page=(False, "write docs/blind-trial.json, which the site shows"),
         keep=(Path, "keep diagnoses here; called again, go on where it stopped"),
         ledger=(Path, "append the seals of the cases here"),
         perturb=(False, "what changes with each constant of the diagnosis 30 %% smaller and larger"),

@@ -9,13 +9,13 @@ import pytest
 
 import bench as face
 from bench.exchange.forms import FORMS
+from bench.validation.registry import REFERENCE
 from tests.support.certificates import ORDER, copy_run, write_files
 from tests.support.commands import printed, refused
 from tests.support.pages import ROOT
 from tests.support.schemas import keeps_to
 
 RECORDS = ROOT / "tests" / "data" / "records"
-DATA = ROOT / "tests" / "data"
 
 
 @pytest.fixture
@@ -96,7 +96,16 @@ def test_several_results_in_one_file_are_numbered(bench):
 
 
 def test_free_positions_in_counts_have_the_scale_factors_that_are_asked_for(bench):
-    arguments = ["coefficients", DATA / "xsens-38.csv", "--g", "9.81744", "--out", ".", "--as", "ardupilot"]
+    arguments = [
+        "coefficients",
+        REFERENCE / "xsens-38.csv",
+        "--g",
+        "9.81744",
+        "--out",
+        ".",
+        "--as",
+        "ardupilot",
+    ]
     out = printed(bench(*arguments, "--nominal", "4063,4040,4065"))
     assert "S = (4063.0, 4040.0, 4065.0) counts/g" in Path("xsens-38-ardupilot.param").read_text()
     assert "INS_ACCOFFS_X = 79.95 is outside -3.5 to 3.5, which ArduPilot allows" in out

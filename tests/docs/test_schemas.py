@@ -9,6 +9,7 @@ from jsonschema import Draft202012Validator
 
 import bench as program
 from bench.results.schemas import RESULTS
+from bench.validation.registry import REFERENCE
 from tests.support.pages import ROOT
 from tests.support.schemas import keeps_to, validator
 
@@ -34,8 +35,8 @@ def test_a_schema_is_one_and_describes_what_it_is_of(name):
     ("name", "command"),
     [
         ("calibrate", "calibrate finished --estimator robust --join-verification"),
-        ("calibrate", f"calibrate {DATA / 'xsens-38.csv'} --g 9.81744 --out here"),
-        ("diagnose-free", f"diagnose {DATA / 'innalabs-49.csv'} --out here"),
+        ("calibrate", f"calibrate {REFERENCE / 'xsens-38.csv'} --g 9.81744 --out here"),
+        ("diagnose-free", f"diagnose {REFERENCE / 'innalabs-49.csv'} --out here"),
         ("verify", "verify finished --rule guarded"),
         ("budget", "budget --procedure quick --trials 2200"),
         ("require", "require --accuracy 3e-4 --procedure quick"),

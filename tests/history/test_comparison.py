@@ -114,7 +114,7 @@ def test_a_block_that_is_turned_differs_in_the_twelve_and_in_none_of_the_nine():
     assert found.twelve.changes[0].p < 1e-9
     result = compare_result(found, ())
     assert not result.changed
-    assert "nothing changed beyond its uncertainty" in verdict_of(result)
+    assert "no change beyond the uncertainty" in verdict_of(result)
     assert "the block is turned" in verdict_of(result)
 
 

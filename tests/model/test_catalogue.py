@@ -20,7 +20,8 @@ NAMES = [
     "axis_tilt", "zero_offset", "mounting_error", "mounting_offset", "mounting_roll", "head_eccentricity",
     "head_ellipticity", "head_graduation", "backlash", "axis_wobble", "bracket_tilt", "foundation_tilt",
     "block_slip", "mounting_creep", "head_zero_shift", "meters_exchanged", "voltmeter_nonlinearity",
-    "voltmeter_drift", "voltmeter_warm_up", "range_offset", "channel_crosstalk", "voltmeter_gain",
+    "voltmeter_drift", "voltmeter_warm_up", "voltmeter_thermal_gain", "voltmeter_thermal_offset",
+    "voltmeter_move", "reference_supply", "range_offset", "channel_crosstalk", "voltmeter_gain",
     "reference_step", "voltmeter_offset", "thermal_emf", "wrong_gravity",
 ]  # fmt: skip
 
@@ -43,7 +44,7 @@ PER_PASS = {"block_slip", "head_zero_shift", "meters_exchanged", "scale_step", "
 
 LOOK_BACK = {
     "thermal_scale", "hysteresis", "thermal_bias", "turn_on_shift", "thermal_settling", "mounting_creep",
-    "channel_crosstalk",
+    "channel_crosstalk", "voltmeter_thermal_gain", "voltmeter_thermal_offset",
 }  # fmt: skip
 
 
@@ -127,13 +128,14 @@ def rich():
         time_s=time_s,
         temperature_c=20.0 + np.sin(time_s / 2900.0) + 0.4 * np.cos(time_s / 800.0),
         scan_order=np.array([(0, 1, 2), (2, 1, 0), (1, 0, 2)])[np.arange(n) // 12 % 3],
+        meter_c=23.0 + np.cos(time_s / 2100.0),
         supply_v=np.stack([0.1 * np.sin(time_s / k) for k in (1100.0, 1700.0, 2300.0)], axis=1),
     )
     return conditions, np.zeros((len(conditions.mounts), 5))
 
 
-HIDDEN = {"voltmeter_gain", "voltmeter_offset", "thermal_emf", "wrong_gravity"}
-"""Effects that are the same as other scale factors and biases, whatever the run."""
+HIDDEN = {"voltmeter_gain", "voltmeter_offset", "thermal_emf", "wrong_gravity", "reference_supply"}
+"""Effects that are the same as other scale factors and biases, whatever the run, or act at a reference alone."""
 
 
 @pytest.mark.slow

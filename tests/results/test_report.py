@@ -3,7 +3,6 @@
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,6 +14,7 @@ from bench.model.geometry import COEFFICIENTS, INSTALLATION_1, INSTALLATION_2
 from bench.readings.table import make_readings
 from bench.results import plots
 from bench.results.page import ReportContent, render_report
+from bench.validation.registry import REFERENCE
 from tests.support.paper_bench import STAND_U, simulate
 
 MODEL = ForwardModel({"1": INSTALLATION_1, "2": INSTALLATION_2})
@@ -187,7 +187,7 @@ def test_numbers_are_rounded_as_the_guide_says():
 @pytest.mark.slow
 def test_free_positions_alone_have_no_stand_and_no_block_that_nobody_named(bench, tmp_path):
     """The page of readings without a bench file does not name the block of the shipped one."""
-    file = Path(__file__).parents[1] / "data" / "xsens-38.csv"
+    file = REFERENCE / "xsens-38.csv"
     assert bench("report", file, "--g", "9.81744", "--out", "o")[0] == 0
     page = (tmp_path / "o" / "xsens-38.html").read_text(encoding="utf-8")
     assert "triaxial block of the paper" not in page

@@ -1,7 +1,6 @@
 """Control charts: handbook, published run lengths, the kilogram check standard, false rejections."""
 
 from itertools import accumulate
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,6 +21,7 @@ from bench.stats.control_charts import (
     shewhart_k,
     without_one,
 )
+from bench.validation.registry import REFERENCE
 
 HANDBOOK = np.array([
     52.0, 47.0, 53.0, 49.3, 50.1, 47.0, 51.0, 50.1, 51.2, 50.5,
@@ -132,7 +132,7 @@ def test_too_few_runs_are_refused_with_what_to_do():
         centre_of(np.zeros((13, 12)), np.tile(np.eye(12), (13, 1, 1)), "scatter")
 
 
-DATA = Path(__file__).parents[1] / "data" / "kilogram-check.csv"
+DATA = REFERENCE / "kilogram-check.csv"
 SMOOTHING = 0.2
 YEAR, VALUE, SD = np.loadtxt(DATA, delimiter=",", skiprows=1).T
 BASELINE = YEAR < 1985.0

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator, Mapping, Set
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, Final, Literal
 
 import numpy as np
 from pydantic import Field, field_validator
@@ -76,6 +76,8 @@ class BenchFile(FileModel):
     effects: tuple[EffectEntry, ...] = ()
     learned: str | None = None
     simulation: SimulationSection = SimulationSection()
+    require_validation: bool = False
+    expired: Literal["refuse", "ask", "say"] = "ask"
 
     @field_validator("line_frequency")
     @classmethod

@@ -12,8 +12,7 @@ from typing import Any, Final, Generic, Protocol, TypeVar
 import numpy as np
 
 from bench.base.arrays import ARCSEC, CHANNELS, HOUR, MINUTE, Floats, Mask
-from bench.model.effects.base import Effect, Parameter, Seen, Stage, Subsystem, Values
-from bench.model.effects.block import lagged
+from bench.model.effects.base import Effect, Parameter, Seen, Stage, Subsystem, Values, lagged
 from bench.model.geometry import STAND_ANGLES
 
 # --- expressions ------------------------------------------------------------------------------------

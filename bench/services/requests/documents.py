@@ -315,6 +315,83 @@ class ReadCertificate:
     ] = None
 
 
+# --- validation ---------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class Validate:
+    """The validation of an installation: to be made, accepted, withdrawn or listed."""
+
+    bench: Annotated[
+        str | None,
+        Option(
+            "Bench file, by path or name (default: BENCH_FILE, else paper-stand).",
+            metavar="FILE",
+            completes="bench_files",
+            common=True,
+        ),
+    ] = None
+    quick: Annotated[bool, Option("Take a minute: fewer simulated files, one kill.", common=True)] = False
+    against: Annotated[
+        str | None,
+        Option("Also recompute past runs (a path pattern or catalogue query) and list changes beyond 0.1 u.",
+               metavar="OLD", common=True),
+    ] = None  # fmt: skip
+    out: Annotated[
+        Path | None,
+        Option("Folder for page, PDF and result (default: validation-DATE).", metavar="DIR"),
+    ] = None
+    key: Annotated[Path | None, Option("Private key (Ed25519) that signs the seal.", metavar="FILE")] = None
+    laboratory: LaboratoryField = None
+    accept: Annotated[
+        Path | None,
+        Option(
+            "Accept the validation in DIR as authorised person: it is registered.", metavar="DIR", common=True
+        ),
+    ] = None
+    withdraw: Annotated[str | None, Option("Withdraw the accepted validation NUMBER.", metavar="NUMBER")] = (
+        None
+    )
+    by: Annotated[
+        str | None, Option("Authorised person, as named in the laboratory file.", metavar="NAME", common=True)
+    ] = None
+    reason: Annotated[str | None, Option("Reason, for the register.", metavar="TEXT")] = None
+    register: Annotated[bool, Option("List the register of validations.")] = False
+    runs: RunsField = None
+    catalogue: CatalogueField = None
+
+
+class FailureState(StrEnum):
+    """The state of a failure in the register."""
+
+    OPEN = "open"
+    REMEDIED = "remedied"
+    CLOSED = "closed"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Failures:
+    """The register of failures: to be brought up to date from the records, amended, or shown for a year."""
+
+    laboratory: LaboratoryField = None
+    number: Annotated[
+        str | None, Option("Failure whose state and remedy are noted.", metavar="NUMBER", common=True)
+    ] = None
+    state: Annotated[
+        FailureState | None,
+        Option("Its state: open, remedied or closed (by an authorised person).", common=True),
+    ] = None
+    remedy: Annotated[str | None, Option("Cause and remedy, in words.", metavar="TEXT", common=True)] = None
+    by: Annotated[str | None, Option("Who notes it.", metavar="NAME", common=True)] = None
+    year: Annotated[
+        int | None, Option("Show the failures of this year only.", metavar="YYYY", common=True)
+    ] = None
+    page: Annotated[
+        Path | None, Option("Write an HTML page, as for the management review.", metavar="FILE", common=True)
+    ] = None
+    runs: RunsField = None
+
+
 # --- the panel ----------------------------------------------------------------------------------------
 
 

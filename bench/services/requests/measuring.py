@@ -93,6 +93,14 @@ class RunRequest(DryRunRequest):
         str | None,
         Option("Start although the check block is out of control; REASON is recorded.", metavar="REASON"),
     ] = None
+    laboratory: Annotated[
+        Path | None,
+        Option(
+            "Laboratory file, which may demand a validated program.",
+            metavar="FILE",
+            environment="BENCH_LABORATORY",
+        ),
+    ] = None
     follow: Annotated[
         bool, Option("Diagnose the run, then run the procedure that the diagnosis proposes.", ("--follow",))
     ] = False

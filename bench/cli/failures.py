@@ -1,0 +1,26 @@
+"""failures: what failed in runs, in a register with state and remedy; a page for the management review."""
+
+from __future__ import annotations
+
+from bench.cli import printing
+from bench.cli.options import JsonOption, app, requested
+from bench.services.requests.documents import Failures
+
+
+@app.command(epilog="Example: bench failures --laboratory laboratory.yaml --year 2026 --page review.html")
+@requested
+def failures(request: Failures, json: JsonOption = None) -> int:
+    """Collect failures of runs in a register; note their remedies; a page for the review.
+
+    Failed and stopped runs, refused answers, repeated readings and alarms are collected from the records.
+    """
+    from bench.results.failures import render_failures
+    from bench.validation.failures import failures as collect
+
+    result = collect(request)
+    out = printing.console(json=json)
+    result.print_on(out)
+    if request.page is not None:
+        printing.write_files([("page", request.page, render_failures(result))], out, asked=True)
+    printing.write_json([result.to_dict()], json)
+    return 0

@@ -1,0 +1,229 @@
+"""The result of `bench validate`: its checks, the installation that they prove, and its page."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from itertools import groupby
+from typing import Final, Literal
+
+from pydantic import Field
+from rich.console import Console
+
+from bench.base.result_model import ResultModel
+from bench.base.tables import table
+from bench.results.tables import page
+
+NOT_PROVEN: Final = (
+    "that real instruments do as simulated ones: 'bench instruments --commission' and certificates show it",
+    "that the block, the head and the stand are as the bench file states: the check block and the budget do",
+    "that the clock is right: no time server was asked",
+    "that nobody changed the program later: 'require_validation: true' compares at each run and certificate",
+    "that the laboratory's method suits the customer's purpose (7.2.2): that is the laboratory's judgement",
+    "that the random parts would pass with every seed: their seeds are fixed",
+)
+"""What no validation of a program proves."""
+
+
+class ValidationCheck(ResultModel):
+    """One check: the clause of ISO/IEC 17025:2017, what was done, expected and found."""
+
+    name: str
+    family: str
+    clause: str
+    did: str = Field(description="what was done")
+    source: str = Field(description="of the expected value; empty for the program's own promise")
+    expected: str
+    found: str
+    passed: bool
+    where: str = Field(description="where the failure lies; empty where it passed")
+    change: bool = Field(description="whether a failure is a change that a person may accept")
+    took_s: float
+
+
+class PackagePart(ResultModel):
+    """An installed package."""
+
+    version: str
+    sha256: str = Field(description="of its list of files with their hashes (RECORD)")
+
+
+class ProgramFingerprint(ResultModel):
+    """What a validation holds for: the program, its packages and Python. Any change needs another validation."""
+
+    fingerprint: str = Field(description="SHA-256 of everything below")
+    version: str
+    python: str
+    platform: str
+    files: dict[str, str] = Field(description="SHA-256 of the program's own files, by path")
+    packages: dict[str, PackagePart]
+
+
+class ValidatedBench(ResultModel):
+    """The bench file of a validation."""
+
+    name: str
+    file: str
+    sha256: str
+
+
+class ChangedRun(ResultModel):
+    """A past run of which the program computes other coefficients than are stored."""
+
+    run: str
+    largest_change_in_u: float
+    largest_change_of: str = Field(description="coefficient")
+    verdict_stored: str | None
+    verdict: str | None
+
+
+class AgainstPart(ResultModel):
+    """Past runs computed anew."""
+
+    over: list[str]
+    runs: int
+    compared: int = Field(description="runs with a stored result")
+    threshold_u: float = Field(description="largest change that is not listed, in u")
+    changed: list[ChangedRun]
+    failed: dict[str, str] = Field(description="why a run could not be computed, by run")
+
+
+class ValidationResult(ResultModel):
+    """The result of `bench validate`; `passed` if no check failed and no change waits to be accepted."""
+
+    passed: bool
+    quick: bool
+    began: str = Field(description="civil time with offset")
+    took_s: float
+    cpu_s: float
+    false_alarm: float = Field(description="bound of the probability that a correct program fails by chance")
+    program: ProgramFingerprint
+    bench: ValidatedBench
+    machine: dict[str, str]
+    checks: list[ValidationCheck]
+    against: AgainstPart | None
+    not_proven: list[str]
+    accepted_before: str = Field(
+        description="number of the accepted validation that this one was compared with"
+    )
+    files: list[str] = Field([], description="what was written")
+
+    @property
+    def failed(self) -> list[ValidationCheck]:
+        """The checks that failed and are no changes."""
+        return [one for one in self.checks if not one.passed and not one.change]
+
+    @property
+    def changes(self) -> list[ValidationCheck]:
+        """The changes that wait for acceptance."""
+        return [one for one in self.checks if not one.passed and one.change]
+
+    @property
+    def headline(self) -> str:
+        """The outcome in one line."""
+        count = len(self.checks)
+        if self.failed:
+            return f"NOT VALID: {len(self.failed)} of {count} checks failed"
+        if self.changes:
+            return (
+                f"CHANGED: {len(self.changes)} changes wait to be accepted, all else of {count} checks passed"
+            )
+        return f"PASSED: all {count} checks; it becomes a validation when an authorised person accepts it"
+
+    def print_on(self, out: Console) -> None:
+        """Print what failed with its place, a count by family, and the outcome."""
+        for family, rows in families(self.checks):
+            good = sum(row.passed for row in rows)
+            out.print(f"{family}: {good} of {len(rows)} passed")
+        bad = [*self.failed, *self.changes]
+        if bad:
+            shown = table("not as expected", "clause", "expected", "found", "where")
+            for row in bad:
+                shown.add_row(row.name, row.clause, row.expected, row.found, row.where)
+            out.print(shown)
+        if self.against is not None:
+            self._print_against(self.against, out)
+        out.print(self.headline, style="bold")
+
+    @staticmethod
+    def _print_against(against: AgainstPart, out: Console) -> None:
+        out.print(
+            f"{against.runs} past runs computed anew, {against.compared} with a stored result: "
+            f"{len(against.changed)} changed by more than {against.threshold_u:g} u"
+        )
+        shown = table("run", ">largest change", "in", "verdict stored", "now")
+        for one in against.changed:
+            shown.add_row(
+                one.run, f"{one.largest_change_in_u:.2g} u", one.largest_change_of,
+                one.verdict_stored or "", one.verdict or "",
+            )  # fmt: skip
+        if against.changed:
+            out.print(shown)
+
+
+def families(checks: Iterable[ValidationCheck]) -> list[tuple[str, list[ValidationCheck]]]:
+    """Return the checks by family, in their order."""
+    return [(family, list(rows)) for family, rows in groupby(checks, key=lambda row: row.family)]
+
+
+def acts(rows: Iterable[ValidationCheck]) -> list[tuple[str, list[ValidationCheck]]]:
+    """Return the rows of each act, with what it did, in their order."""
+    return [(did, list(own)) for did, own in groupby(rows, key=lambda row: row.did)]
+
+
+def clauses(checks: Iterable[ValidationCheck]) -> list[tuple[str, int, int]]:
+    """Return each clause with the number of its checks and of those passed, in the order of the standard."""
+    ordered = sorted(checks, key=lambda row: [int(part) for part in row.clause.split(".")])
+    found = []
+    for clause, rows in groupby(ordered, key=lambda row: row.clause):
+        listed = list(rows)
+        found.append((clause, len(listed), sum(row.passed for row in listed)))
+    return found
+
+
+def render_validation(result: ValidationResult) -> str:
+    """Return the HTML page of a validation; the same result always gives the same text."""
+    return page(
+        "validation.html.j2",
+        result=result,
+        look="failed" if result.failed else "conditional" if result.changes else "passed",
+        families=[(family, acts(rows)) for family, rows in families(result.checks)],
+        clauses=clauses(result.checks),
+    )
+
+
+# --- the register -----------------------------------------------------------------------------------
+
+
+class RegisteredValidation(ResultModel):
+    """An entry of the register of validations."""
+
+    number: str
+    kind: Literal["accepted", "withdrawn"]
+    time: str
+    by: str
+    role: str | None
+    reason: str
+    fingerprint: str
+    bench: str
+    bench_sha256: str
+    result_sha256: str = Field(description="of the kept result")
+    holds: bool = Field(
+        description="whether it is the latest for its program and bench file and was not withdrawn"
+    )
+
+
+class ValidationRegisterResult(ResultModel):
+    """The validations of a laboratory: `bench validate --register`, or the one that was just accepted."""
+
+    register_: str = Field(alias="register", description="its folder")
+    head: str = Field(description="SHA-256 of the last line, which proves all lines before it")
+    validations: list[RegisteredValidation]
+
+    def print_on(self, out: Console) -> None:
+        """Print a line for each entry, and the head of the chain."""
+        for one in self.validations:
+            state = "" if one.holds else ", holds no longer"
+            out.print(
+                f"{one.number}  {one.time[:16]}  {one.kind} by {one.by}: {one.reason} ({one.bench}{state})"
+            )
+        out.print(f"{len(self.validations)} entries, chain of hashes whole, head {self.head}")

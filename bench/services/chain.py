@@ -1,0 +1,185 @@
+"""Append-only registers: files whose lines contain the previous line's hash, one writer at a time.
+
+A register of certificates or of validations is a `Chain` that says what each line means (`_note`).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar, Final, TypeVar
+
+from filelock import FileLock, Timeout
+
+from bench.base.files import open_regular, read_json, read_regular, write_whole
+from bench.services.errors import Refused
+
+LINES: Final = "register.jsonl"
+MADE_FROM: Final = "made-from"
+WAIT_S: Final = 120.0
+"""Longest time (s) to wait for another program to close the register."""
+
+_LOCK: Final = ".register.lock"
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A line of a register: event, number, time (ISO 8601), authorising person, other details."""
+
+    kind: str
+    number: str
+    time: str
+    by: str
+    data: Mapping[str, Any]
+
+    @property
+    def files(self) -> dict[str, str]:
+        """The SHA-256 of each issued file, by name."""
+        return dict(self.data.get("files", {}))
+
+
+def first_head(of: str) -> str:
+    """Return the hash before the first line of a register of a kind."""
+    return hashlib.sha256(of.encode()).hexdigest()
+
+
+@dataclass
+class Chain:
+    """A register, open and locked against other writers; `folder` contains it and its files.
+
+    `head`, `length` and `count` are the hash of the last line, the bytes and the lines read so far.
+    """
+
+    FIRST: ClassVar[str]
+
+    folder: Path
+    head: str = ""
+    length: int = 0
+    count: int = 0
+
+    def __post_init__(self) -> None:
+        """Begin with the hash before the first line."""
+        self.head = self.head or self.FIRST
+
+    def _note(self, entry: Entry, where: str) -> None:
+        """Take note of a line. Raises `Refused`, naming `where`, for one that cannot follow here."""
+        raise NotImplementedError
+
+    def keep(self, content: bytes) -> str:
+        """Store an input of an entry under its SHA-256, and return the SHA-256."""
+        digest = hashlib.sha256(content).hexdigest()
+        place = self.folder / MADE_FROM / digest
+        if not place.is_file():
+            place.parent.mkdir(exist_ok=True)
+            write_whole(place, content)
+        return digest
+
+    def kept(self, digest: str) -> bytes:
+        """Return a stored input of an entry. Raises `Refused` if it is missing or changed."""
+        try:
+            content = read_regular(self.folder / MADE_FROM / digest)
+        except OSError as error:
+            raise Refused(
+                f"{self.folder / MADE_FROM / digest}: cannot be read ({error.strerror}); check name and permissions"
+            ) from error
+        if hashlib.sha256(content).hexdigest() != digest:
+            raise Refused(f"{self.folder / MADE_FROM / digest}: was changed; restore it from a copy")
+        return content
+
+    def append(self, entry: Entry) -> None:
+        """Append a line and flush it to the disk. Raises `OSError`."""
+        told = {
+            "n": self.count + 1,
+            "time": entry.time,
+            "type": entry.kind,
+            "number": entry.number,
+            "by": entry.by,
+            **entry.data,
+            "prev": self.head,
+        }
+        line = json.dumps(told, ensure_ascii=False).encode()
+        with (self.folder / LINES).open("r+b" if self.length else "w+b") as file:
+            file.seek(self.length)
+            file.truncate()  # a line that was half written when a program was killed
+            file.write(line + b"\n")
+            file.flush()
+            os.fsync(file.fileno())
+        sync_folder(self.folder)
+        self._take(line)
+
+    def catch_up(self) -> None:
+        """Read the lines added since. Raises `Refused` for a changed line."""
+        self.read_lines()
+
+    def read_lines(self) -> None:
+        """Read the lines added since, without changing any file. Raises `Refused` for a changed line."""
+        path = self.folder / LINES
+        if (path.stat().st_size if path.exists() else 0) < self.length:
+            raise Refused(f"{path}: its last lines are missing; restore it from a copy")
+        if path.exists():
+            with open_regular(path) as file:
+                file.seek(self.length)
+                for line in file:
+                    if line.endswith(b"\n"):
+                        self._take(line[:-1])
+
+    def _take(self, line: bytes) -> None:
+        where = f"{self.folder / LINES}, line {self.count + 1}"
+        try:
+            told = read_json(line)
+            n, previous = told.pop("n"), told.pop("prev")
+            kind, number = told.pop("type"), told.pop("number")
+            entry = Entry(kind, number, told.pop("time"), told.pop("by"), told)
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            raise Refused(f"{where}: not a line of a register ({error}); restore it from a copy") from None
+        if previous != self.head or n != self.count + 1:
+            raise Refused(
+                f"{where}: the chain is broken here (a line was changed or removed); restore it from a copy"
+            )
+        self._note(entry, where)
+        self.head = hashlib.sha256(line).hexdigest()
+        self.length += len(line) + 1
+        self.count = n
+
+
+Of = TypeVar("Of", bound=Chain)
+
+
+@contextlib.contextmanager
+def opened(register: Of) -> Iterator[Of]:
+    """Yield a register, locked and read to its end; its folder is created if missing.
+
+    Raises `Refused` if the register is damaged or not writable, or if another program keeps it open.
+    """
+    folder = register.folder
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        lock = FileLock(folder / _LOCK, timeout=WAIT_S)
+        with lock:
+            register.catch_up()
+            yield register
+    except Timeout:
+        raise Refused(
+            f"{folder}: another program has the register open; try again when it has ended"
+        ) from None
+    except OSError as error:
+        raise Refused(
+            f"{error.filename or folder}: cannot be written ({error.strerror}); free disk space or check "
+            "permissions"
+        ) from error
+
+
+def sync_folder(folder: Path) -> None:
+    """Flush the file names in a folder to the disk on POSIX systems, so that they survive a power failure."""
+    if os.name != "posix":
+        return
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

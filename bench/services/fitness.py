@@ -1,0 +1,94 @@
+"""May a run on real instruments begin? Validated program, certificates in date; reminders before they expire."""
+
+from __future__ import annotations
+
+import datetime
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+from bench.config.bench_file.file import BenchFile, Standing, load_bench, standings
+from bench.run.events import EventType
+from bench.run.folder import BENCH, Run
+from bench.run.listening import Asker
+from bench.run.person import agree
+from bench.run.record import Record
+from bench.services.errors import Refused
+from bench.services.requests.measuring import RunRequest
+from bench.services.validated import refuse_unvalidated_run
+from drivers.clock import utc_now
+from drivers.interfaces import BenchError
+from drivers.person import Prompt, PromptKind
+
+REMINDED_DAYS: Final = 30
+"""How long before a certificate expires a reminder appears, days."""
+
+
+def expired(bench: BenchFile, day: datetime.date | None = None) -> list[Standing]:
+    """Return the certificates of a bench that have expired on a day, by default today."""
+    return [one for one in standings(bench, day or utc_now().date()) if one.expired]
+
+
+def reminders(bench: BenchFile, day: datetime.date | None = None) -> Iterator[str]:
+    """Yield a sentence for each certificate that expires within the next 30 days."""
+    today = day or utc_now().date()
+    for one in standings(bench, today):
+        until = one.certificate.valid_until
+        if until is not None and today <= until <= today + datetime.timedelta(days=REMINDED_DAYS):
+            left = (until - today).days
+            yield (
+                f"{one.instrument}: its {one.certificate.words}, expires on {until}, in {left} "
+                f"day{'' if left == 1 else 's'}; have it calibrated"
+            )
+
+
+def refuse_unfit(bench: BenchFile, path: Path, request: RunRequest, *, away: bool) -> None:
+    """Raise `Refused` for a real run by a program that is not validated, or with expired certificates.
+
+    Expired certificates refuse the run where the bench file says `expired: refuse`, and where it says `ask` but
+    nobody can be asked: no terminal, and answers are not given in the folder (`away`).
+    """
+    refuse_unvalidated_run(bench, path, request.laboratory)
+    late = expired(bench)
+    if late and (
+        bench.expired == "refuse" or (bench.expired == "ask" and not away and not sys.stdin.isatty())
+    ):
+        why = (
+            "refuses such runs (expired: refuse)"
+            if bench.expired == "refuse"
+            else "asks, and there is no terminal"
+        )
+        raise Refused(
+            f"{in_words(late)}; {path} {why}; have it calibrated and state the new certificate, or let a person "
+            "decide (expired: ask)"
+        )
+
+
+def in_words(late: list[Standing]) -> str:
+    """Return a sentence on expired certificates."""
+    return "; ".join(
+        f"{one.instrument}: its {one.certificate.words}, expired on {one.certificate.valid_until}"
+        for one in late
+    )
+
+
+def agree_to_expired(run: Run, record: Record, asker: Asker | None) -> None:
+    """Ask whether to measure with expired certificates, where the bench file says so; a no ends the run for good.
+
+    Question and answer are in the record. Raises `BenchError` for a no.
+    """
+    if run.simulated or asker is None:
+        return
+    bench = load_bench(run.folder / BENCH)
+    late = expired(bench)
+    if not late or bench.expired != "ask":
+        return
+    text = f"{in_words(late)}. Measure nevertheless?"
+    try:
+        agree(asker, Prompt(id="expired", kind=PromptKind.CONFIRM, text=text, action={"do": "answer"}))
+    except BaseException as error:
+        if isinstance(error, BenchError):
+            record.append(EventType.RUN_ABORTED, 0.0, reason="certificates have expired")
+        record.close()
+        raise

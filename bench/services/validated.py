@@ -1,0 +1,201 @@
+"""The fingerprint of the program, the register of validations, and the refusal that a laboratory demands.
+
+The register is the folder `validations` beside the laboratory file. An entry says that a named person accepted the
+result of `bench validate` for a program (its fingerprint) and a bench file (its SHA-256).
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+import re
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass, field
+from importlib import metadata
+from pathlib import Path
+from typing import Any, ClassVar, Final
+
+from bench.base.files import to_text
+from bench.base.yaml_files import load_document, part, sha256_of_file
+from bench.config.bench_file.file import BenchFile
+from bench.config.shipped import PROCEDURES, shipped_folder
+from bench.results.validation import PackagePart, ProgramFingerprint
+from bench.run.events import sha256
+from bench.services.chain import Chain, Entry, first_head
+from bench.services.errors import Refused
+
+DISTRIBUTION: Final = "triaxial-bench"
+FOLDER: Final = "validations"
+LABORATORY: Final = "BENCH_LABORATORY"
+ACCEPTED, WITHDRAWN = "accepted", "withdrawn"
+_ROOT: Final = Path(__file__).parents[2]
+_OURS: Final = ("bench", "drivers", "sim")
+_NO_CODE: Final = frozenset({".pyc", ".pyo", ".part"})
+_REQUIREMENT: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
+
+
+# --- the program ------------------------------------------------------------------------------------
+
+
+def own_files() -> dict[str, str]:
+    """Return the SHA-256 of each file of the program, by its path: its packages and the shipped procedures."""
+    found = {}
+    places = [(name, _ROOT / name) for name in _OURS] + [(PROCEDURES, shipped_folder(PROCEDURES))]
+    for name, folder in places:
+        for file in sorted(folder.rglob("*")):
+            if file.is_file() and file.suffix not in _NO_CODE and "__pycache__" not in file.parts:
+                found[f"{name}/{file.relative_to(folder).as_posix()}"] = sha256(file.read_bytes())
+    return found
+
+
+def packages() -> Iterator[metadata.Distribution]:
+    """Yield the installed distributions on which the program depends, itself first; extras as far as installed."""
+    waiting, seen = [DISTRIBUTION], set()
+    while waiting:
+        name = re.sub(r"[-_.]+", "-", waiting.pop(0)).lower()
+        if name in seen:
+            continue
+        seen.add(name)
+        with suppress(metadata.PackageNotFoundError):
+            one = metadata.distribution(name)
+            yield one
+            needed = _needed(one, of_program=name == DISTRIBUTION)
+            waiting += [match[0] for match in map(_REQUIREMENT.match, needed) if match]
+
+
+def _needed(one: metadata.Distribution, *, of_program: bool) -> list[str]:
+    """Return the requirements of a distribution: for the program with the extras for use, for others without."""
+    ours = re.compile(r"extra == ['\"](?:test|browser|docs|mutation|dev)['\"]")
+    other = ours if of_program else re.compile(r"extra\s*==")
+    return [text for text in one.requires or () if not other.search(text)]
+
+
+def fingerprint() -> ProgramFingerprint:
+    """Return what a validation holds for: files of the program, packages, Python and platform."""
+    named = {}
+    for one in packages():
+        record = one.read_text("RECORD") or ""
+        named[one.name] = PackagePart(version=one.version, sha256=sha256(record.encode()))
+    stated: dict[str, Any] = {
+        "version": named[DISTRIBUTION].version if DISTRIBUTION in named else "not installed",
+        "python": f"{platform.python_implementation()} {platform.python_version()}",
+        "platform": f"{platform.system()} {platform.machine()}",
+        "files": own_files(),
+        "packages": {name: named[name] for name in sorted(named) if name != DISTRIBUTION},
+    }
+    told = {**stated, "packages": {name: part_.to_dict() for name, part_ in stated["packages"].items()}}
+    return ProgramFingerprint(fingerprint=sha256(to_text(told).encode()), **stated)
+
+
+# --- the register -----------------------------------------------------------------------------------
+
+
+@dataclass
+class Validations(Chain):
+    """The register of validations: `entries` in their order, `withdrawn` the numbers that hold no longer."""
+
+    FIRST: ClassVar[str] = first_head("triaxial-bench validations 1\n")
+
+    entries: list[Entry] = field(default_factory=list)
+    withdrawn: set[str] = field(default_factory=set)
+
+    def _note(self, entry: Entry, where: str) -> None:
+        known = {one.number for one in self.entries if one.kind == ACCEPTED}
+        if entry.kind == ACCEPTED and entry.number not in known:
+            self.entries.append(entry)
+        elif entry.kind == WITHDRAWN and entry.number in known - self.withdrawn:
+            self.entries.append(entry)
+            self.withdrawn.add(entry.number)
+        else:
+            raise Refused(f"{where}: {entry.kind} of {entry.number} is nothing that can follow here")
+
+    def standing(self) -> list[Entry]:
+        """Return the accepted validations that were not withdrawn, the latest last."""
+        return [one for one in self.entries if one.kind == ACCEPTED and one.number not in self.withdrawn]
+
+    def latest(self, bench_file: Path | str) -> Entry | None:
+        """Return the latest validation that holds of a bench file's name; None if there is none."""
+        name = Path(bench_file).name
+        return next((one for one in reversed(self.standing()) if one.data["bench"] == name), None)
+
+    def accepts(self, program: str, bench_sha256: str | None) -> bool:
+        """Return whether a validation that holds is of this program and bench file (of any, if None)."""
+        return any(
+            one.data["fingerprint"] == program and bench_sha256 in (None, one.data["bench_sha256"])
+            for one in self.standing()
+        )
+
+
+def register_beside(laboratory: Path) -> Path:
+    """Return the folder of the register of validations of a laboratory file."""
+    return laboratory.absolute().parent / FOLDER
+
+
+def read_validations(laboratory: Path) -> Validations:
+    """Return the register of a laboratory, read without changing anything. Raises `Refused` if it is damaged."""
+    register = Validations(register_beside(laboratory))
+    register.read_lines()
+    return register
+
+
+# --- the refusal ------------------------------------------------------------------------------------
+
+
+def laboratory_known(given: Path | None) -> Path | None:
+    """Return the laboratory file: the one given, else that of BENCH_LABORATORY, None without either."""
+    named = os.environ.get(LABORATORY)
+    return given or (Path(named) if named else None)
+
+
+def demanded_by(laboratory: Path | None) -> bool:
+    """Return whether a laboratory file demands validated programs. Raises `FileMistakes` if it cannot be read."""
+    if laboratory is None:
+        return False
+    written = part(load_document(laboratory).data, "require_validation")
+    return written is True or str(written).lower() in {"true", "yes", "on"}
+
+
+def refuse_unvalidated_run(bench: BenchFile, path: Path, laboratory: Path | None = None) -> None:
+    """Raise `Refused` for a real run that the bench or laboratory file wants validated, and that is not."""
+    laboratory = laboratory_known(laboratory)
+    if bench.require_validation or demanded_by(laboratory):
+        by = path if bench.require_validation else laboratory
+        _refuse(laboratory, str(by), path)
+
+
+def refuse_unvalidated_certificate(laboratory: Path) -> None:
+    """Raise `Refused` for a certificate of a laboratory that demands validated programs, by one that is not."""
+    if demanded_by(laboratory):
+        _refuse(laboratory, str(laboratory), None)
+
+
+def _refuse(laboratory: Path | None, by: str, bench: Path | None) -> None:
+    of_bench = "" if bench is None else f" --bench {bench}"
+    of_laboratory = f" --laboratory {laboratory or 'FILE'}"
+    way = (
+        f"'bench validate{of_bench}{of_laboratory} --out DIR', then "
+        f"'bench validate --accept DIR{of_laboratory} --by NAME --reason TEXT'"
+    )
+    if laboratory is None:
+        raise Refused(
+            f"{by} demands a validated program (require_validation), and no laboratory file says where validations "
+            f"are registered; set {LABORATORY}, or {way}"
+        )
+    register = read_validations(laboratory)
+    digest = None if bench is None else sha256_of_file(bench)
+    program = fingerprint().fingerprint
+    if register.accepts(program, digest):
+        return
+    if not register.standing():
+        why = "no validation was accepted yet"
+    elif register.accepts(program, None):
+        why = f"the bench file {bench} was changed since, or never validated"
+    else:
+        why = f"the program was changed since {register.standing()[-1].number} was accepted"
+    raise Refused(f"{by} demands a validated program (require_validation), and {why}; {way}")
+
+
+def kept_result(register: Validations, entry: Entry) -> bytes:
+    """Return the result, as JSON, of an accepted validation. Raises `Refused` if it is missing or changed."""
+    return register.kept(str(entry.data["result_sha256"]))

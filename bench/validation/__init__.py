@@ -1,0 +1,1 @@
+"""`bench validate`: checks that prove an installation, their register, and what a change changes in past runs."""

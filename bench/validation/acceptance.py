@@ -1,0 +1,145 @@
+"""A validation becomes one when a named, authorised person accepts it: the register's entries."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pydantic import ValidationError
+
+from bench.base.files import read_regular
+from bench.certificate.laboratory import Person, load_laboratory
+from bench.certificate.life import authorised
+from bench.results.validation import RegisteredValidation, ValidationRegisterResult, ValidationResult
+from bench.run.events import sha256
+from bench.run.seal import read_seal
+from bench.services.chain import Entry, opened
+from bench.services.errors import Refused
+from bench.services.requests.documents import Validate
+from bench.services.validated import (
+    ACCEPTED,
+    WITHDRAWN,
+    Validations,
+    fingerprint,
+    laboratory_known,
+    read_validations,
+    register_beside,
+)
+from bench.validation.conduct import RESULT, damage_of
+from drivers.clock import utc_now
+
+
+def accept(request: Validate, folder: Path) -> ValidationRegisterResult:
+    """Register the validation in a folder as accepted by an authorised person; return the register.
+
+    The first validation is accepted in the same way. Raises `Refused` for a validation of another program, one in
+    which a check failed, and one that is not what was sealed; for a person who is not authorised; without a reason.
+    """
+    laboratory, person, reason = _authority(request)
+    content, result = _sealed(folder)
+    if result.failed:
+        names = ", ".join(one.name for one in result.failed[:3])
+        raise Refused(
+            f"{folder}: {len(result.failed)} checks failed ({names}); mend what they name and validate again"
+        )
+    if fingerprint().fingerprint != result.program.fingerprint:
+        raise Refused(f"{folder}: the program was changed since, or is another; validate again, then accept")
+    with opened(Validations(register_beside(laboratory))) as register:
+        digest = sha256(content)
+        if any(one.data.get("result_sha256") == digest for one in register.standing()):
+            raise Refused(f"{folder}: this validation is registered already")
+        count = sum(one.kind == ACCEPTED for one in register.entries)
+        data = {
+            "role": person.role,
+            "reason": reason,
+            "fingerprint": result.program.fingerprint,
+            "bench": Path(result.bench.file).name,
+            "bench_sha256": result.bench.sha256,
+            "result_sha256": register.keep(content),
+            "changes": [one.name for one in result.changes],
+        }
+        now = utc_now()
+        register.append(Entry(ACCEPTED, f"V{now:%Y}-{count + 1:04d}", _moment(), person.name, data))
+        return listed(register)
+
+
+def withdraw(request: Validate, number: str) -> ValidationRegisterResult:
+    """Register that a validation holds no longer. Raises `Refused` as `accept`, and for an unknown number."""
+    laboratory, person, reason = _authority(request)
+    with opened(Validations(register_beside(laboratory))) as register:
+        found = next((one for one in register.standing() if one.number == number), None)
+        if found is None:
+            known = ", ".join(one.number for one in register.standing()[-3:]) or "none"
+            raise Refused(
+                f"{number}: no validation of that number holds in {register.folder}; the latest are: {known}"
+            )
+        told = {**found.data, "role": person.role, "reason": reason}
+        register.append(Entry(WITHDRAWN, number, _moment(), person.name, told))
+        return listed(register)
+
+
+def register_of(request: Validate) -> ValidationRegisterResult:
+    """Return the register of a laboratory, read without changing it. Raises `Refused` without a laboratory."""
+    return listed(read_validations(_laboratory(request)))
+
+
+def listed(register: Validations) -> ValidationRegisterResult:
+    """Return the content of a register."""
+    holding: dict[tuple[str, str], str] = {}
+    for one in register.standing():
+        holding[one.data["fingerprint"], one.data["bench_sha256"]] = one.number
+    latest = set(holding.values())
+    rows = [
+        RegisteredValidation(
+            number=one.number,
+            kind=ACCEPTED if one.kind == ACCEPTED else WITHDRAWN,
+            time=one.time,
+            by=one.by,
+            holds=one.kind == ACCEPTED and one.number in latest,
+            **{
+                name: one.data[name]
+                for name in ("role", "reason", "fingerprint", "bench", "bench_sha256", "result_sha256")
+            },
+        )
+        for one in register.entries
+    ]
+    return ValidationRegisterResult(register_=str(register.folder), head=register.head, validations=rows)
+
+
+def _laboratory(request: Validate) -> Path:
+    laboratory = laboratory_known(request.laboratory)
+    if laboratory is None:
+        raise Refused("say --laboratory FILE: it names who may accept, and its folder holds the register")
+    return laboratory
+
+
+def _authority(request: Validate) -> tuple[Path, Person, str]:
+    """Return laboratory file, authorised person and reason. Raises `Refused` where one is missing."""
+    laboratory = _laboratory(request)
+    lacking = [
+        option
+        for option, given in (("--by NAME", request.by), ("--reason TEXT", request.reason))
+        if not given
+    ]
+    if lacking or request.by is None or request.reason is None:
+        raise Refused(f"an entry of the register needs {' and '.join(lacking)}")
+    return laboratory, authorised(load_laboratory(laboratory), request.by, "--by"), request.reason
+
+
+def _sealed(folder: Path) -> tuple[bytes, ValidationResult]:
+    """Return the result in a folder, as bytes and read. Raises `Refused` if it is not what was sealed."""
+    try:
+        content, seal = read_regular(folder / RESULT), read_seal(folder)
+        result = ValidationResult.model_validate_json(content)
+    except OSError as error:
+        raise Refused(
+            f"{folder / RESULT}: cannot be read ({error.strerror}); name the folder of a validation"
+        ) from error
+    except ValidationError as error:
+        raise Refused(f"{folder / RESULT}: not the result of a validation; validate again") from error
+    if seal is None or (wrong := damage_of(folder, seal)):
+        raise Refused(f"{folder}: {'; '.join(wrong) if seal else 'it has no seal'}; validate again")
+    return content, result
+
+
+def _moment() -> str:
+    return utc_now().astimezone().isoformat(timespec="seconds")

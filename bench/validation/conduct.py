@@ -1,0 +1,237 @@
+"""A validation from request to files: checks carried out, page, PDF, result and seal written."""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+from collections.abc import Callable
+from datetime import datetime
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, Final
+
+from bench.base.computing import missing
+from bench.base.files import read_json, to_text, write_whole
+from bench.base.text import visible
+from bench.base.yaml_files import sha256_of_file
+from bench.config.shipped import find_bench
+from bench.results.validation import (
+    NOT_PROVEN,
+    AgainstPart,
+    ValidatedBench,
+    ValidationCheck,
+    ValidationResult,
+    acts,
+    clauses,
+    families,
+    render_validation,
+)
+from bench.run.events import sha256
+from bench.run.seal import Seal, private_key, sign, signed, write_seal
+from bench.services.bench_selection import bench_path
+from bench.services.errors import Refused, sentence
+from bench.services.requests.documents import Validate
+from bench.services.requests.shared import runs_folder
+from bench.services.validated import (
+    fingerprint,
+    laboratory_known,
+    read_validations,
+    register_beside,
+)
+from bench.validation.families import every
+from bench.validation.machine import description
+from bench.validation.registry import Context, carry_out
+from drivers.clock import SystemClock, utc_now
+
+RESULT: Final = "validation.json"
+PAGE: Final = "validation.html"
+PDF: Final = "validation.pdf"
+DEFAULT_BENCH: Final = "paper-stand"
+
+
+def validated(request: Validate, passphrase: Callable[[], bytes]) -> ValidationResult:
+    """Carry out a validation; return its result, which is written into a folder with its page, PDF and seal.
+
+    Raises `Refused` for a folder that holds one already or cannot be written, and for an unusable key.
+    """
+    began, clock, cpu_s = utc_now(), SystemClock(), _cpu_s()
+    began_s = clock.now_s()
+    key = None if request.key is None else private_key(request.key, passphrase)
+    bench = _bench(request)
+    folder = request.out or Path(f"validation-{began.astimezone():%Y%m%d-%H%M%S}")
+    _take(folder)
+    laboratory = laboratory_known(request.laboratory)
+    number, accepted = _accepted(laboratory, bench)
+    places = [runs_folder(request.runs), folder]
+    places += [] if laboratory is None else [register_beside(laboratory)]
+    with tempfile.TemporaryDirectory(prefix="bench-validation-") as scratch:
+        context = Context(bench, Path(scratch), request.quick, accepted, tuple(places))
+        checks = carry_out(context, every())
+        name = _bench_name(context)
+    part: AgainstPart | None = None
+    if request.against is not None:
+        from bench.validation.against import against
+
+        part = against(request, request.against, folder / "against")
+        checks.append(_of_past_runs(part))
+    result = ValidationResult(
+        passed=all(one.passed for one in checks),
+        quick=request.quick,
+        began=began.astimezone().isoformat(timespec="seconds"),
+        took_s=round(clock.now_s() - began_s, 1),
+        cpu_s=round(_cpu_s() - cpu_s, 1),
+        false_alarm=sum(one.p_false for one in every()),
+        program=fingerprint(),
+        bench=ValidatedBench(name=name, file=str(bench), sha256=sha256_of_file(bench)),
+        machine=description(),
+        checks=checks,
+        against=part,
+        not_proven=list(NOT_PROVEN),
+        accepted_before=number,
+    )
+    written, seal = _write(result, folder, began)
+    if key is not None:
+        seal = signed(seal, *sign(key, seal.signed_bytes))
+    written.append(str(write_seal(folder, seal)))
+    return result.model_copy(update={"files": written})
+
+
+def _bench(request: Validate) -> Path:
+    named = request.bench or os.environ.get("BENCH_FILE")
+    return bench_path(named) if named else find_bench(DEFAULT_BENCH)
+
+
+def _bench_name(context: Context) -> str:
+    try:
+        return context.bench.name
+    except Exception:  # a bench file with mistakes: the checks that need it say so
+        return context.bench_path.stem
+
+
+def _cpu_s() -> float:
+    """Return the processor time of this program and those that it waited for, s."""
+    return sum(os.times()[:4])
+
+
+def _take(folder: Path) -> None:
+    if (folder / RESULT).exists():
+        raise Refused(f"{folder}: holds a validation already; name another folder with --out")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / RESULT).touch()
+        (folder / RESULT).unlink()
+    except OSError as error:
+        raise Refused(
+            f"{folder}: cannot be written ({error.strerror}); name another folder with --out"
+        ) from error
+
+
+def _accepted(laboratory: Path | None, bench: Path) -> tuple[str, dict[str, Any] | None]:
+    """Return number and result of the accepted validation to compare with: the bench file's, else the latest."""
+    if laboratory is None:
+        return "", None
+    register = read_validations(laboratory)
+    entry = register.latest(bench)
+    if entry is None:
+        return "", None
+    kept: dict[str, Any] = read_json(register.kept(str(entry.data["result_sha256"])))
+    return entry.number, kept
+
+
+def _of_past_runs(part: AgainstPart) -> ValidationCheck:
+    """Return the row of past runs; a changed result is a change that a person may accept."""
+    runs = [one.run for one in part.changed]
+    words = f"{len(runs)} of {part.compared} changed" + (
+        f", {len(part.failed)} failed" if part.failed else ""
+    )
+    return ValidationCheck(
+        name="past runs",
+        family="changes since the accepted validation",
+        clause="7.11.2",
+        did="Recompute past runs by the estimators of their stored results.",
+        source="",
+        expected=f"no coefficient changed by more than {part.threshold_u:g} u, no verdict",
+        found=words,
+        passed=not (runs or part.failed),
+        where=", ".join([*runs, *part.failed][:5]),
+        change=True,
+        took_s=0.0,
+    )
+
+
+def _write(result: ValidationResult, folder: Path, began: datetime) -> tuple[list[str], Seal]:
+    """Write result, page and PDF; return their paths and the unsigned seal of them."""
+    contents = {RESULT: to_text(result.to_dict()).encode(), PAGE: render_validation(result).encode()}
+    try:
+        contents[PDF] = pdf_of(result, int(began.timestamp()))
+    except ImportError as error:
+        if not missing(error):
+            raise
+    for name, content in contents.items():
+        write_whole(folder / name, content)
+    hashes = {name: sha256(content) for name, content in contents.items()}
+    seal = Seal(
+        run=folder.name,
+        events=len(result.checks),
+        head=hashes[RESULT],
+        manifest_sha256=hashes[RESULT],
+        files=hashes,
+        sealed=utc_now().isoformat(),
+    )
+    return [str(folder / name) for name in contents], seal
+
+
+def pdf_of(result: ValidationResult, moment: int) -> bytes:
+    """Return the PDF/A of a validation, with its result attached. Raises `ImportError` without typst."""
+    from bench.certificate.page import typeset_pdf
+
+    told = result.to_dict()
+    told["headline"] = result.headline
+    told["clauses"] = [[clause, str(count), str(passed)] for clause, count, passed in clauses(result.checks)]
+    told["families"] = [
+        {
+            "name": family[0].upper() + family[1:],
+            "acts": [
+                {
+                    "did": did,
+                    "source": own[0].source,
+                    "clause": own[0].clause,
+                    "rows": [row.to_dict() for row in own],
+                }
+                for did, own in acts(rows)
+            ],
+        }
+        for family, rows in families(result.checks)
+    ]
+    day = datetime.fromisoformat(result.began)
+    told["date"] = [day.year, day.month, day.day]
+    template = files(__package__).joinpath("validation.typ").read_bytes()
+    attached = to_text(result.to_dict())
+    try:
+        return typeset_pdf({"data": json.dumps(_shown(told)), "result": attached}, moment, template)
+    except Refused:  # a name in letters that the fonts lack must not cost the validation its PDF
+        return typeset_pdf(
+            {"data": json.dumps(_shown(told, plain=True)), "result": attached}, moment, template
+        )
+
+
+def _shown(told: Any, *, plain: bool = False) -> Any:
+    """Return data with control characters in its texts made visible; if `plain`, all but ASCII."""
+    if isinstance(told, str):
+        return visible(told.encode("ascii", "backslashreplace").decode() if plain else told)
+    if isinstance(told, dict):
+        return {_shown(name, plain=plain): _shown(one, plain=plain) for name, one in told.items()}
+    return [_shown(one, plain=plain) for one in told] if isinstance(told, list) else told
+
+
+def damage_of(folder: Path, seal: Seal) -> list[str]:
+    """Return a sentence for each file of a validation that is missing or is not the sealed one."""
+    wrong = []
+    for name, digest in seal.files.items():
+        try:
+            if sha256((folder / name).read_bytes()) != digest:
+                wrong.append(f"{folder / name} is not what was sealed")
+        except OSError as error:
+            wrong.append(sentence(error))
+    return wrong

@@ -1,0 +1,155 @@
+"""The register of failures: collected from the records of runs; persons note state, cause and remedy."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, ClassVar, Final
+
+from bench.base.text import visible
+from bench.certificate.laboratory import load_laboratory
+from bench.certificate.life import authorised
+from bench.results.failures import Failure, FailuresResult, NotedRemedy
+from bench.run.events import EventType, RecordError
+from bench.run.folder import Run, all_runs
+from bench.run.sentences import sentence
+from bench.services.chain import Chain, Entry, first_head, opened
+from bench.services.errors import Refused
+from bench.services.requests.documents import Failures, FailureState
+from bench.services.requests.shared import runs_folder
+from bench.services.validated import laboratory_known
+from drivers.clock import utc_now
+
+FOLDER: Final = "failures"
+SEEN, NOTED, DAMAGED = "seen", "noted", "damaged"
+KINDS: Final = frozenset(
+    {
+        EventType.RUN_FAILED, EventType.RUN_ABORTED, EventType.RUN_INTERRUPTED, EventType.STEP_FAILED,
+        EventType.ANSWER_REFUSED, EventType.REDO, EventType.SKIPPED, EventType.EARLY_SIGN, EventType.WENT_ON,
+        EventType.CERTIFICATE, EventType.SAME_SERIAL, EventType.CLOCK_JUMPED, EventType.CHAMBER_SLOW,
+        EventType.LEFT_SAFE,
+    }
+)  # fmt: skip
+"""Events that are failures, stops, refused answers, repeated readings or alarms; so is a "fault" of the power."""
+
+
+@dataclass
+class FailureRegister(Chain):
+    """The register of failures: `seen` by number, and what was `noted` of each."""
+
+    FIRST: ClassVar[str] = first_head("triaxial-bench failures 1\n")
+
+    seen: dict[str, Entry] = field(default_factory=dict)
+    noted: dict[str, list[Entry]] = field(default_factory=dict)
+
+    def _note(self, entry: Entry, where: str) -> None:
+        if entry.kind == SEEN and entry.number not in self.seen:
+            self.seen[entry.number] = entry
+            self.noted[entry.number] = []
+        elif entry.kind == NOTED and entry.number in self.seen:
+            self.noted[entry.number].append(entry)
+        else:
+            raise Refused(f"{where}: {entry.kind} of {entry.number} is nothing that can follow here")
+
+    def keys(self) -> set[tuple[str, str, int]]:
+        """Return the failures that are known, by creation time of the run, its name and the event's number."""
+        return {(one.data["created"], one.data["run"], one.data["event"]) for one in self.seen.values()}
+
+
+def failures(request: Failures) -> FailuresResult:
+    """Add what is new in the records to the register, note what the request says, and return the register.
+
+    Raises `Refused` without a laboratory file, for an unknown number, and where a remedy lacks words or a person.
+    """
+    laboratory = laboratory_known(request.laboratory)
+    if laboratory is None:
+        raise Refused("say --laboratory FILE: the register of failures is a folder beside it")
+    with opened(FailureRegister(laboratory.absolute().parent / FOLDER)) as register:
+        new = 0
+        known = register.keys()
+        for data in _in_records(runs_folder(request.runs)):
+            if (data["created"], data["run"], data["event"]) not in known:
+                number = f"F{data['when'][:4] or utc_now().year}-{len(register.seen) + 1:04d}"
+                register.append(Entry(SEEN, number, _moment(), "bench failures", data))
+                new += 1
+        if request.number is not None:
+            _note(register, request, laboratory)
+        return _result(register, request.year, new)
+
+
+def _in_records(runs: Path) -> Iterator[dict[str, Any]]:
+    """Yield the failures in the records of a folder, oldest run first."""
+    for run in all_runs(runs):
+        about = {"run": run.name, "created": run.created}
+        try:
+            about["simulated"] = run.simulated  # type: ignore[assignment]
+            yield from ({**about, **one} for one in _in_record(run))
+        except RecordError as error:
+            yield {
+                "simulated": False,
+                **about,
+                "event": 0,
+                "when": run.created,
+                "kind": DAMAGED,
+                "said": str(error),
+            }
+
+
+def _in_record(run: Run) -> Iterator[dict[str, Any]]:
+    history = run.history
+    for event in history.events:
+        fault = event.type == EventType.POWER and event.data.get("power") == "fault"
+        if event.type in KINDS or fault:
+            words = sentence(event)
+            why = event.data.get("error") or event.data.get("reason") or event.data.get("why") or ""
+            said = (
+                words if words != event.type else f"{event.type.replace('_', ' ')}: {why}".removesuffix(": ")
+            )
+            yield {"event": event.number, "when": event.time, "kind": str(event.type), "said": visible(said)}
+    if history.problems:
+        yield {"event": 0, "when": run.created, "kind": DAMAGED, "said": visible("; ".join(history.problems))}
+
+
+def _note(register: FailureRegister, request: Failures, laboratory: Path) -> None:
+    """Append what a person says of a failure."""
+    number, by = str(request.number), request.by
+    lacking = [
+        option
+        for option, given in (
+            ("--state", request.state),
+            ("--remedy TEXT", request.remedy),
+            ("--by NAME", by),
+        )
+        if not given
+    ]
+    if lacking or request.state is None or by is None:
+        raise Refused(f"--number {number}: a remedy needs {', '.join(lacking)}")
+    if number not in register.seen:
+        latest = ", ".join(list(register.seen)[-3:]) or "none"
+        raise Refused(f"--number {number}: no failure of that number; the latest are: {latest}")
+    if request.state == FailureState.CLOSED:
+        authorised(load_laboratory(laboratory), by, "--by")
+    told = {"state": str(request.state), "remedy": request.remedy}
+    register.append(Entry(NOTED, number, _moment(), by, told))
+
+
+def _result(register: FailureRegister, year: int | None, new: int) -> FailuresResult:
+    found = []
+    for number, one in register.seen.items():
+        noted = [
+            NotedRemedy(time=entry.time, by=entry.by, state=entry.data["state"], remedy=entry.data["remedy"])
+            for entry in register.noted[number]
+        ]
+        state = noted[-1].state if noted else str(FailureState.OPEN)
+        told = {name: one.data[name] for name in ("run", "event", "kind", "said", "simulated")}
+        when = str(one.data["when"])
+        if year is None or when.startswith(f"{year}-"):
+            found.append(Failure(number=number, time=when, state=state, noted=noted, **told))
+    return FailuresResult(
+        register_=str(register.folder), head=register.head, year=year, collected=new, failures=found
+    )
+
+
+def _moment() -> str:
+    return utc_now().astimezone().isoformat(timespec="seconds")

@@ -1,0 +1,170 @@
+"""Records of runs: a dry run from procedure to coefficients; killed and resumed; changed."""
+
+from __future__ import annotations
+
+import io
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from rich.console import Console
+from scipy import stats
+
+from bench.config.procedure.load import check as plan_check
+from bench.config.procedure.load import load_procedure
+from bench.config.shipped import find_bench, find_procedure
+from bench.run.events import EVENTS
+from bench.run.folder import Run
+from bench.services.calibration import calibration_of
+from bench.services.execution import carry_out, new_run
+from bench.services.requests.measuring import RunRequest
+from bench.services.source import Request, load_sources
+from bench.validation.registry import Context, Finding
+from bench.validation.registry import check as enter
+from drivers.clock import SystemClock
+
+check = partial(enter, family="records")
+
+PROCEDURE: Final = "quick"
+SEED: Final = 34
+FALSE_ALARM: Final = 1e-4
+KILLS, QUICK_KILLS = (12, 30, 55), (30,)
+"""Numbers of events after which a run is killed."""
+_WAIT_S: Final = 900.0
+"""Longest time (s) to wait for the program; only one that hangs takes so long."""
+_ROOT: Final = Path(__file__).parents[2]
+_COMMAND: Final = "from bench.cli.program import main; main()"
+
+
+def bench_to_run(context: Context) -> tuple[Path, str]:
+    """Return the bench file for the runs, and a note if it is another because that one cannot run the procedure."""
+    plan = load_procedure(find_procedure(PROCEDURE)).expand()
+    if not plan_check(plan, context.bench, dry_run=True):
+        return context.bench_path, ""
+    return find_bench("paper-stand"), "; on paper-stand, as this bench cannot run the procedure 'quick'"
+
+
+def whole_run(context: Context) -> Run:
+    """Return a finished dry run, made once."""
+    if "run" not in context.shared:
+        bench, _ = bench_to_run(context)
+        runs = context.scratch / "runs"
+        new = new_run(
+            RunRequest(
+                PROCEDURE, str(bench), seed=SEED, name="whole", runs=runs, dry_run=True, operator="bench validate"
+            )
+        )  # fmt: skip
+        carry_out(Run(new.folder), new.record(), Console(file=io.StringIO(), quiet=True))
+        context.shared["run"] = Run(new.folder)
+    run: Run = context.shared["run"]
+    return Run(run.folder)
+
+
+@check("run on the simulated bench", "7.2.1", "", place="bench/run, drivers, sim", p_false=FALSE_ALARM,
+       source="truth of the simulated bench; chi-square distribution")  # fmt: skip
+def from_run_to_coefficients(context: Context) -> Finding:
+    """Run the procedure 'quick' dry; compare its coefficients with the truth of the simulated bench."""
+    run, (_, note) = whole_run(context), bench_to_run(context)
+    (source,) = load_sources(Request([str(run.folder)], run.folder.parent))
+    found = calibration_of(source)
+    truth, simulation = source.bench.simulation.block, source.bench.simulation
+    if truth is None or simulation.effects:
+        words = f"{len(source.readings)} readings, calibrated; the simulation has effects{note}"
+        return Finding(True, words, expected="calibrated")
+    true = np.concatenate([np.ravel(truth.K), truth.U0])
+    off = found.calibration.block.vector - true
+    u = found.calibration.u
+    known = u > 0
+    chi2 = float(
+        off[known] @ np.linalg.pinv(found.covariance[np.ix_(known, known)], hermitian=True) @ off[known]
+    )
+    limit = float(stats.chi2.isf(FALSE_ALARM, int(known.sum())))
+    words = f"χ² = {chi2:.1f} of {int(known.sum())} coefficients{note}"
+    return Finding(chi2 <= limit, words, expected=f"χ² ≤ {limit:.1f}")
+
+
+@check(
+    "killed and resumed",
+    "7.11.3",
+    "the same readings as without the kill",
+    place="bench/run/record.py, bench/run/resume.py",
+)
+def killed(context: Context) -> Iterator[Finding]:
+    """Kill the program in the middle of a run, resume it, and compare its readings with those of a whole run."""
+    whole = whole_run(context).readings()
+    bench, note = bench_to_run(context)
+    runs = context.scratch / "runs"
+    for events in QUICK_KILLS if context.quick else KILLS:
+        name = f"killed-{events}"
+        began = _program(
+            "run", PROCEDURE, "--dry-run", "--bench", bench, "--seed", SEED, "--runs", runs, "--name", name
+        )
+        reached = _killed_after(began, runs / name / EVENTS, events)
+        resumed = _program("resume", name, "--runs", runs)
+        said = resumed.communicate(timeout=_WAIT_S)[1].decode(errors="replace")
+        run = Run(runs / name)
+        if run.history.problems or resumed.returncode not in {0, 1}:
+            why = "; ".join(run.history.problems) or said.strip().splitlines()[-1]
+            yield Finding(False, why, of=f"after {reached} events")
+            continue
+        same = np.array_equal(run.readings().signal, whole.signal)
+        words = f"{len(run.readings())} readings, {'the same' if same else 'others'}{note}"
+        yield Finding(bool(same), words, of=f"after {events} events or more")
+
+
+def _program(*arguments: object) -> subprocess.Popen[bytes]:
+    """Start the program in a process of its own, with this program's code and one thread."""
+    paths = [str(_ROOT), *filter(None, [os.environ.get("PYTHONPATH")])]
+    around = {**os.environ, "PYTHONPATH": os.pathsep.join(paths), "OPENBLAS_NUM_THREADS": "1"}
+    return subprocess.Popen(  # noqa: S603 - this program, arguments of our own
+        [sys.executable, "-c", _COMMAND, *map(str, arguments)],
+        stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, env=around,
+    )  # fmt: skip
+
+
+def _killed_after(process: subprocess.Popen[bytes], events: Path, count: int) -> int:
+    """Kill a program when its record has so many lines; return how many it has. Its end is waited for."""
+    clock = SystemClock()
+    deadline_s, lines = clock.now_s() + _WAIT_S, 0
+    while process.poll() is None and clock.now_s() < deadline_s:
+        lines = events.read_bytes().count(b"\n") if events.is_file() else 0
+        if lines >= count:
+            break
+        clock.sleep(0.002)
+    process.kill()
+    process.communicate()
+    return lines
+
+
+@check("changed record", "7.5.2", "refused", place="bench/run/record.py")
+def changed(context: Context) -> Iterator[Finding]:
+    """Change one digit of a recorded reading, take a line out, change an input: each must be refused by name."""
+    run = whole_run(context)
+    lines = (run.folder / EVENTS).read_bytes().splitlines(keepends=True)
+    at = next(n for n, line in enumerate(lines) if b'"reading"' in line)
+    digit = (
+        lines[at].replace(b'"mean": [', b'"mean": [1', 1)
+        if b'"mean": [' in lines[at]
+        else lines[at][:-3] + b"0}\n"
+    )
+    for of, content in {
+        "a digit": [*lines[:at], digit, *lines[at + 1 :]],
+        "a line taken out": [*lines[:at], *lines[at + 1 :]],
+    }.items():
+        yield _refusal(run, of, {EVENTS: b"".join(content)})
+    yield _refusal(run, "the bench file", {"bench.yaml": b"# " + (run.folder / "bench.yaml").read_bytes()})
+
+
+def _refusal(run: Run, of: str, contents: dict[str, bytes]) -> Finding:
+    copy = run.folder.with_name(f"changed-{of.replace(' ', '-')}")
+    shutil.copytree(run.folder, copy)
+    for name, content in contents.items():
+        (copy / name).write_bytes(content)
+    problems: Any = Run(copy).history.problems
+    return Finding(bool(problems), "; ".join(problems) or "taken as whole", of=of)

@@ -1,0 +1,155 @@
+"""The table of checks: a check is one function with its name, clause, expectation and source.
+
+    @check("NIST StRD", "7.11.2", "as many digits as stated", place="bench/calibration/gls.py")
+    def regressions(context: Context) -> Iterator[Finding]:
+        \"\"\"Fit certified regressions with the estimator's solver.\"\"\"
+        yield Finding(digits >= 9, f"{digits:.1f} digits", of="Norris")
+
+A check returns one finding, or yields several. The first line of its docstring says what is done. An exception is a
+failed finding, which names the line of our own code where it was raised.
+"""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+from bench.base.computing import tracked
+from bench.config.bench_file.file import BenchFile, load_bench
+from bench.results.validation import ValidationCheck
+from bench.services.errors import sentence
+from drivers.clock import SystemClock
+
+REFERENCE: Final = Path(__file__).with_name("data")
+"""The folder of reference data."""
+
+_ROOT: Final = Path(__file__).parents[2]
+_OURS: Final = ("bench", "drivers", "sim")
+
+
+@dataclass(frozen=True)
+class Finding:
+    """The outcome of a check: whether it passed, what was found, of which part, and where a failure lies.
+
+    `expected` replaces the check's own expectation for this part.
+    """
+
+    passed: bool
+    found: str
+    of: str = ""
+    where: str = ""
+    expected: str = ""
+
+
+@dataclass
+class Context:
+    """What checks may use: the bench file, a scratch folder, and the folders that the installation writes.
+
+    `accepted` is the result of the last accepted validation as JSON, None if there is none.
+    """
+
+    bench_path: Path
+    scratch: Path
+    quick: bool = False
+    accepted: dict[str, Any] | None = None
+    folders: tuple[Path, ...] = ()
+    shared: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def bench(self) -> BenchFile:
+        """The bench file, loaded. Raises `FileMistakes`."""
+        if "bench" not in self.shared:
+            self.shared["bench"] = load_bench(self.bench_path)
+        bench: BenchFile = self.shared["bench"]
+        return bench
+
+
+Act = Callable[[Context], Finding | Iterable[Finding]]
+
+
+@dataclass(frozen=True)
+class Check:
+    """A check: its family, clause of ISO/IEC 17025:2017, expectation, and the function that carries it out.
+
+    `place` is the code that it proves. `p_false` is the bound of the probability that it fails on a correct
+    program with other random numbers. With `change`, a failure is a change that a person may accept.
+    """
+
+    name: str
+    family: str
+    clause: str
+    expected: str
+    act: Act
+    place: str = ""
+    source: str = ""
+    p_false: float = 0.0
+    change: bool = False
+
+    @property
+    def did(self) -> str:
+        """What the check does, in a sentence."""
+        return (self.act.__doc__ or "").strip().splitlines()[0]
+
+    def carried_out(self, context: Context) -> Iterator[ValidationCheck]:
+        """Yield a row for each finding; an exception gives a failed row."""
+        clock = SystemClock()
+        began_s = clock.now_s()
+        try:
+            found = self.act(context)
+            for one in [found] if isinstance(found, Finding) else found:
+                yield self._row(one, clock.now_s() - began_s)
+                began_s = clock.now_s()
+        except Exception as error:
+            where = "; raised in ".join(filter(None, (self.place, raised_at(error))))
+            yield self._row(Finding(False, sentence(error), where=where), clock.now_s() - began_s)
+
+    def _row(self, finding: Finding, took_s: float) -> ValidationCheck:
+        return ValidationCheck(
+            name=f"{self.name}: {finding.of}" if finding.of else self.name,
+            family=self.family,
+            clause=self.clause,
+            did=self.did,
+            source=self.source,
+            expected=finding.expected or self.expected,
+            found=finding.found,
+            passed=finding.passed,
+            where="" if finding.passed else finding.where or self.place,
+            change=self.change,
+            took_s=round(took_s, 3),
+        )
+
+
+TABLE: Final[list[Check]] = []
+"""All checks, in the order in which their modules were imported."""
+
+
+def check(name: str, clause: str, expected: str, *, family: str, **more: Any) -> Callable[[Act], Act]:
+    """Return a decorator that enters a function in `TABLE`; `more` are further fields of `Check`."""
+
+    def entered(act: Act) -> Act:
+        TABLE.append(Check(name, family, clause, expected, act, **more))
+        return act
+
+    return entered
+
+
+def raised_at(error: BaseException) -> str:
+    """Return file, line and function of our own code where an error was raised; "" if none took part."""
+    for frame in reversed(traceback.extract_tb(error.__traceback__)):
+        path = Path(frame.filename)
+        if path.is_relative_to(_ROOT) and path.relative_to(_ROOT).parts[0] in _OURS:
+            ours = path.relative_to(_ROOT)
+            if ours.parts[:2] != ("bench", "validation"):
+                return f"{ours.as_posix()}, line {frame.lineno} ({frame.name})"
+    return ""
+
+
+def carry_out(context: Context, checks: Iterable[Check]) -> list[ValidationCheck]:
+    """Carry out checks; return a row for each finding. Progress is reported to the listener."""
+    rows: list[ValidationCheck] = []
+    for one in tracked(list(checks), "checks"):
+        rows += one.carried_out(context)
+    return rows

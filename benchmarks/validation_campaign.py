@@ -1,0 +1,143 @@
+"""What `bench validate` finds of planted faults, and whether it is silent on healthy installations.
+
+    python -m benchmarks.validation_campaign --healthy 10 --kills 200
+
+For each fault the checks are carried out (quick) until one fails and names the place; those of the family that
+should find it come first, and files of packages are hashed anew only for faults of packages. Healthy runs take all
+checks, with the shipped bench files in turn and another seed each for their random parts. The kills are of two
+programs that append to one register at once.
+"""
+
+from __future__ import annotations
+
+import argparse
+import multiprocessing
+import re
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from bench.config.shipped import CONFIG, find_bench, shipped_folder
+from bench.results.validation import ValidationCheck
+from bench.services.chain import Entry, opened
+from bench.services.validated import ACCEPTED, Validations, fingerprint
+from bench.validation import gum, machine, statistics
+from bench.validation.families import every
+from bench.validation.registry import Check, Context, carry_out
+from benchmarks.validation_faults import FAULTS, PlantedFault, planted
+
+
+def accepted(bench: Path) -> dict[str, object]:
+    """Return what an accepted validation of this installation says of it."""
+    from bench.base.yaml_files import sha256_of_file
+
+    return {
+        "program": fingerprint().to_dict(),
+        "machine": machine.description(),
+        "bench": {"sha256": sha256_of_file(bench)},
+    }
+
+
+def found(fault: PlantedFault, bench: Path) -> tuple[list[ValidationCheck], bool]:
+    """Return the failed rows up to the one that names the place, and whether one does."""
+    checks: list[Check] = sorted(every(), key=lambda one: not one.family.startswith(fault.family))
+    if "package" not in fault.name:
+        checks = [one for one in checks if one.name != "package files"]
+    failed: list[ValidationCheck] = []
+    with tempfile.TemporaryDirectory() as scratch:
+        context = Context(bench, Path(scratch), quick=True, accepted=accepted(bench))
+        with planted(fault, context) as spoilt:
+            for one in checks:
+                failed += [row for row in carry_out(spoilt, [one]) if not row.passed]
+                if any(re.search(fault.place, f"{row.name} {row.where} {row.found}") for row in failed):
+                    return failed, True
+    return failed, False
+
+
+def healthy(bench: Path, seed: int) -> list[ValidationCheck]:
+    """Return the failed rows of a healthy installation; `seed` replaces those of the random parts."""
+    statistics.SEED = 1000 + seed
+    gum.SEED_OFFSET = 1000 + seed
+    with tempfile.TemporaryDirectory() as scratch:
+        context = Context(bench, Path(scratch), quick=True, accepted=accepted(bench))
+        checks = [one for one in every() if one.name != "package files" or seed == 0]
+        return [row for row in carry_out(context, checks) if not row.passed]
+
+
+def append_for_ever(folder: Path, mark: str) -> None:
+    """Append entries to a register of validations; note each one beside it when it is written."""
+    data = dict.fromkeys(
+        ("fingerprint", "bench", "bench_sha256", "result_sha256", "role", "reason"), "x" * 40
+    )
+    with folder.with_name(f"said-{mark}").open("a", encoding="utf-8") as said:
+        for number in range(1_000_000):
+            with opened(Validations(folder)) as register:
+                register.append(Entry(ACCEPTED, f"{mark}-{number}", "2026-11-24", "A. Example", data))
+            said.write(f"{mark}-{number}\n")
+            said.flush()
+
+
+def killed(count: int, folder: Path) -> tuple[int, int]:
+    """Kill two writers of one register `count` times, at random moments; return entries said and lost. Seed 34."""
+    context, rng = multiprocessing.get_context("fork"), np.random.default_rng(34)
+    for round_ in range(count // 2):
+        writers = [context.Process(target=append_for_ever, args=(folder, f"{mark}{round_}")) for mark in "ab"]
+        for writer in writers:
+            writer.start()
+        time.sleep(float(rng.uniform(0.1, 0.4)))
+        for writer in writers:
+            writer.kill()
+            writer.join()
+    said = {line for file in folder.parent.glob("said-*") for line in file.read_text("utf-8").split()}
+    with opened(Validations(folder)) as register:
+        kept = {one.number for one in register.entries}
+    return len(said), len(said - kept)
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run the campaign; print a line for each fault and run, and the counts."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--only", default="", help="pattern of the names of faults")
+    parser.add_argument("--healthy", type=int, default=50)
+    parser.add_argument("--kills", type=int, default=200)
+    asked = parser.parse_args(arguments)
+    bench = find_bench("paper-stand")
+    chosen = [fault for fault in FAULTS if re.search(asked.only, fault.name)]
+    seen = named = 0
+    for fault in chosen:
+        began_s = time.monotonic()
+        failed, placed = found(fault, bench)
+        seen, named = seen + bool(failed), named + placed
+        words = (
+            f"{failed[-1].name}: {failed[-1].found[:70]} [{failed[-1].where[:50]}]" if failed else "NOT FOUND"
+        )
+        print(
+            f"{time.monotonic() - began_s:5.1f} s {'' if placed else 'NO PLACE '}{fault.name}: {words}",
+            flush=True,
+        )
+    print(f"{seen} of {len(chosen)} faults found, {named} with their place", flush=True)
+    alarms = 0
+    benches = sorted(shipped_folder(CONFIG).glob("*.yaml"))
+    for number in range(asked.healthy):
+        file = benches[number % len(benches)]
+        failed = healthy(file, number)
+        alarms += bool(failed)
+        print(
+            f"healthy {number} {file.stem}: {'; '.join(f'{one.name}: {one.found}' for one in failed) or 'passed'}",
+            flush=True,
+        )
+    print(f"{alarms} false alarms in {asked.healthy} healthy runs", flush=True)
+    with tempfile.TemporaryDirectory() as folder:
+        said, lost = killed(asked.kills, Path(folder) / "register")
+    print(f"{lost} of {said} entries lost in {asked.kills} kills of two writers at once", flush=True)
+    return 0 if not lost and named >= len(chosen) - 2 and not alarms else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

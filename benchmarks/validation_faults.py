@@ -1,0 +1,404 @@
+"""Faults for `bench validate` to find: lines of the program edited in memory, unfit machines and files.
+
+    with planted(FAULTS[0], context) as context:
+        rows = carry_out(context, every())
+
+An edit replaces text in the source of one function and puts the compiled result in its place.
+`place` is a pattern that a failed row must hold: its name, its place or what was found.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import copy
+import importlib
+import inspect
+import os
+import re
+import shutil
+import sys
+import textwrap
+import time
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from importlib import metadata
+from pathlib import Path
+from typing import Any, Final
+from unittest import mock
+
+import numpy as np
+import yaml
+
+from bench.model.geometry import INSTALLATION_2
+from bench.validation import machine, reference, registry
+from bench.validation.registry import Context
+
+
+@dataclass(frozen=True)
+class PlantedFault:
+    """A fault by name: the pattern of its place, the family that should find it, and how it is planted."""
+
+    name: str
+    place: str
+    family: str
+    plant: Callable[[Context], AbstractContextManager[Context]]
+
+
+@contextlib.contextmanager
+def planted(fault: PlantedFault, context: Context) -> Iterator[Context]:
+    """Plant a fault; yield the context to validate in."""
+    with fault.plant(context) as spoilt:
+        yield spoilt
+
+
+# --- edits of the program ---------------------------------------------------------------------------
+
+
+def function_at(target: str) -> Any:
+    """Return the function at "module:name" or "module:Class.name"."""
+    module, _, path = target.partition(":")
+    found: Any = importlib.import_module(module)
+    for part in path.split("."):
+        found = inspect.getattr_static(found, part) if inspect.isclass(found) else getattr(found, part)
+    found = getattr(found, "fget", None) or found
+    return getattr(found, "__wrapped__", found)
+
+
+@contextlib.contextmanager
+def edited(target: str, old: str, new: str) -> Iterator[None]:
+    """Replace text in the source of a function. Raises `ValueError` if the text is not there."""
+    function = function_at(target)
+    source = textwrap.dedent(inspect.getsource(function))
+    if old not in source:
+        raise ValueError(f"{target}: its source does not have {old!r}")
+    head = source.index("def ")
+    space: dict[str, Any] = {}
+    text = "from __future__ import annotations\n" + source[head:].replace(old, new, 1)
+    exec(compile(text, f"<{target}, edited>", "exec"), function.__globals__, space)  # noqa: S102 - our own source
+    before = function.__code__
+    function.__code__ = next(iter(one for one in space.values() if inspect.isfunction(one))).__code__
+    try:
+        yield
+    finally:
+        function.__code__ = before
+
+
+def edit(name: str, place: str, family: str, target: str, old: str, new: str) -> PlantedFault:
+    """Return the fault of an edited line."""
+
+    @contextlib.contextmanager
+    def plant(context: Context) -> Iterator[Context]:
+        with edited(target, old, new):
+            yield context
+
+    return PlantedFault(name, place, family, plant)
+
+
+def patch(name: str, place: str, family: str, *arguments: Any, **options: Any) -> PlantedFault:
+    """Return the fault of a replaced attribute, as `unittest.mock.patch.object` takes it."""
+
+    @contextlib.contextmanager
+    def plant(context: Context) -> Iterator[Context]:
+        with mock.patch.object(*arguments, **options):
+            yield context
+
+    return PlantedFault(name, place, family, plant)
+
+
+def environment(name: str, place: str, variable: str, value: str, family: str = "machine") -> PlantedFault:
+    """Return the fault of an environment variable."""
+
+    @contextlib.contextmanager
+    def plant(context: Context) -> Iterator[Context]:
+        with mock.patch.dict(os.environ, {variable: value}):
+            time.tzset()
+            yield context
+        time.tzset()
+
+    return PlantedFault(name, place, family, plant)
+
+
+# --- files ------------------------------------------------------------------------------------------
+
+
+def bench_edit(name: str, place: str, family: str, change: Callable[[dict[str, Any]], None]) -> PlantedFault:
+    """Return the fault of an edited bench file."""
+
+    @contextlib.contextmanager
+    def plant(context: Context) -> Iterator[Context]:
+        data = yaml.safe_load(context.bench_path.read_text(encoding="utf-8"))
+        change(data)
+        path = context.scratch / context.bench_path.name
+        path.write_text(yaml.safe_dump(data, allow_unicode=True, sort_keys=False), encoding="utf-8")
+        yield replace(context, bench_path=path, shared={})
+
+    return PlantedFault(name, place, family, plant)
+
+
+def accepted_edit(name: str, place: str, change: Callable[[dict[str, Any]], None]) -> PlantedFault:
+    """Return the fault of something that is not as it was accepted: the accepted result is changed instead."""
+
+    @contextlib.contextmanager
+    def plant(context: Context) -> Iterator[Context]:
+        before = copy.deepcopy(context.accepted or {})
+        change(before)
+        yield replace(context, accepted=before)
+
+    return PlantedFault(name, place, "changes", plant)
+
+
+def data_edit(name: str, place: str, file: str, old: str, new: str) -> PlantedFault:
+    """Return the fault of a damaged file of reference data."""
+
+    @contextlib.contextmanager
+    def plant(context: Context) -> Iterator[Context]:
+        folder = context.scratch / "data"
+        shutil.copytree(registry.REFERENCE, folder)
+        text = (folder / file).read_text(encoding="utf-8")
+        if old not in text:
+            raise ValueError(f"{file} does not have {old!r}")
+        (folder / file).write_text(text.replace(old, new, 1), encoding="utf-8")
+        with mock.patch.object(reference, "REFERENCE", folder):
+            yield context
+
+    return PlantedFault(name, place, "reference data", plant)
+
+
+def package_edit(name: str, place: str, package: str, change: Callable[[Path, Path], object]) -> PlantedFault:
+    """Return the fault of an installed package of which a copy is changed: `change(root, dist-info)`."""
+
+    @contextlib.contextmanager
+    def plant(context: Context) -> Iterator[Context]:
+        root = context.scratch / "site"
+        one = metadata.distribution(package)
+        for file in one.files or ():
+            there = Path(str(one.locate_file(file)))
+            if there.is_file() and ".." not in Path(file).parts:
+                (root / file).parent.mkdir(parents=True, exist_ok=True)
+                shutil.copy(there, root / file)
+        change(root, next(root.glob("*.dist-info")))
+        with mock.patch.object(sys, "path", [str(root), *sys.path]):
+            yield context
+
+    return PlantedFault(name, place, "machine", plant)
+
+
+def folder_fault(name: str, place: str, make: Callable[[Path], Path]) -> PlantedFault:
+    """Return the fault of a folder of runs: `make(scratch)` returns it."""
+
+    @contextlib.contextmanager
+    def plant(context: Context) -> Iterator[Context]:
+        yield replace(context, folders=(make(context.scratch),))
+
+    return PlantedFault(name, place, "machine", plant)
+
+
+def _future_record(scratch: Path) -> Path:
+    folder = scratch / "old-runs" / "run"
+    folder.mkdir(parents=True)
+    file = folder / "events.jsonl"
+    file.write_bytes(b"")
+    os.utime(file, (time.time() + 86400.0, time.time() + 86400.0))
+    return folder.parent
+
+
+def _open_folder(scratch: Path) -> Path:
+    folder = scratch / "open-runs"
+    folder.mkdir()
+    folder.chmod(0o777)
+    return folder
+
+
+def _appended(root: Path, info: Path) -> None:
+    file = next(root.glob("h11/*.py"))
+    file.write_text(file.read_text(encoding="utf-8") + "\n", encoding="utf-8")
+
+
+def _version_99(root: Path, info: Path) -> None:
+    text = (info / "METADATA").read_text(encoding="utf-8")
+    (info / "METADATA").write_text(re.sub(r"(?m)^Version: .*$", "Version: 99.0", text), encoding="utf-8")
+
+
+def _set(*keys: Any) -> Callable[[dict[str, Any]], None]:
+    """Return a function that sets a member: keys, then the value."""
+    *path, last, value = keys
+
+    def change(data: dict[str, Any]) -> None:
+        for key in path:
+            data = data[key]
+        data[last] = value
+
+    return change
+
+
+class _NoLock:
+    def __init__(self, *_: Any, **__: Any) -> None: ...
+
+    def __enter__(self) -> None: ...
+
+    def __exit__(self, *_: Any) -> None: ...
+
+
+def _mirrored() -> np.ndarray[Any, Any]:
+    matrix = INSTALLATION_2.block_from_platform.copy()
+    matrix[0] = -matrix[0]
+    return matrix
+
+
+@contextlib.contextmanager
+def _wrong_installation(context: Context) -> Iterator[Context]:
+    before = INSTALLATION_2.block_from_platform
+    object.__setattr__(INSTALLATION_2, "block_from_platform", _mirrored())
+    try:
+        yield context
+    finally:
+        object.__setattr__(INSTALLATION_2, "block_from_platform", before)
+
+
+REF, STAT, WIRE = "reference data", "statistics", "instruments"
+GEOMETRY: Final = "bench.model.geometry"
+PROPAGATION: Final = "bench.calibration.budget.propagation"
+CHARTS: Final = "bench.stats.control_charts"
+SCPI: Final = "drivers.scpi_voltmeter:ScpiVoltmeter"
+METER: Final = "drivers.instruments.agilent_34401a:Agilent34401A._setup"
+
+ARITHMETIC: Final = (
+    edit("solver off by 1e-6", "gls", REF, "bench.calibration.gls:solve_rows", "inverse @ (q.T @ target)",
+         "(1.0 + 1e-6) * (inverse @ (q.T @ target))"),
+    edit("covariance of the solver off by 1e-6", "gls", REF, "bench.calibration.gls:solve_rows",
+         "inverse @ inverse.T", "(1.0 + 1e-6) * (inverse @ inverse.T)"),
+    edit("start values off by 1e-6", "least_squares", REF, "bench.base.arrays:least_squares",
+         "np.asarray(solution),", "(1.0 + 1e-6) * np.asarray(solution),"),
+    edit("sign of the sine", "geometry", REF, f"{GEOMETRY}:specific_force_on_platform", "x = np.sin(turned)",
+         "x = -np.sin(turned)"),
+    edit("sine for cosine", "geometry", REF, f"{GEOMETRY}:specific_force_on_platform", "z = np.cos(turned)",
+         "z = np.sin(turned)"),
+    edit("sign of the bias", "geometry", REF, f"{GEOMETRY}:Block.output", "+ self.U0", "- self.U0"),
+    edit("sign of the bias, inverse", "accelerometers|free", REF, f"{GEOMETRY}:Block.specific_force",
+         "signal_v - self.U0", "signal_v + self.U0"),
+    edit("K transposed", "geometry", REF, f"{GEOMETRY}:Block.output", "self.K.T", "self.K"),
+    PlantedFault("installation 2 mirrored", "geometry", REF, _wrong_installation),
+    edit("g off by 50 mGal", "gravity", REF, f"{GEOMETRY}:normal_gravity_m_s2", "_EQUATOR_M_S2 * (1",
+         "(_EQUATOR_M_S2 + 5e-4) * (1"),
+    edit("one-sided coverage factor", "propagation", REF, f"{PROPAGATION}:coverage_factor",
+         "0.5 * (1.0 + probability)", "probability"),
+    edit("Welch-Satterthwaite without the square", "propagation", REF, f"{PROPAGATION}:effective_dof",
+         "total**2", "total"),
+    edit("rectangle of half-width u", "propagation", REF, f"{PROPAGATION}:drawn",
+         "-distribution.limit, distribution.limit", "-distribution.u, distribution.u"),
+    edit("normal for t", "propagation", REF, f"{PROPAGATION}:drawn", "rng.standard_t(dof, shape)",
+         "rng.standard_normal(shape)"),
+    edit("interval not in the middle", "propagation", REF, f"{PROPAGATION}:summary", "(trials - inside) // 2",
+         "(trials - inside) // 5"),
+    edit("tolerance of one digit less", "propagation", REF, f"{PROPAGATION}:numerical_tolerance", "- digits + 1",
+         "- digits + 2"),
+    edit("clause 8 always content", "propagation", REF, f"{PROPAGATION}:validate",
+         "linear.expanded(trials.probability)", "trials.symmetric.T[1] - linear.value"),
+    edit("sign of correlations", "propagation", REF, f"{PROPAGATION}:correlation_of", "covariance / np.outer",
+         "-covariance / np.outer"),
+    edit("deviations of a chart doubled", "control_charts", REF, f"{CHARTS}:judge", "z = deviation / u",
+         "z = 2.0 * deviation / u"),
+    edit("sign in the kernel of a chart", "ewma", REF, f"{CHARTS}:ewma_arl", "(places - (1.0",
+         "(places + (0.7"),
+    edit("chart centred on the first run", "control_charts", REF, f"{CHARTS}:centre_of",
+         "values.mean(axis=-2)", "values[..., 0, :]"),
+    edit("closed form off by 1e-6", "closed-form", REF, "bench.calibration.closed_form:closed_form",
+         "(2 * (1 + root2))", "(2 * (1 + root2) * (1 + 1e-6))"),
+    edit("scale without g", "free", REF, "bench.calibration.free:triangular", "g_m_s2 * scale", "scale"),
+    edit("modulus off by 100 ppm", "free|accelerometers", REF, "bench.calibration.free:modulus_rows",
+         "1.0 - np.linalg.norm", "1.0001 - np.linalg.norm"),
+    edit("u halved", "bench/calibration", STAT, "bench.calibration.calibrate:calibrate",
+         "birge**2 * fit.covariance", "birge**2 * 0.25 * fit.covariance"),
+    edit("u doubled", "bench/calibration", STAT, "bench.calibration.calibrate:calibrate",
+         "birge**2 * fit.covariance", "birge**2 * 4.0 * fit.covariance"),
+    edit("lack of fit one and a half times too large", "lack of fit", STAT, "bench.calibration.gls:misfit_test",
+         "chi2 / dof))", "1.5 * chi2 / dof))"),
+    edit("x and y exchanged in files", "accelerometers|readings", REF, "bench.readings.csv:_read",
+         'for axis in "xyz"]', 'for axis in "yxz"]'),
+)  # fmt: skip
+
+INSTRUMENTS: Final = (
+    edit("sign of a reading", "simulated bench|voltmeter", "records", f"{SCPI}.fetch", "float(text) for",
+         "-float(text) for"),
+    edit("gain of a reading off by 0.1 %", "simulated bench|voltmeter", "records", f"{SCPI}.fetch",
+         "float(text) for", "1.001 * float(text) for"),
+    edit("another instrument accepted", "voltmeter", WIRE, f"{SCPI}._accept", "identity.model in self.models and",
+         "True or"),
+    edit("settings not read back", "voltmeter", WIRE, f"{SCPI}._set",
+         "return [] if taken", "return [] if True"),
+    edit("overload taken for a number", "voltmeter", WIRE, f"{SCPI}._refuse_overload", "if over:", "if False:"),
+    edit("errors of the meter not read", "voltmeter|settings", WIRE, f"{SCPI}.configure",
+         "self._refuse(troubles,", "self._refuse([],"),
+    edit("dialect: a command that there is not", "voltmeter", WIRE, METER, "VOLT:DC:NPLC {", "VOLT:DC:PLC {"),
+    edit("dialect: trigger from the bus", "voltmeter", WIRE, METER, "TRIG:SOUR IMM", "TRIG:SOUR BUS"),
+    edit("dialect: a sample too many", "voltmeter", WIRE, METER, "SAMP:COUN {settings.samples}",
+         "SAMP:COUN {settings.samples + 1}"),
+    patch("dialect: start", "voltmeter", WIRE, importlib.import_module("drivers.scpi_voltmeter").ScpiVoltmeter,
+          "start_command", "INITT"),
+    patch("dialect: fetch", "voltmeter", WIRE, importlib.import_module("drivers.scpi_voltmeter").ScpiVoltmeter,
+          "fetch_query", "FETCH!?"),
+    edit("dialect: readings of the meter", "voltmeter", WIRE, "sim.agilent_34401a:Trigger._taken",
+         "yield reading_text(", 'yield "V" + reading_text('),
+    edit("sign of the head's scale", "simulated bench|head", "records",
+         "drivers.instruments.manual:ManualHead.move", "HeadPosition(angle_rad", "HeadPosition(-angle_rad"),
+    edit("garbled replies accepted", "voltmeter", WIRE, "drivers.wire.visa:MessageSession.query",
+         "reply) is not None", "reply) is not 1"),
+)  # fmt: skip
+
+RECORDS: Final = (
+    edit("chain of a record not checked", "record", "records", "bench.run.record:_Reader._take",
+         "previous != self._head or", "False or"),
+    edit("inputs of a record not checked", "record", "records", "bench.run.events:changed_inputs",
+         "sha256(read_regular(folder / name)) != digest", "False"),
+    edit("inputs hashed wrongly", "record|run", "records", "bench.run.record:Record.create",
+         "sha256(content) for", 'sha256(b"") for'),
+    edit("chain of a register not checked", "register", "certificates", "bench.services.chain:Chain._take",
+         "previous != self.head or", "False or"),
+    edit("revocation not written", "certificate", "certificates", "bench.certificate.life:revoke",
+         "register.revoke(", "str("),
+    edit("revocation written and not heeded", "certificate", "certificates",
+         "bench.certificate.register:Register._note", "standing.entry, REVOKED", "standing.entry, ISSUED"),
+)  # fmt: skip
+
+MACHINE: Final = (
+    environment("a zone that there is not", "TZ|time zone", "TZ", "Europe/Kiyv"),
+    environment("another zone than accepted", "time zone", "TZ", "Asia/Tokyo", "changes"),
+    environment("a locale that there is not", "locale|LC_ALL", "LC_ALL", "xx_XX.UTF-8"),
+    patch("clock of 2020", "clock", "machine", machine, "utc_now", lambda: datetime(2020, 1, 1, tzinfo=UTC)),
+    patch("clock that is set while it runs", "clock", "machine", time, "time",
+          iter([float(k) for k in range(1_700_000_000, 1_700_100_000, 7)]).__next__),
+    folder_fault("a record from the future", "clock", _future_record),
+    folder_fault("read-only disk", "disk", lambda scratch: Path("/proc")),
+    folder_fault("folder that everybody may write", "permissions", _open_folder),
+    patch("full disk", "disk", "machine", shutil, "disk_usage", lambda _: mock.Mock(free=1e6)),
+    patch("locks that do not lock", "lock|disk", "machine", importlib.import_module("filelock"), "FileLock",
+          _NoLock),
+    patch("disk that refuses to flush", "disk", "machine", os, "fsync",
+          mock.Mock(side_effect=OSError(5, "Input/output error"))),
+    patch("names of files in ASCII", "locale|names", "machine", sys, "getfilesystemencoding", lambda: "ascii"),
+    package_edit("a changed file of a package", "h11", "h11", _appended),
+    package_edit("a missing file of a package", "h11", "h11",
+                 lambda root, info: next(root.glob("h11/_*.py")).unlink()),
+    package_edit("a package beyond its bounds", "filelock", "filelock", _version_99),
+    package_edit("a package without its list of files", "h11", "h11",
+                 lambda root, info: (info / "RECORD").write_text("")),
+    accepted_edit("a changed file of the program", "gls.py",
+                  _set("program", "files", "bench/calibration/gls.py", "0" * 64)),
+    accepted_edit("a new file in the program", "statistics.py",
+                  lambda one: one["program"]["files"].pop("bench/validation/statistics.py")),
+    accepted_edit("another package", "numpy", _set("program", "packages", "numpy", "version", "1.0")),
+    accepted_edit("another Python", "python", _set("program", "python", "CPython 3.9.1")),
+    accepted_edit("another locale", "locale", _set("machine", "locale", "de_DE.UTF-8")),
+    bench_edit("a changed bench file", "bench file", "changes", _set("verification", "limit", "1e-3 g")),
+    bench_edit("a bench file with an unknown key", "colour", WIRE, _set("colour", "blue")),
+    bench_edit("a bench file of another driver", "agilent-34402", WIRE,
+               lambda data: data["instruments"]["voltmeters"][0].update(driver="agilent-34402")),
+    bench_edit("wrong g in the bench file", "gravity", REF, _set("gravity", "9.18 m/s^2")),
+    data_edit("a damaged regression", "StRD", "strd.json", "-6.860120914", "-6.860120941"),
+    data_edit("a damaged check standard", "control chart", "kilogram-check.csv", "\n1975", "\n1986"),
+    data_edit("a damaged set of an accelerometer", "accelerometers", "innalabs-24.csv", "0.99", "0.98"),
+)  # fmt: skip
+
+FAULTS: Final = (*ARITHMETIC, *INSTRUMENTS, *RECORDS, *MACHINE)

@@ -1,0 +1,118 @@
+"""`bench validate` from the command line: files, exit status, acceptance; with a few of its checks."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from bench.run.seal import read_seal
+from bench.validation import conduct, families
+from bench.validation.certificates import write_files
+from bench.validation.registry import TABLE, Check, Finding
+from tests.support.commands import printed, refused
+from tests.support.schemas import keeps_to
+
+pytestmark = pytest.mark.slow
+
+FEW = ("changes since the accepted validation",)
+BY = ("--by", "A. Example", "--reason", "first use")
+
+
+@pytest.fixture
+def few(monkeypatch):
+    """Let a validation be of a few checks; return the list of those beside them."""
+    families.every()
+    others = []
+    chosen = [
+        one for one in TABLE if one.family in FEW or one.name in {"locale", "run length of an EWMA chart"}
+    ]
+    monkeypatch.setattr(conduct, "every", lambda: [*chosen, *others])
+    return others
+
+
+@pytest.fixture
+def laboratory(empty_folder, monkeypatch):
+    monkeypatch.delenv("BENCH_LABORATORY", raising=False)
+    return write_files(Path())[0]
+
+
+def broken(context):
+    """Fail."""
+    raise ValueError("no")
+
+
+def test_a_validation_is_written_sealed_accepted_and_compared(bench, few, laboratory):
+    out = printed(
+        bench("validate", "--quick", "--out", "v1", "--laboratory", laboratory, "--json", "r.json"), "PASSED"
+    )
+    assert "v1/validation.pdf" in out
+    result = json.loads(Path("r.json").read_text(encoding="utf-8"))
+    keeps_to("validate", result)
+    assert result["passed"] is True
+    assert {"name", "clause", "expected", "found", "passed"} <= result["checks"][0].keys()
+    assert conduct.damage_of(Path("v1"), read_seal(Path("v1"))) == []
+    assert Path("v1/validation.pdf").read_bytes().startswith(b"%PDF")
+    assert "What this does not prove" in Path("v1/validation.html").read_text(encoding="utf-8")
+
+    lab = ("--laboratory", laboratory)
+    refused(
+        bench("validate", "--accept", "v1", *lab, "--by", "Somebody", "--reason", "x"),
+        "--by Somebody",
+        "nobody else",
+    )
+    refused(bench("validate", "--accept", "v1", *lab), "--by NAME and --reason TEXT")
+    refused(bench("validate", "--accept", "v1", *BY), "--laboratory FILE")
+    printed(bench("validate", "--accept", "v1", *lab, *BY), "accepted by A. Example: first use", "1 entries")
+    refused(bench("validate", "--accept", "v1", *lab, *BY), "registered already")
+
+    file = Path("mine.yaml")
+    file.write_text(
+        Path(result["bench"]["file"]).read_text(encoding="utf-8") + "\n# changed\n", encoding="utf-8"
+    )
+    out = printed(bench("validate", "--quick", "--out", "v2", "--bench", file, *lab), "PASSED")
+    printed(bench("validate", "--accept", "v2", *lab, *BY), "V")
+    file.write_text(file.read_text(encoding="utf-8") + "# again\n", encoding="utf-8")
+    out = printed(
+        bench("validate", "--quick", "--out", "v3", "--bench", file, *lab), "CHANGED: 1 change", status=1
+    )
+    assert "bench file" in out
+    number = printed(bench("validate", "--accept", "v3", *lab, *BY)).splitlines()[-2].split()[0]
+    printed(bench("validate", "--quick", "--out", "v4", "--bench", file, *lab), "PASSED")
+    printed(bench("validate", "--withdraw", number, *lab, *BY), f"{number}", "withdrawn by A. Example")
+    entries = printed(bench("validate", "--register", *lab, "--json", "register.json"))
+    keeps_to("validate-register", json.loads(Path("register.json").read_text(encoding="utf-8")))
+    assert "4 entries" in entries
+
+
+def test_a_failed_check_names_its_place_and_cannot_be_accepted(bench, few, laboratory):
+    few.append(Check("a broken thing", "machine", "7.11.2", "to work", broken, place="bench/somewhere.py"))
+    out = printed(
+        bench("validate", "--out", "v"), "NOT VALID: 1 of", "a broken thing", "bench/somewhere.py", status=1
+    )
+    assert "PASSED" not in out
+    refused(
+        bench("validate", "--accept", "v", "--laboratory", laboratory, *BY),
+        "1 checks failed (a broken thing)",
+    )
+
+
+def test_a_result_that_was_edited_cannot_be_accepted(bench, few, laboratory):
+    printed(bench("validate", "--out", "v"))
+    file = Path("v/validation.json")
+    file.write_text(file.read_text(encoding="utf-8").replace("11.1", "11.2", 1), encoding="utf-8")
+    refused(bench("validate", "--accept", "v", "--laboratory", laboratory, *BY), "is not what was sealed")
+
+
+def test_a_folder_is_used_once(bench, few):
+    printed(bench("validate", "--out", "v"))
+    refused(bench("validate", "--out", "v"), "holds a validation already")
+
+
+def test_names_in_other_letters_and_control_characters_get_a_page_and_a_pdf(bench, few):
+    def strange(context):
+        """Find strange letters."""
+        return Finding(True, "\x16 ⵣ")
+
+    few.append(Check("letters", "machine", "7.11.2", "any", strange))
+    printed(bench("validate", "--out", "v"))
+    assert Path("v/validation.pdf").read_bytes().startswith(b"%PDF")
