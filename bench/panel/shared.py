@@ -165,7 +165,7 @@ def _environment(name: str = ENGLISH) -> Environment:
     )
     environment.filters["typeset"] = typeset
     environment.filters["filename"] = lambda path: PurePath(str(path)).name
-    environment.globals["asset"] = asset
+    environment.globals.update(asset=asset, language=name, languages=LANGUAGES)
     return environment
 
 
