@@ -145,8 +145,10 @@ def _on_roll(roll: Floats, covariance: Floats) -> tuple[str, ...]:
     if not most:
         return ()
     return (
-        f"most of u of {listed(most)} comes from the third mounting angle, which these installations do "
-        "not show; use the procedure remount-90, or state a measured mounting_roll in the bench file",
+        message(
+            f"most of u of {listed(most)} comes from the third mounting angle, which these installations do "
+            "not show; use the procedure remount-90, or state a measured mounting_roll in the bench file"
+        ),
     )
 
 
