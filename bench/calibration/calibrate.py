@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 
 from bench.base.arrays import ARCSEC, Floats, least_squares, rms, u_of
+from bench.base.languages import message
 from bench.calibration import gls, mistakes, outliers
 from bench.calibration.components import SharedErrorFit, heavy_tails, notes_on_noise, take_in
 from bench.calibration.design import FIXED, FreeRows, Problem, make_problem

@@ -14,6 +14,7 @@ from typing import Any, Final
 import numpy as np
 
 from bench.base.files import from_text, open_regular
+from bench.base.languages import message
 from bench.base.numbers import without_infinity
 from bench.base.yaml_files import FileMistakes
 from bench.config.bench_file.file import BenchFile, load_bench

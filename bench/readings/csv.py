@@ -14,6 +14,7 @@ import numpy as np
 
 from bench.base.arrays import CHANNELS, Floats
 from bench.base.files import read_given
+from bench.base.languages import message
 from bench.base.text import repeated, shortened
 from bench.readings.columns import (
     LEVEL_COLUMNS,

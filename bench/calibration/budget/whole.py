@@ -14,6 +14,7 @@ from typing import Final
 import numpy as np
 
 from bench.base.arrays import ARCSEC, Floats, Ints, Mask
+from bench.base.languages import message
 from bench.base.text import listed
 from bench.calibration.budget.coefficients import meters_of, parts_of
 from bench.calibration.budget.error_source import NAME, ErrorSource, TiltRate, foundation_of

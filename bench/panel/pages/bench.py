@@ -13,6 +13,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import JSONResponse, RedirectResponse, Response
 
+from bench.base.languages import message
 from bench.base.text import visible
 from bench.base.yaml_files import FileMistake, FileMistakes, document_of, dotted, read_yaml, validated
 from bench.config.bench_file.file import BenchFile

@@ -9,6 +9,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import Response
 
+from bench.base.languages import message
 from bench.panel.access import Refusal
 from bench.panel.shared import looking, page, panel_of
 

@@ -6,6 +6,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 
+from bench.base.languages import message
 from bench.base.numbers import without_infinity
 from bench.panel.access import Refusal
 from bench.panel.outcome import previous_calibration

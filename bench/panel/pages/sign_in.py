@@ -10,7 +10,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 
-from bench.base.languages import known_language
+from bench.base.languages import known_language, message
 from bench.panel.access import LANGUAGE, LONGEST_SESSION, Refusal, Role
 from bench.panel.shared import acting, fields, page, panel_of
 
