@@ -180,7 +180,7 @@ def _text_of(given: Mapping[str, str], name: str) -> str:
     lines = re.split(r"\r\n|\r|\n", given.get(name, "").rstrip())
     text = "\n".join(line.rstrip(" \t") for line in lines) + "\n"
     if visible(text) != text:
-        raise Refusal(400, message("the text has characters that cannot be printed"))
+        raise Refusal(400, message("the text has characters that cannot be printed; remove them"))
     return text
 
 
