@@ -4,9 +4,9 @@
     python -m benchmarks.panel_evening live        # meters of `bench simulate` over TCP, in real time
 
 `keys` types each reading as its deviation from the commanded angle, and counts what the browser is sent; then an
-turns with live reads and without. No reading changes: see tests/run/test_live.py, marked slow.
-live value when it is on the screen, then measures the time from a person's answer to the end of the reading, in
-turns with live reads and without. No reading changes: `pytest -m slow tests/run/test_live.py`.
+encoder reads a head that hands turn, over pseudo-terminals in real time. `live` asks the browser for the age of
+each live value on the screen, then measures the time from a person's answer to the end of the reading, in turns
+with live reads and without. No reading changes: `pytest -m slow tests/run/test_live.py` says so.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ NO_LOOKS: Final = f"import bench.run.live as l; l.LiveSignals.look = lambda self
 
 PROCEDURE: Final = """\
 procedure: live
-reading: {samples: 10, nplc: 1, settle: 0 s}
+reading: {samples: 10, nplc: 1, settle: 1 s}
 steps:
   - installation: {label: 1, steps: [{turn: {angles: {from: 0 deg, step: 15 deg, count: 20}}}]}
 """
@@ -77,7 +77,7 @@ def signed_in(panel: ServedPanel) -> Iterator[Any]:
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=find_chromium(), args=["--no-sandbox"])
         page = browser.new_page(viewport={"width": 1024, "height": 768})
-        page.set_default_timeout(120_000)
+        page.set_default_timeout(300_000)
         panel.sign_in(page)
         yield page
         browser.close()
@@ -86,7 +86,7 @@ def signed_in(panel: ServedPanel) -> Iterator[Any]:
 def keys() -> CountingPerson:
     """Carry out a whole calibration in practice in the panel, with typed readings; return who answered."""
     with tempfile.TemporaryDirectory() as folder, served(Path(folder)) as panel, signed_in(panel) as page:
-        run = Begun(Path(folder), "run", "calibration", "folder")
+        run = Begun(Path(folder), "run", "calibration", "folder", more=("--dry-run", "--bench", "bench-lan"))
         return carried_out(run, panel, page, lambda asked: False)
 
 

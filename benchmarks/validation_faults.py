@@ -396,8 +396,8 @@ MACHINE: Final = (
     bench_edit("a bench file of another driver", "agilent-34402", WIRE,
                lambda data: data["instruments"]["voltmeters"][0].update(driver="agilent-34402")),
     bench_edit("wrong g in the bench file", "gravity", REF, _set("gravity", "9.18 m/s^2")),
-    data_edit("a damaged regression", "StRD", "strd.json", "-6.860120914", "-6.860120941"),
-    data_edit("a damaged check standard", "control chart", "kilogram-check.csv", "\n1975", "\n1986"),
+    data_edit("a damaged regression", "strd", "strd.json", "-6.860120914", "-6.860120941"),
+    data_edit("a damaged check standard", "kilogram", "kilogram-check.csv", "\n1975", "\n1986"),
     data_edit("a damaged set of an accelerometer", "accelerometers", "innalabs-24.csv", "0.99", "0.98"),
 )  # fmt: skip
 

@@ -137,6 +137,10 @@ def _entry_of(segment: _Segment) -> tuple[Entry | None, list[str], str]:
     return Entry(" ".join(english.split()), " ".join(plural.split()) if count else ""), values, count
 
 
+VOID: Final = ("<br", "<input", "<img", "<hr", "<wbr")
+"""The beginnings of tags that have no end."""
+
+
 def _trimmed(segment: _Segment) -> tuple[str, _Segment, str]:
     """Return a segment without the white space and the tags around its text, and what was around it."""
     tokens = list(enumerate(segment.tokens))
@@ -151,17 +155,18 @@ def _trimmed(segment: _Segment) -> tuple[str, _Segment, str]:
         after = tokens.pop()[1][1] + after
     closed, opened = 0, 0
     for _, (kind, told) in tokens:
-        if kind == "tag" and not told.startswith("<br"):
+        if kind == "tag" and not told.startswith(VOID):
             closed += told.startswith("</") and not opened
             opened += 1 if not told.startswith("</") else -1 if opened else 0
-    for _ in range(closed):  # tags around the text stay with it where their other ends are in it
-        if (start := re.fullmatch(r"(.*)(<[^/][^<]*)", before, re.DOTALL)) is not None:
-            before = start[1]
-            tokens.insert(0, (-1, ("tag", start[2])))
+    # tags around the text stay with it where their other ends are in it; a statement may stand between the two
+    for _ in range(closed):
+        if around := re.fullmatch(r"(.*)(<[^/][^<]*)", before, re.DOTALL):
+            before, start = around.groups()
+            tokens.insert(0, (-1, ("tag", start)))
     for _ in range(opened):
-        if (end := re.fullmatch(r"(\s*</[^>]*>)(.*)", after, re.DOTALL)) is not None:
-            after = end[2]
-            tokens.append((-1, ("tag", end[1])))
+        if around := re.fullmatch(r"(\s*</[^>]*>)(.*)", after, re.DOTALL):
+            end, after = around.groups()
+            tokens.append((-1, ("tag", end)))
     raw = {new for new, (old, _) in enumerate(tokens) if old in segment.raw}
     return before, _Segment([token for _, token in tokens], raw), after
 

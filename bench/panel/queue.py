@@ -1,6 +1,6 @@
 """The queue of the day: units to be measured in order, who is on duty, since when a bench is switched on.
 
-The queue starts nothing. A person begins each item; what becomes of it is read from its run.
+The queue starts nothing. A person begins each item; its state is read from its run.
 """
 
 from __future__ import annotations

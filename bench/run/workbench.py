@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
@@ -272,6 +273,7 @@ class Workbench:
     _level_zero: Inclination | None = field(default=None, init=False)
     _chamber_c: float | None = field(default=None, init=False)
     _before_glances: tuple[VoltmeterSettings | None] | None = field(default=None, init=False)
+    _glancing: bool = field(default=False, init=False)
 
     def __post_init__(self) -> None:
         self.instruments, self.clock = self.bench.instruments, self.bench.clock
@@ -361,6 +363,7 @@ class Workbench:
     def do_wait(self, step: Wait) -> None:
         """Wait for the step's duration; handle the operator's commands and watch rails and chamber meanwhile."""
         end_s = self.clock.now_s() + step.duration_s
+        self._end_glances()
         while (left_s := end_s - self.clock.now_s()) > 0:
             self.between_naps()
             self.watch_rails(step.key)
@@ -417,15 +420,22 @@ class Workbench:
         with self.bench.aside():
             if self._before_glances is None:
                 self._before_glances = (self._settings,)
-            return self._quick_signals()
+            self._glancing = True
+            try:
+                return self._quick_signals()
+            finally:
+                self._glancing = False
 
-    def end_of_glances(self) -> None:
-        """Restore the settings that the meters had before the first glance. Raises `BenchError`."""
+    def _end_glances(self) -> None:
+        """Restore the settings that the meters had before the first glance.
+
+        The next wait does it, which costs no time, or the next reading. A meter that refuses is reported there.
+        """
         if self._before_glances is None:
             return
         (settings,), self._before_glances = self._before_glances, None
         if settings is not None:
-            with self.bench.aside():
+            with self.bench.aside(), contextlib.suppress(BenchError):
                 self._configure(settings)
 
     def do_input(self, step: SelectInput) -> InputSelected:
@@ -522,6 +532,8 @@ class Workbench:
         return samples
 
     def _configure(self, settings: VoltmeterSettings) -> None:
+        if not self._glancing:
+            self._end_glances()
         if settings == self._settings:
             return
         self._settings = None  # if a meter refuses, the settings are unknown

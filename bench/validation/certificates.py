@@ -14,7 +14,7 @@ from bench.config.shipped import CERTIFICATE, shipped_folder
 from bench.services.chain import LINES
 from bench.services.errors import Refused
 from bench.services.requests.documents import RevokeCertificate
-from bench.validation.records import whole_run
+from bench.validation.records import changed_copy, standard_run
 from bench.validation.registry import Context, Finding
 from bench.validation.registry import check as enter
 from drivers.clock import utc_now
@@ -49,7 +49,7 @@ def life(context: Context) -> Iterator[Finding]:
             True, f"this installation issues none ({missing.name} is not installed)", expected="none"
         )
         return
-    run, folder = whole_run(context), context.scratch / "laboratory"
+    run, folder = standard_run(context), context.scratch / "laboratory"
     folder.mkdir()
     laboratory, order = write_files(folder, order=UNITS)
     desk = certificates.Desk(
@@ -95,7 +95,7 @@ def life(context: Context) -> Iterator[Finding]:
     except Refused as refusal:
         yield Finding(True, str(refusal), of="a changed line of the register", expected="refused")
     lines.write_bytes(content)
-    changed = next(iter(certificates.issue_all(["changed-a-digit"], desk)))
+    changed = next(iter(certificates.issue_all([changed_copy(run).name], desk)))
     yield Finding(
         changed.why is not None, changed.why or "issued", of="of a changed record", expected="refused"
     )

@@ -52,17 +52,25 @@ def bench_to_run(context: Context) -> tuple[Path, str]:
 
 def whole_run(context: Context) -> Run:
     """Return a finished dry run, made once."""
-    if "run" not in context.shared:
-        bench, _ = bench_to_run(context)
+    return _finished(context, bench_to_run(context)[0], "whole")
+
+
+def standard_run(context: Context) -> Run:
+    """Return a finished dry run on the shipped paper-stand, whose record has all that a certificate needs."""
+    return _finished(context, find_bench("paper-stand"), "standard")
+
+
+def _finished(context: Context, bench: Path, name: str) -> Run:
+    if name not in context.shared:
         runs = context.scratch / "runs"
         new = new_run(
             RunRequest(
-                PROCEDURE, str(bench), seed=SEED, name="whole", runs=runs, dry_run=True, operator="bench validate"
+                PROCEDURE, str(bench), seed=SEED, name=name, runs=runs, dry_run=True, operator="bench validate"
             )
         )  # fmt: skip
         carry_out(Run(new.folder), new.record(), Console(file=io.StringIO(), quiet=True))
-        context.shared["run"] = Run(new.folder)
-    run: Run = context.shared["run"]
+        context.shared[name] = Run(new.folder)
+    run: Run = context.shared[name]
     return Run(run.folder)
 
 
@@ -146,13 +154,7 @@ def _killed_after(process: subprocess.Popen[bytes], events: Path, count: int) ->
 def changed(context: Context) -> Iterator[Finding]:
     """Change one digit of a recorded reading, take a line out, change an input: each must be refused by name."""
     run = whole_run(context)
-    lines = (run.folder / EVENTS).read_bytes().splitlines(keepends=True)
-    at = next(n for n, line in enumerate(lines) if b'"reading"' in line)
-    digit = (
-        lines[at].replace(b'"mean": [', b'"mean": [1', 1)
-        if b'"mean": [' in lines[at]
-        else lines[at][:-3] + b"0}\n"
-    )
+    lines, at, digit = _with_another_digit(run)
     for of, content in {
         "a digit": [*lines[:at], digit, *lines[at + 1 :]],
         "a line taken out": [*lines[:at], *lines[at + 1 :]],
@@ -161,10 +163,27 @@ def changed(context: Context) -> Iterator[Finding]:
     yield _refusal(run, "the bench file", {"bench.yaml": b"# " + (run.folder / "bench.yaml").read_bytes()})
 
 
-def _refusal(run: Run, of: str, contents: dict[str, bytes]) -> Finding:
-    copy = run.folder.with_name(f"changed-{of.replace(' ', '-')}")
+def _with_another_digit(run: Run) -> tuple[list[bytes], int, bytes]:
+    """Return the lines of a record, the index of one with a reading, and that line with another number."""
+    lines = (run.folder / EVENTS).read_bytes().splitlines(keepends=True)
+    at = next(n for n, line in enumerate(lines) if b'"mean": [' in line)
+    return lines, at, lines[at].replace(b'"mean": [', b'"mean": [1', 1)
+
+
+def changed_copy(run: Run) -> Run:
+    """Return a copy of a run, beside it, with one digit of a reading changed."""
+    lines, at, digit = _with_another_digit(run)
+    return _copy(run, f"{run.name}-changed", {EVENTS: b"".join([*lines[:at], digit, *lines[at + 1 :]])})
+
+
+def _copy(run: Run, name: str, contents: dict[str, bytes]) -> Run:
+    copy = run.folder.with_name(name)
     shutil.copytree(run.folder, copy)
-    for name, content in contents.items():
-        (copy / name).write_bytes(content)
-    problems: Any = Run(copy).history.problems
+    for file, content in contents.items():
+        (copy / file).write_bytes(content)
+    return Run(copy)
+
+
+def _refusal(run: Run, of: str, contents: dict[str, bytes]) -> Finding:
+    problems: Any = _copy(run, f"changed-{of.replace(' ', '-')}", contents).history.problems
     return Finding(bool(problems), "; ".join(problems) or "taken as whole", of=of)

@@ -17,6 +17,7 @@ from bench.calibration.gls import solve_rows
 from bench.model import ForwardModel
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2, normal_gravity_m_s2
 from bench.readings.csv import read_csv
+from bench.run.events import sha256
 from bench.stats.control_charts import centre_of, ewma_arl, judge
 from bench.validation.paper_bench import STAND_U, TRUTH, simulate
 from bench.validation.registry import REFERENCE, Context, Finding
@@ -39,6 +40,30 @@ def agreement(of: str, found: ArrayLike, expected: ArrayLike, tolerance: ArrayLi
         words = f"{mine[worst]:.12g} (number {worst + 1} of {len(mine)})"
     limit = np.broadcast_to(np.asarray(tolerance, float), mine.shape)[worst]
     return Finding(passed, words, of=of, expected=f"{theirs[worst]:.12g} ± {limit:.2g}")
+
+
+FILES: Final = {
+    "strd.json": "0d296ad04155c6bdd3f1767518129b2bf3f28b2bb4c9d29a4b6d805a95fb5423",
+    "kilogram-check.csv": "e8b4145cc458a02df1e7aa44d372e69d9a44e7fa1d0d872e469fd26c5f3345f1",
+    "xsens-38.csv": "dbedf43033ae0b336674249266df56012e6108332dc884b19931e939b4e99fe7",
+    "innalabs-24.csv": "20da389f9a9107278ae7806960cd41b280dba4fd6dcfbe84333f7e26afc97f4d",
+    "innalabs-49.csv": "4adaede9f3d13a1625a9dfd4f59a0cbb5d58f04030e876f9614df6a80b596d27",
+}
+"""The SHA-256 of each file of reference data."""
+
+
+@check("files of reference data", "7.11.6", "", source="their SHA-256 in the program")
+def reference_files(context: Context) -> Iterator[Finding]:
+    """Hash the files of reference data: a case that was changed proves nothing."""
+    for name, digest in FILES.items():
+        found = sha256((REFERENCE / name).read_bytes())
+        yield Finding(
+            found == digest,
+            f"{found[:16]}…",
+            of=name,
+            where=str(REFERENCE / name),
+            expected=f"{digest[:16]}…",
+        )
 
 
 # --- regressions ------------------------------------------------------------------------------------

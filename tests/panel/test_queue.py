@@ -189,6 +189,8 @@ def test_a_damaged_file_says_what_to_do_and_is_put_aside_not_lost(runs, text):
 
 def test_who_is_on_duty_and_since_when_a_bench_is_on(runs):
     anna, bert = Browser(runs, "anna"), Browser(runs, "bert")
+    added(anna, "17-041", dry_run="yes")
+    assert "Switched on now" not in anna.get("/queue").text  # practice needs no bench
     added(anna, "17-042")
     assert "On duty: nobody" in anna.get("/queue").text
     anna.post("/queue", do="duty")

@@ -1,11 +1,13 @@
 """Records at a known input: those that strangers published, and twins of them made apart from `bench/model`."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from bench.config.foreign_log import LogColumns, convert_log
 from bench.readings.csv import read_csv
+from bench.readings.table import Readings
 
 DATA = Path(__file__).parents[1] / "data/known-input"
 BATH = DATA / "meter-in-air-bath-1v.csv"
@@ -21,7 +23,7 @@ SWEPT_COLUMNS = {
 }  # fmt: skip
 
 
-def as_readings(log, columns, folder, **constants):
+def as_readings(log: Path, columns: dict[str, Any], folder: Path, **constants: str) -> Readings:
     """The readings of a log with these columns, through a readings file."""
     mapping = LogColumns.model_validate(
         {"log_columns": "1", "columns": columns, "constants": {"installation": "R", **constants}}
@@ -31,7 +33,9 @@ def as_readings(log, columns, folder, **constants):
     return read_csv(file, ())
 
 
-def twin(folder, seed, gain_per_k=0.74e-6, lag_min=95.0, jump_v=0.0):
+def twin(
+    folder: Path, seed: int, gain_per_k: float = 0.74e-6, lag_min: float = 95.0, jump_v: float = 0.0
+) -> Path:
     """A record of 38 h at 1 V like that of the air bath: a gain behind a lag, a random walk, white noise."""
     rng = np.random.default_rng(seed)
     time_s = np.arange(0.0, 38 * 3600.0, 60.0)

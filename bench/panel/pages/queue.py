@@ -30,7 +30,7 @@ from drivers.clock import utc_now
 
 TO_DO: Final = message("to do")
 DUE_WITHIN: Final = timedelta(days=30)
-"""How long before its end a certificate is called due."""
+"""How long before it expires a certificate is called due."""
 WARM: Final = timedelta(hours=1)
 """The warm-up after which voltmeters meet their specification (34401A User's Guide, chapter 8)."""
 MOVES: Final = {"up": -1, "down": 1}
@@ -100,12 +100,14 @@ def _shown(panel: Panel) -> dict[str, Any]:
         "number_done": sum(row.run is not None and _is_done(row.run) for row in rows),
         "benches": [
             bench_today(name, list(runs.values()), on.get(name))
-            for name in dict.fromkeys(
-                row.item.bench for row in rows if row.run is None or not _is_done(row.run)
-            )
+            for name in dict.fromkeys(row.item.bench for row in rows if _needs_bench(row))
         ],
         "duty": panel.queue.on_duty(),
     }
+
+
+def _needs_bench(row: QueueRow) -> bool:
+    return not row.item.dry_run and (row.run is None or not _is_done(row.run))
 
 
 def _is_done(run: RunRow) -> bool:
