@@ -278,13 +278,9 @@ def figure_of(run: Run, name: str) -> bytes:
     """Return a figure of a run's report as an SVG file. Raises `Refusal` (404) if there is none."""
     page = read_page(run, REPORT)
     if name in FIGURES:
-        for found in re.finditer(rb'<svg (?=[^>]*aria-label="([^"]*)")', page):
-            label = found[1]
-            after_other = name == "residuals-in-time" and label.startswith(FIGURES["residuals"])
-            if label.startswith(FIGURES[name]) and not after_other:
-                end = page.find(b"</svg>", found.end())
-                if end > 0:
-                    return _as_file(page[found.start() : end + len(b"</svg>")])
+        for found in re.finditer(rb"<svg .*?</svg>", page, re.DOTALL):
+            if b' id="' + FIGURES[name] + b"-" in found[0]:
+                return _as_file(found[0])
     raise Refusal(404, message(f"the report of {run.name} has no such figure; choose one of the page"))
 
 
