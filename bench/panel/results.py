@@ -24,11 +24,14 @@ DIAGNOSIS: Final = "diagnose.html"
 UNREADABLE: Final = "{}: cannot be read; 'bench report {}' makes it again"
 
 FIGURES: Final = {
-    "residuals": b"residuals-angle",
-    "residuals-in-time": b"residuals-order",
-    "verification": b"verification",
+    "residuals": (
+        "Residuals of channels x, y, z against head angle",
+        "Залишки каналів x, y, z залежно від кута",
+    ),
+    "residuals-in-time": ("Residuals of channels x, y, z against ", "Залишки каналів x, y, z залежно від"),
+    "verification": ("Δg at ", "Δg у "),
 }
-"""The figures of the report, each with the beginning of the identifiers in it, by which it is found."""
+"""The figures of the report, each with the beginnings of the `aria-label` by which it is found, by language."""
 
 _STATES: Final = {
     "pass": "passed",
@@ -278,9 +281,13 @@ def figure_of(run: Run, name: str) -> bytes:
     """Return a figure of a run's report as an SVG file. Raises `Refusal` (404) if there is none."""
     page = read_page(run, REPORT)
     if name in FIGURES:
-        for found in re.finditer(rb"<svg .*?</svg>", page, re.DOTALL):
-            if b' id="' + FIGURES[name] + b"-" in found[0]:
-                return _as_file(found[0])
+        for found in re.finditer(rb'<svg (?=[^>]*aria-label="([^"]*)")', page):
+            label = found[1].decode(errors="replace")
+            after_other = name == "residuals-in-time" and label.startswith(FIGURES["residuals"])
+            if label.startswith(FIGURES[name]) and not after_other:
+                end = page.find(b"</svg>", found.end())
+                if end > 0:
+                    return _as_file(page[found.start() : end + len(b"</svg>")])
     raise Refusal(404, message(f"the report of {run.name} has no such figure; choose one of the page"))
 
 
