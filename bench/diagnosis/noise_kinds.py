@@ -2,8 +2,7 @@
 
 A hypothesis changes the covariance of the readings. So hypotheses on the noise and on missing effects explain the
 same numbers. For heavy tails each row has its own precision, with the prior that makes its noise t-distributed
-(Tipping and Lawrence, Neurocomputing 69 (2005) 123). The odds of heavy tails are the likelihood ratio of the
-residuals.
+(Tipping and Lawrence, Neurocomputing 69 (2005) 123). The evidence of heavy tails is the bound of that paper.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ from bench.base.numbers import quantity
 from bench.diagnosis.evidence import KNOWN_SIZE
 from bench.diagnosis.linear import LinearSystem, RunSizes
 from bench.diagnosis.local_scatter import relative_by_place, residuals
-from bench.diagnosis.mistakes.single_readings import HEAVY_DOF, odds_of_tails
+from bench.diagnosis.mistakes.single_readings import HEAVY_DOF
 from bench.diagnosis.noise_grid import (
     NoiseGrid,
     Whitener,
@@ -41,10 +40,6 @@ TAIL_DOF: Final = HEAVY_DOF
 """Degrees of freedom of the t distribution of heavy tails."""
 ROUNDS: Final = 8
 """Rounds of the fit with heavy tails; the bound is at rest by then."""
-OF_READING: Final = 0.4
-"""Least part that the fit leaves of a row from which the noise of readings is estimated; the fit has the setting
-errors.
-"""
 FREEST: Final = 0.05
 """Lower limit of the part of a row that the fit leaves."""
 LIGHT: Final = 0.4
@@ -154,53 +149,55 @@ def _with_tails(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Iter
     """Yield noise with the tails of a t distribution, as a precision of each row (`by_row`)."""
     if linear.by_row is not None:
         return
-    plain = linear
-    random = np.concatenate([plain.random, effects * KNOWN_SIZE], axis=1)
-    relative2 = plain.relative**2
+    random = np.concatenate([linear.random, effects * KNOWN_SIZE], axis=1)
+    relative2 = linear.relative**2
     weight: Floats = np.ones(len(linear))
-    scale, odds = noise.reading, 0.0
-    for number in range(ROUNDS):
-        rows = replace(plain, random=random, by_row=1.0 / np.sqrt(weight))
+    scale, of_mean, square = noise.reading, weight, weight
+    for _ in range(ROUNDS):
+        rows = replace(linear, random=random, by_row=1.0 / np.sqrt(weight))
         white = make_whitener(rows, scale, noise.setting_rad)
         variance = relative2 / weight
-        left = variance * white.weigh(plain.response)
+        left = variance * white.weigh(linear.response)
         free = np.clip(variance * white.diagonal, FREEST, 1.0)
-        if number == 0:
-            odds = _odds_of_tails(linear, left / np.sqrt(relative2 * free), free)
-        square = left**2 / (relative2 * scale**2) + (1.0 - free) / weight
-        scale *= math.sqrt(float(np.sum(weight * left**2 / relative2) / scale**2 / max(free.sum(), 1.0)))
+        of_mean = left**2 / (relative2 * scale**2)
+        square = of_mean + (1.0 - free) / weight
+        scale *= math.sqrt(float(np.sum(weight * of_mean) / max(free.sum(), 1.0)))
         weight = (TAIL_DOF + 1.0) / (TAIL_DOF + square)
-    told = replace(plain, by_row=1.0 / np.sqrt(weight * float(np.mean(1.0 / weight))))
     changed = weight < LIGHT * float(np.median(weight))
     readings = len(set(linear.rows.reading[changed].tolist()))
-    ratio = noise.setting_rad / noise.reading
-    more = log_density(told, random, scale, ratio) - log_density(plain, random, noise.reading, ratio)
     yield NoiseHypothesis(
         "tails",
-        told,
-        LOG_PRIOR["tails"] + odds - more,
+        replace(linear, by_row=1.0 / np.sqrt(weight * float(np.mean(1.0 / weight)))),
+        LOG_PRIOR["tails"] + _log_odds_of_weights(weight, of_mean, square),
         f"the noise has heavier tails than a normal one: {readings} readings are weighed down, and an outlier is "
         "named only where it is far beyond them",
     )
 
 
-def _odds_of_tails(linear: LinearSystem, size: Floats, free: Floats) -> float:
-    """Return ln of the likelihood ratio of heavy tails to normal noise, from the rows that show their noise.
+def _log_odds_of_weights(weight: Floats, of_mean: Floats, square: Floats) -> float:
+    """Return what the evidence of rows with these weights (N,) lacks to that of t-distributed noise.
 
-    `free` (N,) is the part of each row that the fit leaves. `size` (N,) are the residuals over its root.
+    A precision t has the prior Gamma(d/2, d/2) and, with the expected `square` (N,) of its row in units of the
+    noise, the posterior Gamma((d + 1)/2, (d + square)/2). The bound has E ln t in the place of ln of the weight,
+    less the divergence of posterior and prior. It takes precisions and fit for independent; the last term corrects
+    this to second order. `of_mean` (N,) is the part of the square that the mean of the fit leaves.
     """
-    telling = free > OF_READING
-    by_channel = [size[telling & (linear.rows.channel == c)] for c in range(4)]
-    alike = [of / max(rms(of), 1e-300) for of in by_channel[:3] if len(of)]
-    return odds_of_tails(np.concatenate(alike)) if alike else 0.0
+    half, prior = 0.5 * (TAIL_DOF + 1.0), 0.5 * TAIL_DOF
+    of_each = half - 0.5 * math.log(half) + special.gammaln(half) - special.gammaln(prior)
+    bound = of_each - prior * np.log1p(square / TAIL_DOF) - prior * weight
+    return float(np.sum(bound + weight**2 * (square**2 - of_mean**2) / (4.0 * half)))
 
 
-def log_density(linear: LinearSystem, random: Floats, sigma: float, ratio: float) -> float:
-    """Return ln of the evidence of a noise with these `random` columns, its size integrated over."""
-    slope = linear.typical_slope
-    grid = make_noise_grid(replace(linear, random=random), sigma, 0.0, [ratio * slope])
-    square = np.sum((grid.white[0] @ linear.response / sigma) ** 2)
-    return float(grid.log_det[0] + grid.log_likelihood(np.atleast_1d(square))[0]) + log_null(grid)
+def log_density(linear: LinearSystem, effects: Floats, like: NoiseGrid) -> float:
+    """Return ln of the evidence of a system with effects' columns (N, m), the sizes of its noise integrated over.
+
+    Their priors are those of the grid `like`.
+    """
+    random = np.concatenate([linear.random, effects * KNOWN_SIZE], axis=1)
+    grid = make_noise_grid(replace(linear, random=random), like.sigma, 0.0)
+    square = np.array([np.sum((white @ (linear.response / like.sigma)) ** 2) for white in grid.white])
+    of_ratio = like.log_prior + grid.log_det + grid.log_likelihood(square)
+    return float(special.logsumexp(of_ratio)) + log_null(grid)
 
 
 # --- slow noise ---------------------------------------------------------------------------------------

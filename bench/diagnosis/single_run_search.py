@@ -19,7 +19,7 @@ from bench.diagnosis.candidates import (
     with_terms,
     without_copies,
 )
-from bench.diagnosis.evidence import KNOWN_SIZE, Data, Search, Threshold, ThresholdCache, Whitened
+from bench.diagnosis.evidence import Data, Search, Threshold, ThresholdCache, Whitened
 from bench.diagnosis.linear import LinearSystem, make_linear
 from bench.diagnosis.naming import MOST_EFFECTS, Naming, Scored, name
 from bench.diagnosis.noise_grid import (
@@ -102,18 +102,15 @@ def choose_noise(prepared: Prepared, naming: Naming, again: Reconsider) -> tuple
         for found in ((), naming.found) if naming.found else ((),):
             effects = replace(naming, found=found).columns
             columns = prepared.candidates.columns[:, list(effects)]
-            noise = noise_size(prepared.whitened, prepared.data, effects)
+            noise, grid = noise_size(prepared.whitened, prepared.data, effects), prepared.whitened.grid
+            own = prepared.log_evidence(replace(naming, found=found))
+            own -= log_density(prepared.linear, columns, grid)
             for one in noise_hypotheses(prepared.linear, columns, noise):
                 if one.what == "tails" and any(of.variant.family in SINGLE for of in found):
                     continue  # tails explain single readings, too
-                gain = (
-                    one.log_odds
-                    + _of_noise(one.linear, columns, noise)
-                    - _of_noise(prepared.linear, columns, noise)
-                )
-                own = prepared.log_evidence(replace(naming, found=found))
-                if own + gain > score - SURELY_LESS:
-                    rivals.append((own + gain, one, noise.reading))
+                about = own + one.log_odds + log_density(one.linear, columns, grid)
+                if about > score - SURELY_LESS:
+                    rivals.append((about, one, noise.reading))
         tried = []
         for _, one, most in sorted(rivals, key=lambda rival: -rival[0])[:2]:
             searched, named = again(prepared, one.linear, most)
@@ -132,12 +129,6 @@ def choose_noise(prepared: Prepared, naming: Naming, again: Reconsider) -> tuple
 
 LEAST_GAIN: Final = 0.5
 """The noise hypothesis changes where ln of the evidence gains this; less is a change of its sizes."""
-
-
-def _of_noise(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> float:
-    """Return ln of the evidence of a noise beside effects' columns (N, m), at the ratio of noise sizes found."""
-    random = np.column_stack([linear.random, KNOWN_SIZE * effects])
-    return log_density(linear, random, noise.reading, noise.setting_rad / noise.reading)
 
 
 def in_the_noise_of(prepared: LinearSystem, linear: LinearSystem) -> LinearSystem:
@@ -182,6 +173,12 @@ class _Task:
         repeats = noise_of_repeats(linear, self.resolution)
         return with_rounding(linear, self.resolution, repeats.sigma)
 
+    def whiten(self, linear: LinearSystem, candidates: Candidates, sigma: float) -> tuple[Whitened, Data]:
+        """Return the candidates in units of the noise about `sigma`, with their products with the response."""
+        grid = grid_with_rounding(linear, sigma, self.setting_rad, self.resolution)
+        whitened = Whitened.of(grid, candidates)
+        return whitened, whitened.reduce(linear.response[:, None])
+
 
 def search_run(
     readings: Readings,
@@ -203,8 +200,11 @@ def search_run(
     task = _Task(readings, model, stand, setting_rad, resolution, cache, absent)
 
     def again(prepared: Prepared, linear: LinearSystem, most: float) -> tuple[Prepared, Naming]:
-        fresh = _prepared(task, linear, prepared.limit, most)
-        return _searched_again(task, replace(fresh, bend=prepared.bend))
+        repeats = noise_of_repeats(linear, resolution)
+        repeats = replace(repeats, sigma=min(repeats.sigma, most))
+        whitened, data = task.whiten(linear, prepared.candidates, repeats.sigma)
+        fresh = replace(prepared, linear=linear, repeats=repeats, whitened=whitened, data=data)
+        return _searched_again(task, fresh)
 
     first = _searched_again(task, _prepared(task, task.linear(readings)))
     prepared, naming = choose_noise(*first, again)
@@ -226,9 +226,7 @@ def _beside_shapes(task: _Task, prepared: Prepared, naming: Naming) -> Naming:
     wide = with_other_shapes(prepared.linear, shapes)
     if wide is prepared.linear:
         return naming
-    grid = grid_with_rounding(wide, prepared.whitened.grid.sigma, task.setting_rad, task.resolution)
-    whitened = Whitened.of(grid, prepared.candidates)
-    data = whitened.reduce(wide.response[:, None])
+    whitened, data = task.whiten(wide, prepared.candidates, prepared.whitened.grid.sigma)
     kept = name(whitened, data, prepared.limit, begun=[largest], among=lambda _: True).found
     return name(prepared.whitened, prepared.data, prepared.limit, 0, begun=kept)
 
@@ -266,17 +264,14 @@ def _searched_again(task: _Task, prepared: Prepared) -> tuple[Prepared, Naming]:
     return prepared, name(prepared.whitened, prepared.data, prepared.limit)
 
 
-def _prepared(
-    task: _Task, linear: LinearSystem, limit: Threshold | None = None, most: float = np.inf
-) -> Prepared:
-    """Prepare readings for the search; with the `limit` of such readings and the `most` noise where known."""
+def _prepared(task: _Task, linear: LinearSystem) -> Prepared:
+    """Prepare readings for the search."""
     repeats = noise_of_repeats(linear, task.resolution)
-    repeats = replace(repeats, sigma=min(repeats.sigma, most))
     grid = grid_with_rounding(linear, repeats.sigma, task.setting_rad, task.resolution)
     candidates = make_candidates(linear, repeats.sigma, absent=task.absent)
     candidates = without_copies(with_terms(candidates, linear), grid.white[len(grid.white) // 2])
     whitened = Whitened.of(grid, candidates)
-    limit = limit or task.cache.threshold(linear, whitened, task.setting_rad)
+    limit = task.cache.threshold(linear, whitened, task.setting_rad)
     data = whitened.reduce(linear.response[:, None])
     return Prepared(linear, repeats, candidates, whitened, data, limit, np.zeros(len(linear)))
 
@@ -309,7 +304,5 @@ def _relinearised(task: _Task, prepared: Prepared, naming: Naming) -> Prepared |
     told = replace_columns(candidates, told.columns)
     back = told.columns[:, columns] @ sizes
     about = in_the_noise_of(linear, replace(again, readings=readings, response=again.response + back))
-    grid = grid_with_rounding(about, prepared.repeats.sigma, task.setting_rad, task.resolution)
-    whitened = Whitened.of(grid, told)
-    data = whitened.reduce(about.response[:, None])
+    whitened, data = task.whiten(about, told, prepared.repeats.sigma)
     return replace(prepared, linear=about, candidates=told, whitened=whitened, data=data, bend=moved - back)
