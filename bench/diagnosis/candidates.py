@@ -102,7 +102,7 @@ UNNAMED: Final = (
 SINGLE: Final = (SINGLE_READING, SINGLE_SETTING)
 RARE: Final = 1e-3
 """Prior odds of a single deviating reading against another unnamed pattern; heavy tails give such readings."""
-KIND_PRIOR: Final = (0.03, 0.03, 0.94)
+KIND_PRIOR: Final = (0.03, 0.01, 0.96)
 """Prior probabilities that a form with a formula is missing, an unnamed pattern, an effect of the catalogue."""
 
 
@@ -443,19 +443,10 @@ def _add_unnamed(collector: Collector, unit: float) -> None:
     angle = np.round(np.degrees(np.nan_to_num(readings.angle_rad[rows.reading])) / 5.0).astype(np.int64)
     mount = list(zip(readings.series[rows.reading], readings.installation[rows.reading], strict=True))
     pass_number = readings.pass_number[rows.reading]
-    phase = _phase(linear)
     for channel in range(3):
         mine = oriented & (rows.channel == channel)
         free(FREE_BY_ANGLE, (channel,), [unit * one for one in each(mine, mount, angle)], several=True)
         free(FREE_BY_PASS, (channel,), [unit * one for one in each(mine, mount, pass_number)], several=True)
-        waves = [unit * mine * np.cos(np.pi * k * phase) for k in range(1, WAVES + 1)]
-        free(SLOW_IN_TIME, (channel,), waves)
-    last = int(rows.reading[oriented].max())
-    for channel in range(3):
-        for at in sorted(set(rows.reading[oriented].tolist())):
-            if 0 < at < last:
-                step = unit * ((rows.channel == channel) & (rows.reading >= at))
-                free(STEP_AFTER, (channel,), [step], f"from reading {at + 1} on")
     for row in range(len(linear)):
         single = np.where(np.arange(len(linear)) == row, unit, 0.0)
         channels = (0, 1, 2) if rows.channel[row] == MODULUS else (int(rows.channel[row]),)

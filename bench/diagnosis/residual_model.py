@@ -12,9 +12,9 @@ from bench.base.arrays import CHANNELS, Floats
 from bench.diagnosis.candidates import Candidates
 from bench.diagnosis.gap import LEAST_CLOSED, Gap
 from bench.diagnosis.linear import LinearSystem
-from bench.diagnosis.local_scatter import LocalScatter, larger_scatter, residuals
 from bench.diagnosis.naming import FoundEffect, Naming
 from bench.diagnosis.noise_grid import Repeats
+from bench.diagnosis.noise_kinds import LocalScatter, larger_scatter, residuals
 from bench.diagnosis.posterior import NoiseSize, Posterior, posterior
 from bench.model.effects import AppliedEffect
 from bench.model.effects.formula import FormulaEffect

@@ -10,9 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from bench.base.numbers import fixed, quantity, rounded, two_digits, typeset, uncertainty
-from bench.diagnosis.confirm import EffectNow
-from bench.diagnosis.free_records import FreeDiagnosis
+from bench.base.numbers import fixed, quantity, rounded, two_digits, uncertainty
 from bench.diagnosis.gap import Gap
 from bench.diagnosis.mistakes.search import Mistake
 from bench.diagnosis.next_measurement import Proposal
@@ -110,7 +108,7 @@ def parameters_in_words(effect: NamedEffect) -> Iterator[str]:
     for one in effect.together:
         yield (
             f"{one.combination} of {one.parameter} of {' and '.join(one.of)} = "
-            f"{_with_u(one.value, one.u, one.unit)}: the readings tell this, and hardly either by itself"
+            f"{with_u(one.value, one.u, one.unit)}: the readings tell this, and hardly either by itself"
         )
 
 
@@ -123,10 +121,11 @@ def parameter_in_words(value: EffectValue, at: str) -> str:
 def _value_in_words(value: EffectValue) -> str:
     if value.u is None:
         return f"{with_unit(format(value.value, 'g'), value.unit)} (its shape, the likeliest of those tried)"
-    return _with_u(value.value, value.u, value.unit)
+    return with_u(value.value, value.u, value.unit)
 
 
-def _with_u(value: float, u: float, unit: str) -> str:
+def with_u(value: float, u: float, unit: str) -> str:
+    """Return a value with its standard uncertainty and unit: "58.1 ± 5.2 µg/g² (u)"."""
     return f"{with_unit(f'{rounded(value, u)} ± {uncertainty(u)}', unit)} (u)"
 
 
@@ -344,13 +343,6 @@ def mountings_of(block: ModelComparison) -> str:
     return ", ".join(str(mount) for mount in block.before.calibration.fitted.conditions().mounts)
 
 
-def beside_in_words(diagnosis: Diagnosis | FreeDiagnosis) -> str:
-    """Return the names of the effects found in a diagnosis of any kind of readings."""
-    if isinstance(diagnosis, FreeDiagnosis):
-        return "; ".join(" or ".join([one.name, *one.cannot_tell_from]) for one in diagnosis.found)
-    return alike_in_words(diagnosis.effects)
-
-
 def shift_in_words(ranking: Sequence[Rival], other: str) -> str:
     """Return the coefficient that would change most if `other` were the cause, with its change; "" for no rival."""
     for rival in ranking:
@@ -438,28 +430,6 @@ def less_certain(coefficients: Mapping[str, CoefficientChange]) -> list[str]:
     grown = [(name, one.u_after / one.u_before) for name, one in coefficients.items() if one.u_before > 0]
     grown.sort(key=lambda pair: -pair[1])
     return [f"{name} (u {two_digits(times)} times)" for name, times in grown if times > MUCH_LESS_CERTAIN]
-
-
-def either_in_words(effect: EffectNow) -> str:
-    """Return the names of a tie, "either of A or B"; "" if the effect has only one name."""
-    names = effect.applied.either_of
-    return f"either of {', '.join(names[:-1])} or {names[-1]}" if len(names) > 1 else ""
-
-
-def effect_now_in_words(effect: EffectNow) -> Iterator[str]:
-    """Yield lines on an effect in new readings: its verdict, and its values in the model and in the readings."""
-    name = either_in_words(effect) or label(effect.applied)
-    if effect.verdict is None:
-        yield f"{name}: these readings do not show it"
-        return
-    chances = f"{p_in_words(effect.p_same)} of the same values, {p_in_words(effect.p_none)} of none"
-    yield f"{name}: {effect.verdict} ({typeset(chances)})"
-    for was, now in zip(effect.found, effect.now, strict=True):
-        of = f" of {was.channel}" if was.channel else ""
-        u = "" if not was.u else f" ± {uncertainty(was.u)}"
-        then = with_unit(f"{rounded(was.value, was.u or now.u or 1.0)}{u}", was.unit)
-        here = _with_u(now.value, now.u or 0.0, now.unit)
-        yield f"  {was.parameter}{of} = {then} in the model, {here} in these readings"
 
 
 def term_in_words(term: FormTerm) -> str:

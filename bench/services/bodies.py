@@ -13,10 +13,9 @@ from typing import Final
 import numpy as np
 
 from bench.base.arrays import Floats, Mask
-from bench.diagnosis.free_positions import all_free
 from bench.diagnosis.mistakes.search import Mistake
 from bench.readings.corrected import MistakeName
-from bench.readings.table import JoinedPart, Readings, together
+from bench.readings.table import JoinedPart, Readings, all_free, together
 from bench.run.causes import STOP_ALARM
 from bench.run.early_warning import watcher_of
 from bench.run.events import EventType

@@ -14,9 +14,10 @@ from bench.base.tables import as_text
 from bench.config.model_file import load_model
 from bench.diagnosis import ThresholdCache
 from bench.diagnosis.confirm import Confirmation, confirm
-from bench.diagnosis.free_positions import all_free, confirm_free
+from bench.diagnosis.free_positions import confirm_free
 from bench.diagnosis.free_records import OUTLIER, FreeDiagnosis
 from bench.diagnosis.mistakes.search import Mistake
+from bench.readings.table import all_free
 from bench.results.confirm import confirm_result, print_confirmation
 from bench.services.bodies import put_right
 from bench.services.errors import Refused

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import count
 from pathlib import Path
-from typing import Any, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 import numpy as np
 from rich.console import Console
@@ -26,8 +26,6 @@ from bench.calibration.result import CalibrationError
 from bench.config.formulas import effects_in, files_of_environment
 from bench.config.model_file import load_model, write_model_file
 from bench.diagnosis.evidence import ThresholdCache
-from bench.diagnosis.free_positions import all_free, diagnose_free
-from bench.diagnosis.free_records import FreeDiagnosis
 from bench.diagnosis.mistakes.search import Mistake, MistakesLeaveTooLittle
 from bench.diagnosis.next_measurement import Proposal
 from bench.diagnosis.pipeline import FullDiagnosis, MistakesAlone, diagnose_fully
@@ -36,10 +34,9 @@ from bench.diagnosis.show import label
 from bench.model import CATALOGUE, AppliedEffect
 from bench.readings.corrected import as_read
 from bench.readings.csv import format_csv
-from bench.readings.table import Readings
+from bench.readings.table import Readings, all_free
 from bench.results import diagnosis as text
 from bench.results import diagnosis_words as words
-from bench.results import free_diagnosis as free
 from bench.results.diagnosis_words import NO_FILES, Files
 from bench.services.bench_selection import SUFFIX
 from bench.services.bodies import Body, put_right, whole_body
@@ -48,8 +45,10 @@ from bench.services.own_effects import knowing_effects_in, knowing_effects_of
 from bench.services.requests.evaluation import Diagnose
 from bench.services.source import Failed, Source, attempted, data_sha256, done, provenance
 
+if TYPE_CHECKING:
+    from bench.diagnosis.free_records import FreeDiagnosis
+
 T = TypeVar("T")
-Found = FullDiagnosis | MistakesAlone | FreeDiagnosis
 
 
 # --- results ----------------------------------------------------------------------------------------
@@ -63,7 +62,7 @@ class _Result(ABC):
     """
 
     body: Body
-    found: Found
+    found: FullDiagnosis | MistakesAlone | FreeDiagnosis
     files: Files = NO_FILES
     not_written: tuple[str, ...] = ()
 
@@ -318,6 +317,8 @@ class FreeDiagnosisResult(_WithPage):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as `bench diagnose --json` writes it."""
+        from bench.results import free_diagnosis as free
+
         sources = self.body.sources
         with knowing_effects_of(*sources):
             return free.free_result(
@@ -331,6 +332,8 @@ class FreeDiagnosisResult(_WithPage):
 
     def html(self) -> str:
         """Return the HTML page."""
+        from bench.results import free_diagnosis as free
+
         title = f"Diagnosis of {self.source.block_name or free.readings_named(self.found)}"
         simulated = any(source.simulated for source in self.body.sources)
         with knowing_effects_of(self.source):
@@ -340,6 +343,8 @@ class FreeDiagnosisResult(_WithPage):
 
     def print_on(self, out: Console) -> None:
         """Print the diagnosis in the order in which it was made."""
+        from bench.results import free_diagnosis as free
+
         with knowing_effects_of(self.source):
             free.print_free(self.found, self.files, out)
 
@@ -348,6 +353,8 @@ class FreeDiagnosisResult(_WithPage):
 
         Returns the paths. Raises `Refused` if there is no model to write, `FileMistakes` if a file exists.
         """
+        from bench.results import free_diagnosis as free
+
         models = self.models_of(accept_first=accept_first)
         if not models:
             raise Refused(f"{path}: no model file is written {free.why_no_model(self.found)}")
@@ -377,6 +384,8 @@ class FreeDiagnosisResult(_WithPage):
         return result._with_report() if report else result
 
     def _write_model(self, effects: tuple[AppliedEffect, ...], path: Path) -> None:
+        from bench.results import free_diagnosis as free
+
         added = dict.fromkeys(label(one) for each in self.found.found for one in each.applied)
         hashes = (*self.body.sha256, *(data_sha256(table) for table in self.corrected().values()))
         write_model_file(
@@ -480,9 +489,11 @@ def diagnosis_of(body: Body) -> Diagnosed:
         return _result(body, _found(body))
 
 
-def _found(body: Body) -> Found:
+def _found(body: Body) -> FullDiagnosis | MistakesAlone | FreeDiagnosis:
     source = body.source
     if all_free([one.readings for one in body.sources]):
+        from bench.diagnosis.free_positions import diagnose_free
+
         tables = [replace(one.readings, source=one.name) for one in body.sources]
         return diagnose_free(tables, body.one_block, source.model)
     readings, known = put_right(source)
@@ -509,16 +520,19 @@ def _found(body: Body) -> Found:
 
 
 def _result(
-    body: Body, found: Found, files: Files = NO_FILES, not_written: tuple[str, ...] = ()
+    body: Body,
+    found: FullDiagnosis | MistakesAlone | FreeDiagnosis,
+    files: Files = NO_FILES,
+    not_written: tuple[str, ...] = (),
 ) -> Diagnosed:
-    if isinstance(found, FreeDiagnosis):
-        return FreeDiagnosisResult(body, found, files, not_written)
+    if isinstance(found, FullDiagnosis):
+        return DiagnosisResult(body, found, files, not_written)
     if isinstance(found, MistakesAlone):
         return MistakesResult(body, found, files, not_written)
-    return DiagnosisResult(body, found, files, not_written)
+    return FreeDiagnosisResult(body, found, files, not_written)
 
 
-_Done = tuple[Found, Files, tuple[str, ...]]
+_Done = tuple[Any, Files, tuple[str, ...]]
 """The data passed between processes: the findings, the files, and the files that could not be written."""
 
 

@@ -61,7 +61,7 @@ def test_a_shift_at_a_remount_may_be_at_the_verification_points(one):
     assert shifts == {("2",), ("V",)}
 
 
-@pytest.mark.parametrize("family", ["quadratic_nonlinearity", "head_eccentricity", "warm_up", "step"])
+@pytest.mark.parametrize("family", ["quadratic_nonlinearity", "head_eccentricity", "warm_up", "free_by_pass"])
 def test_evidence_is_the_ratio_of_marginal_likelihoods(one, family):
     search = Search.beside(one.whitened, ())
     scores = search.score(one.whitened.reduce(one.linear.response[:, None]))
