@@ -16,8 +16,6 @@ from bench.calibration.calibrate import first_guess
 from bench.calibration.design import make_problem
 from bench.calibration.result import CalibrationError
 from bench.diagnosis.candidates import (
-    FREE_BY_ANGLE,
-    FREE_BY_PASS,
     SCALE_BY_RUN,
     SLOW_IN_TIME,
     SUBSETS,
@@ -27,7 +25,7 @@ from bench.diagnosis.candidates import (
     Collector,
     Column,
     Variant,
-    each,
+    add_free_patterns,
     make_candidates,
 )
 from bench.diagnosis.evidence import Data, Threshold, Whitened
@@ -333,21 +331,14 @@ def _labels(readings: Readings, number: Ints) -> Iterator[tuple[str, ...]]:
 
 def _add_unnamed(collector: Collector, unit: float) -> None:
     """Add the unnamed families: signatures shared by all runs, and zeros or scale factors by run."""
-    linear, free = collector.linear, collector.add_free
-    rows, readings = linear.rows, linear.readings
-    run = readings.run[rows.reading]
-    oriented = linear.setting >= 0
-    angle = np.round(np.degrees(np.nan_to_num(readings.angle_rad[rows.reading])) / 5.0).astype(np.int64)
-    mount = list(zip(_visit(readings)[rows.reading], readings.installation[rows.reading], strict=True))
-    pass_number = readings.pass_number[rows.reading]
+    rows, readings = collector.linear.rows, collector.linear.readings
+    add_free_patterns(collector, unit, _visit(readings))
     phase = _phase(readings)[rows.reading]
     for channel in range(3):
-        mine = oriented & (rows.channel == channel)
-        free(FREE_BY_ANGLE, (channel,), [unit * one for one in each(mine, mount, angle)], several=True)
-        free(FREE_BY_PASS, (channel,), [unit * one for one in each(mine, mount, pass_number)], several=True)
+        mine = (collector.linear.setting >= 0) & (rows.channel == channel)
         waves = [unit * mine * np.cos(np.pi * k * phase) for k in range(1, WAVES + 1)]
-        free(SLOW_IN_TIME, (channel,), waves)
-    _add_by_run(collector, run, unit)
+        collector.add_free(SLOW_IN_TIME, (channel,), waves)
+    _add_by_run(collector, readings.run[rows.reading], unit)
 
 
 def _add_by_run(collector: Collector, run: Ints, unit: float) -> None:

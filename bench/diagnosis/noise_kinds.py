@@ -20,7 +20,6 @@ from bench.base.arrays import ARCSEC, CHANNELS, Floats, Ints, Mask, rms
 from bench.base.numbers import quantity
 from bench.diagnosis.evidence import KNOWN_SIZE
 from bench.diagnosis.linear import LinearSystem, RunSizes
-from bench.diagnosis.mistakes.single_readings import HEAVY_DOF
 from bench.diagnosis.noise_grid import (
     NoiseGrid,
     Whitener,
@@ -35,7 +34,7 @@ from bench.stats.repeats_likelihood import believed_sizes
 
 LOG_PRIOR: Final = dict.fromkeys(("channels", "place", "tails", "slow"), math.log(0.1))
 """ln of the prior odds of each kind of noise against noise that is normal and of one size."""
-TAIL_DOF: Final = HEAVY_DOF
+TAIL_DOF: Final = 4.0
 """Degrees of freedom of the t distribution of heavy tails."""
 ROUNDS: Final = 8
 """Rounds of the fit with heavy tails; the bound is at rest by then."""

@@ -111,7 +111,6 @@ UNNAMED_WORDS: Mapping[str, str] = {
     "free_by_angle": "something that depends on the angle of the head, the same in every pass",
     "free_by_pass": "something that differs from pass to pass",
     "slow_in_time": "something that changes slowly with time",
-    "step": "a step of the signal",
     "single_reading": "a single reading that stands apart",
     "single_setting": "the angle of a single setting",
     "zeros_by_run": "the zeros change from run to run; the readings do not say why",
