@@ -88,14 +88,13 @@ LEADS: Final = (ROUND, "across_")
 
 ZERO_BY_RUN: Final = "zeros_by_run"
 SCALE_BY_RUN: Final = "scale_by_run"
-STEP_AFTER: Final = "step"
 SINGLE_READING: Final = "single_reading"
 SINGLE_SETTING: Final = "single_setting"
 FREE_BY_ANGLE: Final = "free_by_angle"
 FREE_BY_PASS: Final = "free_by_pass"
 SLOW_IN_TIME: Final = "slow_in_time"
 UNNAMED: Final = (
-    FREE_BY_ANGLE, FREE_BY_PASS, SLOW_IN_TIME, STEP_AFTER, SINGLE_READING, SINGLE_SETTING,
+    FREE_BY_ANGLE, FREE_BY_PASS, SLOW_IN_TIME, SINGLE_READING, SINGLE_SETTING,
     ZERO_BY_RUN, SCALE_BY_RUN,
 )  # fmt: skip
 """Families of empirical signatures without a physical cause in the catalogue."""
@@ -104,7 +103,7 @@ UNNAMED: Final = (
 SINGLE: Final = (SINGLE_READING, SINGLE_SETTING)
 RARE: Final = 1e-3
 """Prior odds of a single deviating reading against another unnamed pattern; heavy tails give such readings."""
-KIND_PRIOR: Final = (0.03, 0.03, 0.94)
+KIND_PRIOR: Final = (0.03, 0.01, 0.96)
 """Prior probabilities that a form with a formula is missing, an unnamed pattern, an effect of the catalogue."""
 
 
@@ -437,27 +436,24 @@ WAVES: Final = 6
 """Number of half waves over a run that describe a slow change in time."""
 
 
-def _add_unnamed(collector: Collector, unit: float) -> None:
+def add_free_patterns(collector: Collector, unit: float, visit: Ints) -> None:
+    """Add free values by angle and by pass, for each channel; `visit` (n,) numbers the readings' visits."""
     linear, free = collector.linear, collector.add_free
     rows, readings = linear.rows, linear.readings
-    oriented = linear.setting >= 0
     # not modulo a turn: a scale may come back to another angle than the head
     angle = np.round(np.degrees(np.nan_to_num(readings.angle_rad[rows.reading])) / 5.0).astype(np.int64)
-    mount = list(zip(readings.series[rows.reading], readings.installation[rows.reading], strict=True))
+    mount = list(zip(visit[rows.reading], readings.installation[rows.reading], strict=True))
     pass_number = readings.pass_number[rows.reading]
-    phase = _phase(linear)
     for channel in range(3):
-        mine = oriented & (rows.channel == channel)
+        mine = (linear.setting >= 0) & (rows.channel == channel)
         free(FREE_BY_ANGLE, (channel,), [unit * one for one in each(mine, mount, angle)], several=True)
         free(FREE_BY_PASS, (channel,), [unit * one for one in each(mine, mount, pass_number)], several=True)
-        waves = [unit * mine * np.cos(np.pi * k * phase) for k in range(1, WAVES + 1)]
-        free(SLOW_IN_TIME, (channel,), waves)
-    last = int(rows.reading[oriented].max())
-    for channel in range(3):
-        for at in sorted(set(rows.reading[oriented].tolist())):
-            if 0 < at < last:
-                step = unit * ((rows.channel == channel) & (rows.reading >= at))
-                free(STEP_AFTER, (channel,), [step], f"from reading {at + 1} on")
+
+
+def _add_unnamed(collector: Collector, unit: float) -> None:
+    linear, free = collector.linear, collector.add_free
+    rows = linear.rows
+    add_free_patterns(collector, unit, linear.readings.series)
     for row in range(len(linear)):
         single = np.where(np.arange(len(linear)) == row, unit, 0.0)
         channels = (0, 1, 2) if rows.channel[row] == MODULUS else (int(rows.channel[row]),)
@@ -475,14 +471,6 @@ def each(mine: Mask, *labels: Iterable[object]) -> Iterator[Floats]:
     keys = list(zip(*labels, strict=True))
     for key in dict.fromkeys(itertools.compress(keys, mine)):
         yield np.array([own and k == key for k, own in zip(keys, mine, strict=True)], dtype=np.float64)
-
-
-def _phase(linear: LinearSystem) -> Floats:
-    """Return the position of each row in the run (N,), 0 to 1: by time, or by order without times."""
-    time = linear.readings.time_s[linear.rows.reading]
-    timed = np.all(np.isfinite(time)) and np.ptp(time) > 0
-    t = time if timed else linear.rows.reading.astype(np.float64)
-    return np.asarray((t - t.min()) / max(float(np.ptp(t)), 1e-300))
 
 
 OF_METER_WARMTH: Final = ("voltmeter_thermal_gain", "voltmeter_thermal_offset")

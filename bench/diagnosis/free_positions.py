@@ -57,11 +57,6 @@ from bench.readings.table import FREE, Readings
 FOLDS: Final = 5
 
 
-def all_free(tables: Sequence[Readings]) -> bool:
-    """Return whether these tables have free positions and nothing else."""
-    return bool(tables) and all(len(table) and np.all(table.installation == FREE) for table in tables)
-
-
 def diagnose_free(
     tables: Sequence[Readings], one_sensor: bool | None = None, model: ForwardModel | None = None
 ) -> FreeDiagnosis:

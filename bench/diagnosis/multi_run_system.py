@@ -16,8 +16,6 @@ from bench.calibration.calibrate import first_guess
 from bench.calibration.design import make_problem
 from bench.calibration.result import CalibrationError
 from bench.diagnosis.candidates import (
-    FREE_BY_ANGLE,
-    FREE_BY_PASS,
     SCALE_BY_RUN,
     SLOW_IN_TIME,
     SUBSETS,
@@ -27,22 +25,21 @@ from bench.diagnosis.candidates import (
     Collector,
     Column,
     Variant,
-    each,
+    add_free_patterns,
     make_candidates,
 )
-from bench.diagnosis.evidence import Data, Threshold, ThresholdCache, Whitened
+from bench.diagnosis.evidence import Data, Threshold, Whitened
 from bench.diagnosis.linear import LinearSystem, Rows, make_linear
 from bench.diagnosis.mistakes.search import FALSE_MISTAKE, Mistake, MistakeSearch, find_mistakes
 from bench.diagnosis.naming import FoundEffect, Naming, Scored, name
 from bench.diagnosis.noise_grid import (
     NoiseGrid,
     grid_with_rounding,
-    noise_of_repeats,
     with_rounding,
     with_sizes_of_runs,
 )
 from bench.diagnosis.posterior import noise_size, posterior
-from bench.diagnosis.single_run_search import Prepared, choose_noise
+from bench.diagnosis.single_run_search import Prepared, SearchTask, choose_noise
 from bench.model.conditions import Conditions, Mounting
 from bench.model.effects import AppliedEffect, Effect, Stage
 from bench.model.effects.base import Subsystem
@@ -335,21 +332,14 @@ def _labels(readings: Readings, number: Ints) -> Iterator[tuple[str, ...]]:
 
 def _add_unnamed(collector: Collector, unit: float) -> None:
     """Add the unnamed families: signatures shared by all runs, and zeros or scale factors by run."""
-    linear, free = collector.linear, collector.add_free
-    rows, readings = linear.rows, linear.readings
-    run = readings.run[rows.reading]
-    oriented = linear.setting >= 0
-    angle = np.round(np.degrees(np.nan_to_num(readings.angle_rad[rows.reading])) / 5.0).astype(np.int64)
-    mount = list(zip(_visit(readings)[rows.reading], readings.installation[rows.reading], strict=True))
-    pass_number = readings.pass_number[rows.reading]
+    rows, readings = collector.linear.rows, collector.linear.readings
+    add_free_patterns(collector, unit, _visit(readings))
     phase = _phase(readings)[rows.reading]
     for channel in range(3):
-        mine = oriented & (rows.channel == channel)
-        free(FREE_BY_ANGLE, (channel,), [unit * one for one in each(mine, mount, angle)], several=True)
-        free(FREE_BY_PASS, (channel,), [unit * one for one in each(mine, mount, pass_number)], several=True)
+        mine = (collector.linear.setting >= 0) & (rows.channel == channel)
         waves = [unit * mine * np.cos(np.pi * k * phase) for k in range(1, WAVES + 1)]
-        free(SLOW_IN_TIME, (channel,), waves)
-    _add_by_run(collector, run, unit)
+        collector.add_free(SLOW_IN_TIME, (channel,), waves)
+    _add_by_run(collector, readings.run[rows.reading], unit)
 
 
 def _add_by_run(collector: Collector, run: Ints, unit: float) -> None:
@@ -426,58 +416,36 @@ UNLIKELY: Final = 5.0
 """ln odds that an effect of a single run must exceed, beside the common effects, to be kept."""
 
 
-@dataclass(frozen=True)
-class _EachRun:
-    """Settings for the search of single runs: limits of the stand, last digit, thresholds, reading noise."""
-
-    stand_u: Mapping[str, float]
-    setting_rad: float
-    resolution: float
-    cache: ThresholdCache
-    absent: Collection[str]
-    sigma: float = 0.0
-
-
-def search_runs(
-    readings: Readings,
-    model: ForwardModel,
-    stand: Mapping[str, float],
-    setting_rad: float,
-    cache: ThresholdCache,
-    resolution: float,
-    absent: Collection[str] = (),
-) -> tuple[Prepared, Naming]:
+def search_runs(task: SearchTask, readings: Readings) -> tuple[Prepared, Naming]:
     """Return the prepared readings of several runs and their finds; arguments and errors as `search_run`."""
-    each = _EachRun(stand, setting_rad, resolution, cache, absent)
 
     def again(prepared: Prepared, linear: LinearSystem, most: float) -> tuple[Prepared, Naming]:
-        return _prepared(linear, each, prepared.limit, most)
+        return _prepared(task, linear, prepared.limit, most)
 
-    whole = make_system(readings, model, stand)
-    whole = with_sizes_of_runs(whole, resolution / np.sqrt(12.0))
-    whole = with_rounding(whole, resolution, noise_of_repeats(whole, resolution).sigma)
-    return choose_noise(*_prepared(whole, each), again)
+    whole = make_system(readings, task.model, task.stand)
+    whole = with_sizes_of_runs(whole, task.resolution / np.sqrt(12.0))
+    whole = with_rounding(whole, task.resolution, task.repeats(whole).sigma)
+    return choose_noise(*_prepared(task, whole), again)
 
 
 def _prepared(
-    linear: LinearSystem, each: _EachRun, limit: Threshold | None = None, most: float = np.inf
+    task: SearchTask, linear: LinearSystem, limit: Threshold | None = None, most: float = np.inf
 ) -> tuple[Prepared, Naming]:
     """Prepare and search all runs together and each alone; `limit` and `most` where they are known."""
-    repeats = noise_of_repeats(linear, each.resolution)
-    repeats = replace(repeats, sigma=min(repeats.sigma, most))
+    repeats = task.repeats(linear, most)
     whitened = Whitened.of(
-        grid_with_rounding(linear, repeats.sigma, each.setting_rad, each.resolution),
-        candidates_of(linear, repeats.sigma, each.absent),
+        grid_with_rounding(linear, repeats.sigma, task.setting_rad, task.resolution),
+        candidates_of(linear, repeats.sigma, task.absent),
     )
-    limit = limit or each.cache.threshold(linear, whitened, each.setting_rad).at(TOGETHER)
-    whitened, naming = _name_in_all_and_each(linear, whitened, limit, replace(each, sigma=repeats.sigma))
+    limit = limit or task.cache.threshold(linear, whitened, task.setting_rad).at(TOGETHER)
+    whitened, naming = _name_in_all_and_each(task, linear, whitened, limit, repeats.sigma)
     data = whitened.reduce(linear.response[:, None])
     bend = np.zeros(len(linear))
     return Prepared(linear, repeats, whitened.candidates, whitened, data, limit, bend), naming
 
 
 def _name_in_all_and_each(
-    linear: LinearSystem, whitened: Whitened, limit: Threshold, each: _EachRun
+    task: SearchTask, linear: LinearSystem, whitened: Whitened, limit: Threshold, sigma: float
 ) -> tuple[Whitened, Naming]:
     """Return the finds in all runs and in single runs, with the whitened candidates that contain them.
 
@@ -487,8 +455,8 @@ def _name_in_all_and_each(
     response = linear.response[:, None]
     data = whitened.reduce(response)
     many = len(np.unique(linear.readings.run))
-    runs = list(tracked(_runs(linear, each), "runs, each by itself", many))
-    of_one = each.cache.threshold(runs[0].linear, runs[0].whitened(), each.setting_rad).at(ALONE / many)
+    runs = list(tracked(_runs(task, linear, sigma), "runs, each by itself", many))
+    of_one = task.cache.threshold(runs[0].linear, runs[0].whitened(), task.setting_rad).at(ALONE / many)
     at_first = _look_in_each(whitened.candidates, runs, np.zeros(len(linear)), of_one)
     grown, alone = at_first
     if alone and len({one.variant.mounts for one in alone}) <= max(1, many // COMMON):
@@ -554,19 +522,19 @@ def _look_in_each(
     return candidates, tuple(found)
 
 
-def _runs(linear: LinearSystem, each: _EachRun) -> Iterator[_Run]:
+def _runs(task: SearchTask, linear: LinearSystem, sigma_of_all: float) -> Iterator[_Run]:
     readings = linear.readings
     of_row = readings.run[linear.rows.reading]
     for number in np.unique(readings.run):
         table = replace(readings.select(readings.run == number), block=None)
         rows: Mask = of_row == number
-        alone = make_linear(table, linear.model, each.stand_u)
+        alone = make_linear(table, linear.model, task.stand)
         by_row, by_place = (None if size is None else size[rows] for size in (linear.by_row, linear.by_place))
         alone = replace(alone, by_channel=linear.by_channel, by_row=by_row, by_place=by_place)
-        sigma = each.sigma * (1.0 if linear.by_run is None else float(linear.by_run.sizes[number]))
-        alone = with_rounding(alone, each.resolution, sigma)
-        grid = grid_with_rounding(alone, sigma, each.setting_rad, each.resolution)
-        yield _Run(rows, alone, make_candidates(alone, sigma, absent=each.absent), grid)
+        sigma = sigma_of_all * (1.0 if linear.by_run is None else float(linear.by_run.sizes[number]))
+        alone = with_rounding(alone, task.resolution, sigma)
+        grid = grid_with_rounding(alone, sigma, task.setting_rad, task.resolution)
+        yield _Run(rows, alone, make_candidates(alone, sigma, absent=task.absent), grid)
 
 
 def _embedded(candidates: Candidates, one: FoundEffect, run: _Run) -> tuple[Candidates, FoundEffect]:

@@ -2,8 +2,7 @@
 
 A hypothesis changes the covariance of the readings. So hypotheses on the noise and on missing effects explain the
 same numbers. For heavy tails each row has its own precision, with the prior that makes its noise t-distributed
-(Tipping and Lawrence, Neurocomputing 69 (2005) 123). The odds of heavy tails are the likelihood ratio of the
-residuals.
+(Tipping and Lawrence, Neurocomputing 69 (2005) 123). The evidence of heavy tails is the bound of that paper.
 """
 
 from __future__ import annotations
@@ -17,13 +16,11 @@ from typing import Final, NamedTuple
 import numpy as np
 from scipy import special
 
-from bench.base.arrays import ARCSEC, CHANNELS, Floats, Ints, rms
+from bench.base.arrays import ARCSEC, CHANNELS, Floats, Ints, Mask, rms
 from bench.base.languages import message
 from bench.base.numbers import quantity
 from bench.diagnosis.evidence import KNOWN_SIZE
 from bench.diagnosis.linear import LinearSystem, RunSizes
-from bench.diagnosis.local_scatter import relative_by_place, residuals
-from bench.diagnosis.mistakes.single_readings import HEAVY_DOF, odds_of_tails
 from bench.diagnosis.noise_grid import (
     NoiseGrid,
     Whitener,
@@ -38,14 +35,10 @@ from bench.stats.repeats_likelihood import believed_sizes
 
 LOG_PRIOR: Final = dict.fromkeys(("channels", "place", "tails", "slow"), math.log(0.1))
 """ln of the prior odds of each kind of noise against noise that is normal and of one size."""
-TAIL_DOF: Final = HEAVY_DOF
+TAIL_DOF: Final = 4.0
 """Degrees of freedom of the t distribution of heavy tails."""
 ROUNDS: Final = 8
 """Rounds of the fit with heavy tails; the bound is at rest by then."""
-OF_READING: Final = 0.4
-"""Least part that the fit leaves of a row from which the noise of readings is estimated; the fit has the setting
-errors.
-"""
 FREEST: Final = 0.05
 """Lower limit of the part of a row that the fit leaves."""
 LIGHT: Final = 0.4
@@ -151,6 +144,96 @@ def _by_place(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Iterat
     )
 
 
+SCATTER_P: Final = 1e-3
+"""A place is named if its scatter has a probability by chance, corrected for all places, below this."""
+LEAST_ROWS: Final = 4
+EVERYWHERE: Final = "everywhere"
+MORE_SCATTER: Final = 1.5
+"""Least ratio of the scatter in a place to the scatter elsewhere for which the place is named."""
+
+
+@dataclass(frozen=True)
+class LocalScatter:
+    """Where readings scatter more: standard deviations there and elsewhere, unit of the signal."""
+
+    channel: str
+    where: str
+    sd: float
+    elsewhere: float
+    p: float
+
+    @property
+    def words(self) -> str:
+        """The place in words."""
+        return f"channel {self.channel}, {self.where}"
+
+
+def residuals(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Floats:
+    """Return the residuals (N,) after a fit of effects' columns (N, m), without the setting error, in signal units.
+
+    They are divided by the relative noise of their rows.
+    """
+    fitted = posterior(linear, effects, noise)
+    left = linear.response - np.concatenate([linear.fixed, linear.random, effects], axis=1) @ fitted.mean
+    return noise.reading * whiten_rows(linear, noise, left[:, None], np.ones(len(linear), dtype=bool))[:, 0]
+
+
+def larger_scatter(linear: LinearSystem, left: Floats) -> LocalScatter | None:
+    """Return the place whose residuals `left` (N,) scatter most in excess of the others; None if there is none."""
+    return max(_larger(linear, left), key=lambda found: -found[0].p, default=(None, None))[0]
+
+
+def relative_by_place(linear: LinearSystem, left: Floats) -> tuple[LocalScatter, Floats, float] | None:
+    """Return the place in an installation that scatters most, the relative noise (N,) with it, and ln of its cost.
+
+    The mean square of the relative noise is 1. The cost counts the choice of one place among all, and one more
+    size. None if no place scatters significantly more.
+    """
+    places = (one for one in _larger(linear, left) if one[0].where != EVERYWHERE)
+    found = max(places, key=lambda one: -one[0].p, default=None)
+    if found is None:
+        return None
+    scatter, rows = found
+    size = np.where(rows, scatter.sd / scatter.elsewhere, 1.0)
+    cost = -np.log(len(list(_places(linear)))) - 0.5 * np.log(np.count_nonzero(rows))
+    return scatter, size / np.sqrt(np.mean(size**2)), float(cost)
+
+
+def _larger(linear: LinearSystem, left: Floats) -> Iterator[tuple[LocalScatter, Mask]]:
+    """Yield the places that scatter significantly more than elsewhere, each with its rows (N,)."""
+    places = list(_places(linear))
+    oriented = linear.setting >= 0
+    for channel, where, rows in places:
+        others = oriented & ~rows
+        inside, outside = int(rows.sum()), int(others.sum())
+        if inside < LEAST_ROWS or outside < LEAST_ROWS:
+            continue
+        sd, elsewhere = (float(np.sqrt(np.mean(left[of] ** 2))) for of in (rows, others))
+        if sd <= MORE_SCATTER * elsewhere:
+            continue
+        p = float(special.fdtrc(inside, outside, (sd / elsewhere) ** 2)) * len(places)
+        if p < SCATTER_P:
+            yield LocalScatter(channel, where, sd, elsewhere, p), rows
+
+
+def _places(linear: LinearSystem) -> Iterator[tuple[str, str, Mask]]:
+    """Yield channel, words and rows (N,) of each place."""
+    rows, readings = linear.rows, linear.readings
+    oriented = linear.setting >= 0
+    label = readings.installation[rows.reading]
+    series = readings.series[rows.reading]
+    mounts = np.array([i if s == 1 else f"{i}/{s}" for s, i in zip(series, label, strict=True)])
+    passes = readings.pass_number[rows.reading]
+    for c, channel in enumerate(CHANNELS):
+        own = oriented & (rows.channel == c)
+        yield channel, EVERYWHERE, own
+        for mount in dict.fromkeys(mounts[own].tolist()):
+            here = own & (mounts == mount)
+            yield channel, f"installation {mount}", here
+            for number in dict.fromkeys(passes[here].tolist()):
+                yield channel, f"installation {mount}, pass {number}", here & (passes == number)
+
+
 # --- heavy tails ------------------------------------------------------------------------------------
 
 
@@ -158,31 +241,26 @@ def _with_tails(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Iter
     """Yield noise with the tails of a t distribution, as a precision of each row (`by_row`)."""
     if linear.by_row is not None:
         return
-    plain = linear
-    random = np.concatenate([plain.random, effects * KNOWN_SIZE], axis=1)
-    relative2 = plain.relative**2
+    random = np.concatenate([linear.random, effects * KNOWN_SIZE], axis=1)
+    relative2 = linear.relative**2
     weight: Floats = np.ones(len(linear))
-    scale, odds = noise.reading, 0.0
-    for number in range(ROUNDS):
-        rows = replace(plain, random=random, by_row=1.0 / np.sqrt(weight))
+    scale, of_mean, square = noise.reading, weight, weight
+    for _ in range(ROUNDS):
+        rows = replace(linear, random=random, by_row=1.0 / np.sqrt(weight))
         white = make_whitener(rows, scale, noise.setting_rad)
         variance = relative2 / weight
-        left = variance * white.weigh(plain.response)
+        left = variance * white.weigh(linear.response)
         free = np.clip(variance * white.diagonal, FREEST, 1.0)
-        if number == 0:
-            odds = _odds_of_tails(linear, left / np.sqrt(relative2 * free), free)
-        square = left**2 / (relative2 * scale**2) + (1.0 - free) / weight
-        scale *= math.sqrt(float(np.sum(weight * left**2 / relative2) / scale**2 / max(free.sum(), 1.0)))
+        of_mean = left**2 / (relative2 * scale**2)
+        square = of_mean + (1.0 - free) / weight
+        scale *= math.sqrt(float(np.sum(weight * of_mean) / max(free.sum(), 1.0)))
         weight = (TAIL_DOF + 1.0) / (TAIL_DOF + square)
-    told = replace(plain, by_row=1.0 / np.sqrt(weight * float(np.mean(1.0 / weight))))
     changed = weight < LIGHT * float(np.median(weight))
     readings = len(set(linear.rows.reading[changed].tolist()))
-    ratio = noise.setting_rad / noise.reading
-    more = log_density(told, random, scale, ratio) - log_density(plain, random, noise.reading, ratio)
     yield NoiseHypothesis(
         "tails",
-        told,
-        LOG_PRIOR["tails"] + odds - more,
+        replace(linear, by_row=1.0 / np.sqrt(weight * float(np.mean(1.0 / weight)))),
+        LOG_PRIOR["tails"] + _log_odds_of_weights(weight, of_mean, square),
         message(
             f"the noise has heavier tails than a normal one: {readings} readings are weighed down, and an "
             f"outlier is "
@@ -191,23 +269,30 @@ def _with_tails(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Iter
     )
 
 
-def _odds_of_tails(linear: LinearSystem, size: Floats, free: Floats) -> float:
-    """Return ln of the likelihood ratio of heavy tails to normal noise, from the rows that show their noise.
+def _log_odds_of_weights(weight: Floats, of_mean: Floats, square: Floats) -> float:
+    """Return what the evidence of rows with these weights (N,) lacks to that of t-distributed noise.
 
-    `free` (N,) is the part of each row that the fit leaves. `size` (N,) are the residuals over its root.
+    A precision t has the prior Gamma(d/2, d/2) and, with the expected `square` (N,) of its row in units of the
+    noise, the posterior Gamma((d + 1)/2, (d + square)/2). The bound has E ln t in the place of ln of the weight,
+    less the divergence of posterior and prior. It takes precisions and fit for independent; the last term corrects
+    this to second order. `of_mean` (N,) is the part of the square that the mean of the fit leaves.
     """
-    telling = free > OF_READING
-    by_channel = [size[telling & (linear.rows.channel == c)] for c in range(4)]
-    alike = [of / max(rms(of), 1e-300) for of in by_channel[:3] if len(of)]
-    return odds_of_tails(np.concatenate(alike)) if alike else 0.0
+    half, prior = 0.5 * (TAIL_DOF + 1.0), 0.5 * TAIL_DOF
+    of_each = half - 0.5 * math.log(half) + special.gammaln(half) - special.gammaln(prior)
+    bound = of_each - prior * np.log1p(square / TAIL_DOF) - prior * weight
+    return float(np.sum(bound + weight**2 * (square**2 - of_mean**2) / (4.0 * half)))
 
 
-def log_density(linear: LinearSystem, random: Floats, sigma: float, ratio: float) -> float:
-    """Return ln of the evidence of a noise with these `random` columns, its size integrated over."""
-    slope = linear.typical_slope
-    grid = make_noise_grid(replace(linear, random=random), sigma, 0.0, [ratio * slope])
-    square = np.sum((grid.white[0] @ linear.response / sigma) ** 2)
-    return float(grid.log_det[0] + grid.log_likelihood(np.atleast_1d(square))[0]) + log_null(grid)
+def log_density(linear: LinearSystem, effects: Floats, like: NoiseGrid) -> float:
+    """Return ln of the evidence of a system with effects' columns (N, m), the sizes of its noise integrated over.
+
+    Their priors are those of the grid `like`.
+    """
+    random = np.concatenate([linear.random, effects * KNOWN_SIZE], axis=1)
+    grid = make_noise_grid(replace(linear, random=random), like.sigma, 0.0)
+    square = np.array([np.sum((white @ (linear.response / like.sigma)) ** 2) for white in grid.white])
+    of_ratio = like.log_prior + grid.log_det + grid.log_likelihood(square)
+    return float(special.logsumexp(of_ratio)) + log_null(grid)
 
 
 # --- slow noise ---------------------------------------------------------------------------------------

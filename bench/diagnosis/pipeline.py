@@ -59,7 +59,7 @@ from bench.diagnosis.result import (
     register,
 )
 from bench.diagnosis.show import ModelComparison, contradicted, show
-from bench.diagnosis.single_run_search import SURE, Prepared, search_run
+from bench.diagnosis.single_run_search import Prepared, SearchTask, search_run
 from bench.diagnosis.visibility import detectable, hidden, smallest
 from bench.diagnosis.where import far_readings, find_places, looking_like, order_of
 from bench.model import CATALOGUE, AppliedEffect, ForwardModel
@@ -91,7 +91,11 @@ def diagnose(
     try:
         mistakes = replace(mistakes, corrected=with_blocks(mistakes.corrected, model))
         absent = there.absent(mistakes.corrected)
-        prepared, naming = _named(mistakes.corrected, model, stand_u, cache, digit_of(readings), absent)
+        stand = {key: value for key, value in stand_u.items() if key != "setting_error"}
+        digit, thresholds = digit_of(readings), cache or ThresholdCache(None)
+        task = SearchTask(model, stand, setting_rad, digit, thresholds, absent)
+        find = search_runs if mistakes.corrected.run.any() else search_run
+        prepared, naming = find(task, mistakes.corrected)
     except CalibrationError as error:
         if not mistakes.mistakes:
             raise
@@ -158,19 +162,8 @@ def diagnose(
     )
 
 
-def _named(
-    readings: Readings,
-    model: ForwardModel,
-    stand_u: Mapping[str, float],
-    cache: ThresholdCache | None,
-    digit: float,
-    absent: Mapping[str, str],
-) -> tuple[Prepared, Naming]:
-    """Return the linear system with its candidates, and the names of what is found in it."""
-    find = search_runs if readings.run.any() else search_run
-    stand = {key: value for key, value in stand_u.items() if key != "setting_error"}
-    setting_rad = stand_u.get("setting_error", 0.0)
-    return find(readings, model, stand, setting_rad, cache or ThresholdCache(None), digit, absent)
+SURE: Final = 6.0
+"""ln odds above the threshold from which a find needs no held-out readings to confirm it."""
 
 
 def _left_out(weak: Sequence[FoundEffect]) -> Iterator[str]:

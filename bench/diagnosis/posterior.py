@@ -322,12 +322,19 @@ def _place(kind: Column) -> str:
 
 
 def applied_of(
-    candidates: Candidates, variant: Variant, value: Floats, u: Floats, either_of: tuple[str, ...] = ()
+    candidates: Candidates,
+    variant: Variant,
+    value: Floats,
+    u: Floats,
+    either_of: tuple[str, ...] = (),
+    effect: Effect | None = None,
 ) -> tuple[AppliedEffect, ...]:
     """Return an effect with its estimated values in SI, one entry for each set of mountings.
 
     `value` (m,) and `u` (m,) are in plausible sizes, as the variant's columns; `either_of` are the names of a tie.
+    The `effect` is that of the catalogue if none is given.
     """
+    effect = effect or CATALOGUE[variant.family]
     channels = tuple(CHANNELS[c] for c in variant.channels)
     kinds = [candidates.kinds[column] for column in variant.columns]
     applied = []
@@ -341,7 +348,6 @@ def applied_of(
             for numbers, number in ((values, value[place]), (sizes, u[place])):
                 numbers.setdefault(kind.parameter, np.zeros(() if kind.channel is None else 3))
                 numbers[kind.parameter][at] = number * candidates.scale[column]
-        effect = CATALOGUE[variant.family]
         applied.append(AppliedEffect(effect, values, channels, sizes, mounts, either_of))
     return tuple(applied)
 

@@ -76,11 +76,6 @@ class Record:
         return applied.addition(seen)[:, list(self.channels)]
 
 
-def is_record(readings: Readings) -> bool:
-    """Return whether a table is a record at a known input: rows R alone."""
-    return len(readings) > 0 and bool(np.all(readings.installation == REFERENCE))
-
-
 def make_record(readings: Readings) -> Record:
     """Return a record as means over equal times. Raises `CalibrationError` for what cannot be evaluated.
 

@@ -12,10 +12,10 @@ from bench.base.arrays import CHANNELS, Floats
 from bench.diagnosis.candidates import Candidates
 from bench.diagnosis.gap import LEAST_CLOSED, Gap
 from bench.diagnosis.linear import LinearSystem
-from bench.diagnosis.local_scatter import LocalScatter, larger_scatter, residuals
 from bench.diagnosis.naming import FoundEffect, Naming
 from bench.diagnosis.noise_grid import Repeats
-from bench.diagnosis.posterior import NoiseSize, Posterior, posterior
+from bench.diagnosis.noise_kinds import LocalScatter, larger_scatter, residuals
+from bench.diagnosis.posterior import NoiseSize, Posterior, applied_of, posterior
 from bench.model.effects import AppliedEffect
 from bench.model.effects.formula import FormulaEffect
 
@@ -177,16 +177,9 @@ MOST_ALIKE: Final = 4
 
 
 def _applied(candidates: Candidates, one: FoundEffect, name: str, value: Floats, u: Floats) -> AppliedEffect:
-    kinds = [candidates.kinds[column] for column in one.variant.columns]
-    per_channel = kinds[0].channel is not None
-    assert one.variant.term is not None  # noqa: S101 - only terms are applied so
-    effect = one.variant.term.effect(name, per_channel=per_channel)
-    values: dict[str, Floats] = {p.name: np.asarray(p.default) for p in effect.parameters if p.is_shape}
-    sizes: dict[str, Floats] = {}
-    for place, (column, kind) in enumerate(zip(one.variant.columns, kinds, strict=True)):
-        at = () if kind.channel is None else kind.channel
-        for numbers, number in ((values, value[place]), (sizes, u[place])):
-            numbers.setdefault(kind.parameter, np.zeros(() if kind.channel is None else 3))
-            numbers[kind.parameter][at] = number * candidates.scale[column]
-    channels = tuple(CHANNELS[c] for c in one.variant.channels)
-    return AppliedEffect(effect, values, channels, sizes)
+    variant = one.variant
+    assert variant.term is not None  # noqa: S101 - only terms are applied so
+    per_channel = candidates.kinds[variant.columns[0]].channel is not None
+    effect = variant.term.effect(name, per_channel=per_channel)
+    shape = tuple((p.name, p.default) for p in effect.parameters if p.is_shape)
+    return applied_of(candidates, replace(variant, shape=shape), value, u, effect=effect)[0]

@@ -16,9 +16,9 @@ from bench.diagnosis import (
     candidates,
     evidence,
     gap,
-    local_scatter,
     naming,
     noise_grid,
+    noise_kinds,
     visibility,
     where,
 )
@@ -100,7 +100,7 @@ def register(linear: LinearSystem, limit: evidence.Threshold) -> Registration:
     }
     if evidence.formulas():
         hashed["formulas"] = evidence.formulas()
-    hashed["form"] = [gap.LEAST_CLOSED, local_scatter.SIGNIFICANT, local_scatter.LARGER]
+    hashed["form"] = [gap.LEAST_CLOSED, noise_kinds.SCATTER_P, noise_kinds.MORE_SCATTER]
     del hashed["sha256"]
     text = json.dumps(hashed, sort_keys=True)
     return replace(settled, sha256=hashlib.sha256(text.encode()).hexdigest())
@@ -112,7 +112,6 @@ UNNAMED_WORDS: Mapping[str, str] = {
     "free_by_angle": message("something that depends on the angle of the head, the same in every pass"),
     "free_by_pass": message("something that differs from pass to pass"),
     "slow_in_time": message("something that changes slowly with time"),
-    "step": message("a step of the signal"),
     "single_reading": message("a single reading that stands apart"),
     "single_setting": message("the angle of a single setting"),
     "zeros_by_run": message("the zeros change from run to run; the readings do not say why"),

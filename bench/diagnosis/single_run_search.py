@@ -19,20 +19,17 @@ from bench.diagnosis.candidates import (
     with_terms,
     without_copies,
 )
-from bench.diagnosis.evidence import KNOWN_SIZE, Data, Search, Threshold, ThresholdCache, Whitened
+from bench.diagnosis.evidence import Data, Search, Threshold, ThresholdCache, Whitened
 from bench.diagnosis.linear import LinearSystem, make_linear
 from bench.diagnosis.naming import MOST_EFFECTS, Naming, Scored, name
 from bench.diagnosis.noise_grid import (
-    RATIOS,
     Repeats,
     grid_with_rounding,
-    make_noise_grid,
     noise_of_repeats,
     with_rounding,
 )
 from bench.diagnosis.noise_kinds import LOG_PRIOR, log_density, log_null, noise_hypotheses
 from bench.diagnosis.posterior import (
-    NoiseSize,
     applied_of,
     beside,
     fit_found,
@@ -85,8 +82,6 @@ class Reconsider(Protocol):
 
 SURELY_LESS: Final = 6.0
 """A noise hypothesis is searched in full unless its evidence with the same finds is lower by more than this."""
-SURE: Final = 6.0
-"""ln odds above the threshold from which a find needs no second look."""
 
 
 def choose_noise(prepared: Prepared, naming: Naming, again: Reconsider) -> tuple[Prepared, Naming]:
@@ -102,18 +97,15 @@ def choose_noise(prepared: Prepared, naming: Naming, again: Reconsider) -> tuple
         for found in ((), naming.found) if naming.found else ((),):
             effects = replace(naming, found=found).columns
             columns = prepared.candidates.columns[:, list(effects)]
-            noise = noise_size(prepared.whitened, prepared.data, effects)
+            noise, grid = noise_size(prepared.whitened, prepared.data, effects), prepared.whitened.grid
+            own = prepared.log_evidence(replace(naming, found=found))
+            own -= log_density(prepared.linear, columns, grid)
             for one in noise_hypotheses(prepared.linear, columns, noise):
                 if one.what == "tails" and any(of.variant.family in SINGLE for of in found):
                     continue  # tails explain single readings, too
-                gain = (
-                    one.log_odds
-                    + _of_noise(one.linear, columns, noise)
-                    - _of_noise(prepared.linear, columns, noise)
-                )
-                own = prepared.log_evidence(replace(naming, found=found))
-                if own + gain > score - SURELY_LESS:
-                    rivals.append((own + gain, one, noise.reading))
+                about = own + one.log_odds + log_density(one.linear, columns, grid)
+                if about > score - SURELY_LESS:
+                    rivals.append((about, one, noise.reading))
         tried = []
         for _, one, most in sorted(rivals, key=lambda rival: -rival[0])[:2]:
             searched, named = again(prepared, one.linear, most)
@@ -132,12 +124,6 @@ def choose_noise(prepared: Prepared, naming: Naming, again: Reconsider) -> tuple
 
 LEAST_GAIN: Final = 0.5
 """The noise hypothesis changes where ln of the evidence gains this; less is a change of its sizes."""
-
-
-def _of_noise(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> float:
-    """Return ln of the evidence of a noise beside effects' columns (N, m), at the ratio of noise sizes found."""
-    random = np.column_stack([linear.random, KNOWN_SIZE * effects])
-    return log_density(linear, random, noise.reading, noise.setting_rad / noise.reading)
 
 
 def in_the_noise_of(prepared: LinearSystem, linear: LinearSystem) -> LinearSystem:
@@ -162,56 +148,58 @@ BENT: Final = 0.3
 """What an effect may change a reading beyond its columns, in units of noise, and count as linear."""
 STEPS: Final = 6
 """Most linearisations; the rest of the nonlinearity stays in the residuals."""
-FINER: Final = (0.6, 0.77, 1.0, 1.3, 1.67)
-"""Ratios about that of the noises as they were found: parts of it."""
 
 
 @dataclass(frozen=True)
-class _Task:
-    readings: Readings
+class SearchTask:
+    """What every search needs beside the readings.
+
+    `stand` holds standard uncertainties by the names in `STAND_ANGLES`, rad. `setting_rad` is that of a setting.
+    `resolution` is the last digit of the signals. Effects that are `absent` from the bench are not looked for.
+    """
+
     model: ForwardModel
     stand: Mapping[str, float]
     setting_rad: float
     resolution: float
     cache: ThresholdCache
-    absent: Collection[str]
+    absent: Collection[str] = ()
 
     def linear(self, readings: Readings) -> LinearSystem:
         """Make readings linear; with the error of rounding that repeats, where the last digit is coarse."""
         linear = make_linear(readings, self.model, self.stand)
+        return with_rounding(linear, self.resolution, self.repeats(linear).sigma)
+
+    def repeats(self, linear: LinearSystem, most: float = np.inf) -> Repeats:
+        """Return the noise of the repeats, at `most` this."""
         repeats = noise_of_repeats(linear, self.resolution)
-        return with_rounding(linear, self.resolution, repeats.sigma)
+        return replace(repeats, sigma=min(repeats.sigma, most))
+
+    def whiten(self, linear: LinearSystem, candidates: Candidates, sigma: float) -> tuple[Whitened, Data]:
+        """Return the candidates in units of the noise about `sigma`, with their products with the response."""
+        grid = grid_with_rounding(linear, sigma, self.setting_rad, self.resolution)
+        whitened = Whitened.of(grid, candidates)
+        return whitened, whitened.reduce(linear.response[:, None])
 
 
-def search_run(
-    readings: Readings,
-    model: ForwardModel,
-    stand: Mapping[str, float],
-    setting_rad: float,
-    cache: ThresholdCache,
-    resolution: float,
-    absent: Collection[str] = (),
-) -> tuple[Prepared, Naming]:
+def search_run(task: SearchTask, readings: Readings) -> tuple[Prepared, Naming]:
     """Prepare readings and find what is missing: the first find is made linear before the others are looked for.
 
-    The noise is chosen by evidence (`choose_noise`).
-
-    `stand` holds standard uncertainties by the names in `STAND_ANGLES`, rad. `setting_rad` is that of a setting.
-    `resolution` is the last digit of the signals. Effects that are `absent` from the bench are not looked for.
-    Raises `CalibrationError` where there is too little to fit.
+    The noise is chosen by evidence (`choose_noise`). Raises `CalibrationError` where there is too little to fit.
     """
-    task = _Task(readings, model, stand, setting_rad, resolution, cache, absent)
 
     def again(prepared: Prepared, linear: LinearSystem, most: float) -> tuple[Prepared, Naming]:
-        fresh = _prepared(task, linear, prepared.limit, most)
-        return _searched_again(task, replace(fresh, bend=prepared.bend))
+        repeats = task.repeats(linear, most)
+        whitened, data = task.whiten(linear, prepared.candidates, repeats.sigma)
+        fresh = replace(prepared, linear=linear, repeats=repeats, whitened=whitened, data=data)
+        return _searched_again(task, fresh)
 
     first = _searched_again(task, _prepared(task, task.linear(readings)))
     prepared, naming = choose_noise(*first, again)
-    return prepared, _beside_shapes(task, prepared, _closer(task, prepared, naming))
+    return prepared, _beside_shapes(task, prepared, naming)
 
 
-def _beside_shapes(task: _Task, prepared: Prepared, naming: Naming) -> Naming:
+def _beside_shapes(task: SearchTask, prepared: Prepared, naming: Naming) -> Naming:
     """Drop what is found no more where the largest effect may have parts with other shapes.
 
     Between two shapes of the catalogue's grid a large effect leaves a remainder that others would explain.
@@ -226,32 +214,12 @@ def _beside_shapes(task: _Task, prepared: Prepared, naming: Naming) -> Naming:
     wide = with_other_shapes(prepared.linear, shapes)
     if wide is prepared.linear:
         return naming
-    grid = grid_with_rounding(wide, prepared.whitened.grid.sigma, task.setting_rad, task.resolution)
-    whitened = Whitened.of(grid, prepared.candidates)
-    data = whitened.reduce(wide.response[:, None])
+    whitened, data = task.whiten(wide, prepared.candidates, prepared.whitened.grid.sigma)
     kept = name(whitened, data, prepared.limit, begun=[largest], among=lambda _: True).found
     return name(prepared.whitened, prepared.data, prepared.limit, 0, begun=kept)
 
 
-def _closer(task: _Task, prepared: Prepared, naming: Naming) -> Naming:
-    """Find again what hardly reached the threshold, with the ratio of the noises on a finer grid about its own.
-
-    Between two ratios of the grid a setting error is up to 1.4 times its assumed size. Effects that act like it
-    then look larger than they are.
-    """
-    if not naming.found or min(found.total for found in naming.found) > prepared.limit.value + SURE:
-        return naming
-    linear, coarse = prepared.linear, prepared.whitened.grid
-    noise = noise_size(prepared.whitened, prepared.data, naming.columns)
-    ratio = noise.setting_rad / noise.reading * linear.typical_slope
-    if ratio < RATIOS[1]:
-        return naming
-    grid = make_noise_grid(linear, coarse.sigma, task.setting_rad, [ratio * part for part in FINER])
-    whitened = Whitened.of(replace(grid, known=coarse.known), prepared.candidates)
-    return name(whitened, whitened.reduce(linear.response[:, None]), prepared.limit)
-
-
-def _searched_again(task: _Task, prepared: Prepared) -> tuple[Prepared, Naming]:
+def _searched_again(task: SearchTask, prepared: Prepared) -> tuple[Prepared, Naming]:
     """Return the finds, linearised again about them until the system is accurate enough."""
     most = 1
     naming = name(prepared.whitened, prepared.data, prepared.limit, most)
@@ -266,22 +234,19 @@ def _searched_again(task: _Task, prepared: Prepared) -> tuple[Prepared, Naming]:
     return prepared, name(prepared.whitened, prepared.data, prepared.limit)
 
 
-def _prepared(
-    task: _Task, linear: LinearSystem, limit: Threshold | None = None, most: float = np.inf
-) -> Prepared:
-    """Prepare readings for the search; with the `limit` of such readings and the `most` noise where known."""
-    repeats = noise_of_repeats(linear, task.resolution)
-    repeats = replace(repeats, sigma=min(repeats.sigma, most))
+def _prepared(task: SearchTask, linear: LinearSystem) -> Prepared:
+    """Prepare readings for the search."""
+    repeats = task.repeats(linear)
     grid = grid_with_rounding(linear, repeats.sigma, task.setting_rad, task.resolution)
     candidates = make_candidates(linear, repeats.sigma, absent=task.absent)
     candidates = without_copies(with_terms(candidates, linear), grid.white[len(grid.white) // 2])
     whitened = Whitened.of(grid, candidates)
-    limit = limit or task.cache.threshold(linear, whitened, task.setting_rad)
+    limit = task.cache.threshold(linear, whitened, task.setting_rad)
     data = whitened.reduce(linear.response[:, None])
     return Prepared(linear, repeats, candidates, whitened, data, limit, np.zeros(len(linear)))
 
 
-def _relinearised(task: _Task, prepared: Prepared, naming: Naming) -> Prepared | None:
+def _relinearised(task: SearchTask, prepared: Prepared, naming: Naming) -> Prepared | None:
     """Return the readings linearised about the finds; None where they are linear enough already."""
     linear, candidates = prepared.linear, prepared.candidates
     noise = noise_size(prepared.whitened, prepared.data, naming.columns)
@@ -298,7 +263,7 @@ def _relinearised(task: _Task, prepared: Prepared, naming: Naming) -> Prepared |
     bend = moved - candidates.columns[:, columns] @ sizes - prepared.bend
     if float(np.max(np.abs(bend))) < BENT * noise.reading:
         return None
-    readings = task.readings
+    readings = linear.readings
     try:
         again = task.linear(replace(readings, signal=readings.signal - change))
     except CalibrationError:  # what was found is too large to be true
@@ -309,7 +274,5 @@ def _relinearised(task: _Task, prepared: Prepared, naming: Naming) -> Prepared |
     told = replace_columns(candidates, told.columns)
     back = told.columns[:, columns] @ sizes
     about = in_the_noise_of(linear, replace(again, readings=readings, response=again.response + back))
-    grid = grid_with_rounding(about, prepared.repeats.sigma, task.setting_rad, task.resolution)
-    whitened = Whitened.of(grid, told)
-    data = whitened.reduce(about.response[:, None])
+    whitened, data = task.whiten(about, told, prepared.repeats.sigma)
     return replace(prepared, linear=about, candidates=told, whitened=whitened, data=data, bend=moved - back)

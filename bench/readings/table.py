@@ -305,6 +305,16 @@ def _first_s(table: Readings) -> float:
     return float(table.time_s[0]) if np.isfinite(table.time_s[0]) else 0.0
 
 
+def is_record(table: Readings) -> bool:
+    """Return whether a table is a record at a known input: rows R alone."""
+    return len(table) > 0 and bool(np.all(table.installation == REFERENCE))
+
+
+def all_free(tables: Sequence[Readings]) -> bool:
+    """Return whether these tables have free positions and nothing else."""
+    return bool(tables) and all(len(table) and np.all(table.installation == FREE) for table in tables)
+
+
 def stacked(tables: Sequence[Readings], notes: tuple[str, ...] = ()) -> Readings:
     """Return the tables concatenated, with `notes` first; each table's own notes are prefixed with its name."""
     columns: dict[str, Any] = {

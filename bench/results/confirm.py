@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Literal
 
 from pydantic import Field
 from rich.console import Console
 
-from bench.base.numbers import typeset
+from bench.base.numbers import rounded, typeset, uncertainty
 from bench.base.result_model import Real, ResultModel
 from bench.base.tables import print_notes
 from bench.diagnosis.confirm import Confirmation, EffectNow
+from bench.diagnosis.free_records import FreeDiagnosis
 from bench.diagnosis.gap import FLOOR
+from bench.diagnosis.record_diagnosis import RecordDiagnosis
+from bench.diagnosis.result import Diagnosis
+from bench.diagnosis.show import label
 from bench.results import diagnosis_words as words
 from bench.results.parts import BenchPart, CorrectionPart
 
@@ -141,14 +145,14 @@ def print_confirmation(source: str, found: Confirmation, notes: Sequence[str], o
     """Print the verdict on each effect, and how much of the gap the model closes."""
     print_notes(out, notes)
     for effect in found.effects:
-        for line in words.effect_now_in_words(effect):
+        for line in effect_now_in_words(effect):
             out.print(line)
     out.print(
         f"Reduced chi-square {found.before.reduced:.2f} without the model, {found.after.reduced:.2f} with it "
         f"(noise alone: 1; {typeset(words.p_in_words(found.p_after, 2))} with it)"
     )
     # if values changed, effects found beside the model merely compensate for its wrong values
-    left = words.beside_in_words(found.diagnosis)
+    left = beside_in_words(found.diagnosis)
     if left and found.verdict == "confirmed":
         out.print(
             f"These readings also contain another effect: {left}; 'bench diagnose' with this model names it"
@@ -156,6 +160,37 @@ def print_confirmation(source: str, found: Confirmation, notes: Sequence[str], o
     closed = words.closed_in_words(
         found.closed, found.before.rms_g, found.after.rms_g, found.after.expected_rms_g, found.unit
     )
-    ties = dict.fromkeys(map(words.either_in_words, found.effects))
+    ties = dict.fromkeys(map(either_in_words, found.effects))
     told = "; ".join([*filter(None, ties), closed])
     out.print(f"{source}: {found.verdict.upper()}: {told}", style="bold")
+
+
+def either_in_words(effect: EffectNow) -> str:
+    """Return the names of a tie, "either of A or B"; "" if the effect has only one name."""
+    names = effect.applied.either_of
+    return f"either of {', '.join(names[:-1])} or {names[-1]}" if len(names) > 1 else ""
+
+
+def effect_now_in_words(effect: EffectNow) -> Iterator[str]:
+    """Yield lines on an effect in new readings: its verdict, and its values in the model and in the readings."""
+    name = either_in_words(effect) or label(effect.applied)
+    if effect.verdict is None:
+        yield f"{name}: these readings do not show it"
+        return
+    chances = (
+        f"{words.p_in_words(effect.p_same)} of the same values, {words.p_in_words(effect.p_none)} of none"
+    )
+    yield f"{name}: {effect.verdict} ({typeset(chances)})"
+    for was, now in zip(effect.found, effect.now, strict=True):
+        of = f" of {was.channel}" if was.channel else ""
+        u = "" if not was.u else f" ± {uncertainty(was.u)}"
+        then = words.with_unit(f"{rounded(was.value, was.u or now.u or 1.0)}{u}", was.unit)
+        here = words.with_u(now.value, now.u or 0.0, now.unit)
+        yield f"  {was.parameter}{of} = {then} in the model, {here} in these readings"
+
+
+def beside_in_words(diagnosis: Diagnosis | FreeDiagnosis | RecordDiagnosis) -> str:
+    """Return the names of the effects found in a diagnosis of any kind of readings."""
+    if isinstance(diagnosis, FreeDiagnosis):
+        return "; ".join(" or ".join([one.name, *one.cannot_tell_from]) for one in diagnosis.found)
+    return words.alike_in_words(diagnosis.effects)

@@ -8,9 +8,8 @@ from pydantic import BeforeValidator, Field
 
 from bench.base.result_model import Real, ResultModel
 from bench.diagnosis.gap import FLOOR, UNDETERMINED, Fold, Gap, rms
-from bench.diagnosis.local_scatter import LocalScatter
 from bench.diagnosis.mistakes.search import Mistake
-from bench.diagnosis.noise_kinds import NoiseKind
+from bench.diagnosis.noise_kinds import LocalScatter, NoiseKind
 from bench.diagnosis.posterior import KnownTogether
 from bench.diagnosis.residual_model import FormTerm, FreeForm
 

@@ -11,14 +11,11 @@ from typing import Final
 import numpy as np
 
 from bench.base.languages import message
-from bench.base.numbers import fixed, quantity, rounded, two_digits, typeset, uncertainty
-from bench.diagnosis.confirm import EffectNow
-from bench.diagnosis.free_records import FreeDiagnosis
+from bench.base.numbers import fixed, quantity, rounded, two_digits, uncertainty
 from bench.diagnosis.gap import Gap
 from bench.diagnosis.mistakes.search import Mistake
 from bench.diagnosis.next_measurement import Proposal
 from bench.diagnosis.pipeline import LISTED_FAR, FullDiagnosis, Rival
-from bench.diagnosis.record_diagnosis import RecordDiagnosis
 from bench.diagnosis.residual_model import FormTerm, FreeForm, UnexplainedScatter
 from bench.diagnosis.result import UNNAMED_WORDS, Diagnosis, EffectValue, NamedEffect
 from bench.diagnosis.show import CoefficientChange, ModelComparison, label
@@ -114,7 +111,7 @@ def parameters_in_words(effect: NamedEffect) -> Iterator[str]:
         yield (
             message(
                 f"{one.combination} of {one.parameter} of {' and '.join(one.of)} = "
-                f"{_with_u(one.value, one.u, one.unit)}: only this combination is well determined"
+                f"{with_u(one.value, one.u, one.unit)}: only this combination is well determined"
             )
         )
 
@@ -130,10 +127,11 @@ def _value_in_words(value: EffectValue) -> str:
         return message(
             f"{with_unit(format(value.value, 'g'), value.unit)} (its shape, the likeliest of those tried)"
         )
-    return _with_u(value.value, value.u, value.unit)
+    return with_u(value.value, value.u, value.unit)
 
 
-def _with_u(value: float, u: float, unit: str) -> str:
+def with_u(value: float, u: float, unit: str) -> str:
+    """Return a value with its standard uncertainty and unit: "58.1 ± 5.2 µg/g² (u)"."""
     return f"{with_unit(f'{rounded(value, u)} ± {uncertainty(u)}', unit)} (u)"
 
 
@@ -366,13 +364,6 @@ def mountings_of(block: ModelComparison) -> str:
     return ", ".join(str(mount) for mount in block.before.calibration.fitted.conditions().mounts)
 
 
-def beside_in_words(diagnosis: Diagnosis | FreeDiagnosis | RecordDiagnosis) -> str:
-    """Return the names of the effects found in a diagnosis of any kind of readings."""
-    if isinstance(diagnosis, FreeDiagnosis):
-        return "; ".join(" or ".join([one.name, *one.cannot_tell_from]) for one in diagnosis.found)
-    return alike_in_words(diagnosis.effects)
-
-
 def shift_in_words(ranking: Sequence[Rival], other: str) -> str:
     """Return the coefficient that would change most if `other` were the cause, with its change; "" for no rival."""
     for rival in ranking:
@@ -466,28 +457,6 @@ def less_certain(coefficients: Mapping[str, CoefficientChange]) -> list[str]:
     grown = [(name, one.u_after / one.u_before) for name, one in coefficients.items() if one.u_before > 0]
     grown.sort(key=lambda pair: -pair[1])
     return [f"{name} (u {two_digits(times)} times)" for name, times in grown if times > MUCH_LESS_CERTAIN]
-
-
-def either_in_words(effect: EffectNow) -> str:
-    """Return the names of a tie, "either of A or B"; "" if the effect has only one name."""
-    names = effect.applied.either_of
-    return f"either of {', '.join(names[:-1])} or {names[-1]}" if len(names) > 1 else ""
-
-
-def effect_now_in_words(effect: EffectNow) -> Iterator[str]:
-    """Yield lines on an effect in new readings: its verdict, and its values in the model and in the readings."""
-    name = either_in_words(effect) or label(effect.applied)
-    if effect.verdict is None:
-        yield f"{name}: these readings do not show it"
-        return
-    chances = f"{p_in_words(effect.p_same)} of the same values, {p_in_words(effect.p_none)} of none"
-    yield f"{name}: {effect.verdict} ({typeset(chances)})"
-    for was, now in zip(effect.found, effect.now, strict=True):
-        of = f" of {was.channel}" if was.channel else ""
-        u = "" if not was.u else f" ± {uncertainty(was.u)}"
-        then = with_unit(f"{rounded(was.value, was.u or now.u or 1.0)}{u}", was.unit)
-        here = _with_u(now.value, now.u or 0.0, now.unit)
-        yield f"  {was.parameter}{of} = {then} in the model, {here} in these readings"
 
 
 def term_in_words(term: FormTerm) -> str:

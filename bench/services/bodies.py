@@ -13,19 +13,14 @@ from typing import Final
 import numpy as np
 
 from bench.base.arrays import Floats, Mask
-from bench.base.files import write_whole
-from bench.base.text import visible
-from bench.diagnosis.free_positions import all_free
 from bench.diagnosis.mistakes.search import Mistake
-from bench.readings.corrected import MistakeName, as_read
-from bench.readings.csv import format_csv
-from bench.readings.table import JoinedPart, Readings, together
+from bench.readings.corrected import MistakeName
+from bench.readings.table import JoinedPart, Readings, all_free, together
 from bench.run.causes import STOP_ALARM
 from bench.run.early_warning import watcher_of
 from bench.run.events import EventType
 from bench.run.expectation import CABLINGS, EarlySign, Kind
 from bench.run.folder import Run
-from bench.services.bench_selection import SUFFIX
 from bench.services.errors import Refused
 from bench.services.own_effects import knowing_effects_in
 from bench.services.requests.evaluation import Diagnose
@@ -349,27 +344,3 @@ def _mistake(
 ) -> Mistake:
     told = f"{words} (as the early warning named it)"
     return Mistake(name, channels, (installation,), pass_number, point, told, p, ())
-
-
-def write_content(path: Path, content: str) -> Path:
-    """Write a text file, with its folder; return its path. Raises `OSError`."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(path, content)
-    return path
-
-
-def write_copy(body: Body, mistakes: Sequence[Mistake], corrected: Readings, path: Path) -> Path:
-    """Write the copy in which mistakes are corrected, and its origin file in the same folder.
-
-    The copy holds the values that the instruments showed; reading it with the same bench file gives exactly
-    `corrected`.
-    """
-    source = body.source
-    content = format_csv(as_read(corrected, source.traced.by))
-    if source.origin is not None and len(body.sources) == 1:
-        mended = tuple(visible(mistake.words) for mistake in mistakes)
-        origin = source.origin.model_copy(update={"mended": (*source.origin.mended, *mended)})
-        write_content(path, content)
-        write_content(path.with_name(path.name + SUFFIX), origin.text_beside(path, content.encode()))
-        return path
-    return write_content(path, content)

@@ -14,12 +14,12 @@ from bench.base.tables import as_text
 from bench.config.model_file import load_model
 from bench.diagnosis import ThresholdCache
 from bench.diagnosis.confirm import Confirmation, confirm
-from bench.diagnosis.free_positions import all_free, confirm_free
+from bench.diagnosis.free_positions import confirm_free
 from bench.diagnosis.free_records import OUTLIER, FreeDiagnosis
 from bench.diagnosis.mistakes.search import Mistake
 from bench.diagnosis.record_confirm import confirm_record
 from bench.diagnosis.record_diagnosis import RecordDiagnosis
-from bench.diagnosis.record_model import is_record
+from bench.readings.table import all_free, is_record
 from bench.results.confirm import confirm_result, print_confirmation
 from bench.services.bodies import put_right
 from bench.services.errors import Refused

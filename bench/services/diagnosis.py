@@ -4,154 +4,53 @@ from __future__ import annotations
 
 import multiprocessing
 import os
-from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import count
 from pathlib import Path
-from typing import Any, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Self, TypeAlias
 
 import numpy as np
 from rich.console import Console
 
 from bench.base.computing import tracked
-from bench.base.files import cache_folder, write_whole
+from bench.base.files import cache_folder
 from bench.base.languages import message
-from bench.base.tables import as_text
-from bench.base.yaml_files import FileMistakes
 from bench.calibration.result import CalibrationError
 from bench.config.formulas import effects_in, files_of_environment
 from bench.config.model_file import load_model, write_model_file
 from bench.diagnosis.evidence import ThresholdCache
-from bench.diagnosis.free_positions import all_free, diagnose_free
-from bench.diagnosis.free_records import FreeDiagnosis
-from bench.diagnosis.mistakes.search import Mistake, MistakesLeaveTooLittle
+from bench.diagnosis.mistakes.search import MistakesLeaveTooLittle
 from bench.diagnosis.next_measurement import Proposal
 from bench.diagnosis.pipeline import FullDiagnosis, MistakesAlone, diagnose_fully
-from bench.diagnosis.record_diagnosis import RecordDiagnosis, diagnose_record
-from bench.diagnosis.record_model import is_record
 from bench.diagnosis.result import Diagnosis
 from bench.diagnosis.show import label
 from bench.model import CATALOGUE, AppliedEffect
 from bench.readings.corrected import as_read
 from bench.readings.csv import format_csv
-from bench.readings.table import Readings
+from bench.readings.table import Readings, all_free, is_record
 from bench.results import diagnosis as text
 from bench.results import diagnosis_words as words
-from bench.results import free_diagnosis as free
-from bench.results import record_diagnosis as of_record
 from bench.results.diagnosis_words import NO_FILES, Files
-from bench.services.bodies import Body, put_right, whole_body, write_content, write_copy
+from bench.services.bodies import Body, put_right, whole_body
+from bench.services.body_results import BodyResult, ResultWithPage, by_unused_name, write_content
 from bench.services.errors import Refused
 from bench.services.own_effects import knowing_effects_in, knowing_effects_of
 from bench.services.requests.evaluation import Diagnose
-from bench.services.source import Failed, Source, attempted, data_sha256, done, provenance
+from bench.services.source import Failed, attempted, data_sha256, done, provenance
 
-T = TypeVar("T")
-Found = FullDiagnosis | MistakesAlone | FreeDiagnosis | RecordDiagnosis
+if TYPE_CHECKING:
+    from bench.diagnosis.free_records import FreeDiagnosis
+    from bench.diagnosis.record_diagnosis import RecordDiagnosis
+    from bench.services.record_diagnosis import RecordDiagnosisResult
 
 
 # --- results ----------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class _Result(ABC):
-    """The result of diagnosing a body of readings: the findings (`found`) and the files written.
-
-    `not_written` says which files could not be written, and why.
-    """
-
-    body: Body
-    found: Found
-    files: Files = NO_FILES
-    not_written: tuple[str, ...] = ()
-
-    @property
-    def source(self) -> Source:
-        """The readings, the bench and the model."""
-        return self.body.source
-
-    @property
-    def verdict(self) -> str:
-        """One of agrees, mistake, named, confounded, unknown."""
-        return "mistake"
-
-    @property
-    def bench(self) -> str:
-        """The name of the bench file used for the errors of the stand and gravity, with the reason for it."""
-        return self.source.taken.words
-
-    @property
-    def next_measurement(self) -> Proposal | None:
-        """The measurement proposed next; None if nothing is proposed."""
-        return None
-
-    @abstractmethod
-    def to_dict(self) -> dict[str, Any]:
-        """Return the result as `bench diagnose --json` writes it, with the files that were written."""
-
-    @abstractmethod
-    def print_on(self, out: Console) -> None:
-        """Print the diagnosis in the order in which it was made."""
-
-    @abstractmethod
-    def written(self, *, accept_first: bool = False, report: bool = True) -> Self:
-        """Write all files of `bench diagnose`; return the result with their paths.
-
-        `accept_first` writes a model also if the readings cannot decide between effects, with the likeliest
-        one. A file that cannot be written is noted in `not_written`, or raises `OSError` if an output folder
-        was requested.
-        """
-
-    def __repr__(self) -> str:
-        """Return the output of `bench diagnose`, with the bench file that was used."""
-        return f"{as_text(self.print_on)}\nbench: {self.bench}"
-
-    def _tried(self, what: str, write: Callable[[], T]) -> tuple[T | None, Self]:
-        """Return the value of `write` and the result; None and a note in the result if writing fails."""
-        try:
-            return write(), self
-        except OSError as error:
-            if self.source.request.out is not None:
-                raise
-            note = f"{what} was not written ({error.strerror}); use --out DIR"
-            return None, replace(self, not_written=(*self.not_written, note))
-
-    def _with_copy(self, mistakes: Sequence[Mistake], corrected: Readings) -> Self:
-        """Write the copy of the readings in which mistakes are corrected, if there are any; return the result."""
-        if not mistakes:
-            return self
-        place = self.body.output("-corrected.csv")
-        path, result = self._tried(
-            "the corrected copy of the readings", lambda: write_copy(self.body, mistakes, corrected, place)
-        )
-        return result if path is None else replace(result, files=Files(copies=(path,)))
-
-
-class _WithPage(_Result):
-    """A result of a diagnosis that has an HTML page."""
-
-    @abstractmethod
-    def html(self) -> str:
-        """Return the HTML page."""
-
-    def report(self, path: str | Path) -> Path:
-        """Write the self-contained HTML page; return its path. Raises `OSError`."""
-        write_whole(Path(path), self.html())
-        return Path(path)
-
-    def _with_report(self) -> Self:
-        # the page does not contain its own path, so it can be rendered before it is written
-        page, file = self.html(), self.body.output(".html")
-        path, result = self._tried(str(file), lambda: write_content(file, page))
-        return replace(result, files=replace(result.files, report=path))
-
-
 @dataclass(frozen=True, repr=False)
-class MistakesResult(_Result):
+class MistakesResult(BodyResult):
     """A diagnosis that ended with mistakes: the remaining readings do not determine the coefficients."""
 
     found: MistakesAlone
@@ -169,11 +68,11 @@ class MistakesResult(_Result):
 
     def written(self, *, accept_first: bool = False, report: bool = True) -> Self:
         """Write the copy in which the mistakes are corrected; this result has neither model nor page."""
-        return self._with_copy(self.found.mistakes, self.found.corrected)
+        return self.with_copy(self.found.mistakes, self.found.corrected)
 
 
 @dataclass(frozen=True, repr=False)
-class DiagnosisResult(_WithPage):
+class DiagnosisResult(ResultWithPage):
     """Where readings and model disagree, what is missing, and how far it closes the gap.
 
     result = bench.diagnose("unit-17")
@@ -253,18 +152,18 @@ class DiagnosisResult(_WithPage):
     def written(self, *, accept_first: bool = False, report: bool = True) -> Self:
         """Write corrected readings, model, next procedure and page; return the result with their paths."""
         mistakes, body = self.diagnosis.mistakes, self.body
-        result = self._with_copy(mistakes.mistakes, mistakes.corrected)
+        result = self.with_copy(mistakes.mistakes, mistakes.corrected)
         if self.model_is_due(accept_first=accept_first):
             file = body.output("-model.yaml")
-            model, result = result._tried(str(file), partial(_by_unused_name, file, result._write_model))
+            model, result = result.tried(str(file), partial(by_unused_name, file, result._write_model))
             models = () if model is None else (model,)
             result = replace(result, files=replace(result.files, models=models))
         if self.next_measurement is not None:
             write = partial(self.next_measurement.write, body.output("-next.yaml"))
-            proposal, result = result._tried("the next procedure", write)
+            proposal, result = result.tried("the next procedure", write)
             if proposal is not None:
                 result = replace(result, found=replace(self.found, next_measurement=proposal))
-        return result._with_report() if report else result
+        return result.with_report() if report else result
 
     def _write_model(self, path: Path) -> None:
         source, after, found = self.source, self.found.shown.after, self.diagnosis
@@ -286,7 +185,7 @@ class DiagnosisResult(_WithPage):
 
 
 @dataclass(frozen=True, repr=False)
-class FreeDiagnosisResult(_WithPage):
+class FreeDiagnosisResult(ResultWithPage):
     """Where free positions and model disagree, what is missing, and how far it closes the gap."""
 
     found: FreeDiagnosis
@@ -323,6 +222,8 @@ class FreeDiagnosisResult(_WithPage):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as `bench diagnose --json` writes it."""
+        from bench.results import free_diagnosis as free
+
         sources = self.body.sources
         with knowing_effects_of(*sources):
             return free.free_result(
@@ -336,6 +237,8 @@ class FreeDiagnosisResult(_WithPage):
 
     def html(self) -> str:
         """Return the HTML page."""
+        from bench.results import free_diagnosis as free
+
         title = message(f"Diagnosis of {self.source.block_name or free.readings_named(self.found)}")
         simulated = any(source.simulated for source in self.body.sources)
         with knowing_effects_of(self.source):
@@ -345,6 +248,8 @@ class FreeDiagnosisResult(_WithPage):
 
     def print_on(self, out: Console) -> None:
         """Print the diagnosis in the order in which it was made."""
+        from bench.results import free_diagnosis as free
+
         with knowing_effects_of(self.source):
             free.print_free(self.found, self.files, out)
 
@@ -353,6 +258,8 @@ class FreeDiagnosisResult(_WithPage):
 
         Returns the paths. Raises `Refused` if there is no model to write, `FileMistakes` if a file exists.
         """
+        from bench.results import free_diagnosis as free
+
         models = self.models_of(accept_first=accept_first)
         if not models:
             raise Refused(f"{path}: no model file was written {free.why_no_model(self.found)}")
@@ -370,18 +277,20 @@ class FreeDiagnosisResult(_WithPage):
         result, copies, written = self, [], []
         for number, readings in self.corrected().items():
             place = self.body.output("-corrected.csv", number)
-            path, result = result._tried(str(place), partial(write_content, place, format_csv(readings)))
+            path, result = result.tried(str(place), partial(write_content, place, format_csv(readings)))
             copies += [path] * (path is not None)
         models = self.models_of(accept_first=accept_first)
         for number, effects in enumerate(models, start=1):
             file = self.body.output(f"-model-sensor-{number}.yaml" if len(models) > 1 else "-model.yaml")
-            write = partial(_by_unused_name, file, partial(self._write_model, effects))
-            path, result = result._tried(str(file), write)
+            write = partial(by_unused_name, file, partial(self._write_model, effects))
+            path, result = result.tried(str(file), write)
             written += [path] * (path is not None)
         result = replace(result, files=Files(tuple(filter(None, copies)), tuple(filter(None, written))))
-        return result._with_report() if report else result
+        return result.with_report() if report else result
 
     def _write_model(self, effects: tuple[AppliedEffect, ...], path: Path) -> None:
+        from bench.results import free_diagnosis as free
+
         added = dict.fromkeys(label(one) for each in self.found.found for one in each.applied)
         hashes = (*self.body.sha256, *(data_sha256(table) for table in self.corrected().values()))
         write_model_file(
@@ -394,61 +303,7 @@ class FreeDiagnosisResult(_WithPage):
         )
 
 
-@dataclass(frozen=True, repr=False)
-class RecordDiagnosisResult(_WithPage):
-    """What meters and reference of a record at a known input follow, and how well it predicts what is held out."""
-
-    found: RecordDiagnosis
-
-    @property
-    def verdict(self) -> str:
-        """One of agrees, named, confounded, unknown."""
-        return self.found.verdict
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the result as `bench diagnose --json` writes it."""
-        source = self.source
-        return of_record.record_result(
-            self.found, self.files, source.taken.part(), source.traced.parts(),
-            simulated=source.simulated, skipped_rows=source.readings.skipped,
-        ).to_dict()  # fmt: skip
-
-    def html(self) -> str:
-        """Return the HTML page."""
-        title, told = f"Diagnosis of {self.source.name}", provenance(self.source)
-        return of_record.render_record(self.found, self.files, title, told, simulated=self.source.simulated)
-
-    def print_on(self, out: Console) -> None:
-        """Print the diagnosis, the verdict last."""
-        of_record.print_record(self.found, self.files, out)
-
-    def _model_is_due(self, *, accept_first: bool) -> bool:
-        return self.verdict == "named" or (accept_first and self.verdict == "confounded")
-
-    def write_model(self, path: str | Path, *, accept_first: bool = False) -> Path:
-        """Write the model file with the effects found; return its path. Raises `Refused`, `FileMistakes`."""
-        if not self._model_is_due(accept_first=accept_first):
-            raise Refused(f"{path}: no model file is written where nothing was found that has one name")
-        effects = (*self.source.model.effects, *self.found.applied)
-        name = " + ".join([self.source.model.name, *map(label, self.found.applied)])
-        evidence = of_record.evidence_in_words(self.found)
-        write_model_file(
-            Path(path), name, effects, parent=self.source.model.name, evidence=evidence,
-            data_sha256=" ".join(self.body.sha256),
-        )  # fmt: skip
-        return Path(path)
-
-    def written(self, *, accept_first: bool = False, report: bool = True) -> Self:
-        """Write model and page; return the result with their paths."""
-        result, file = self, self.body.output("-model.yaml")
-        if self._model_is_due(accept_first=accept_first):
-            write = partial(self.write_model, accept_first=accept_first)
-            model, result = self._tried(str(file), partial(_by_unused_name, file, write))
-            result = replace(result, files=Files(models=() if model is None else (model,)))
-        return result._with_report() if report else result
-
-
-Diagnosed = DiagnosisResult | FreeDiagnosisResult | MistakesResult | RecordDiagnosisResult
+Diagnosed: TypeAlias = "DiagnosisResult | FreeDiagnosisResult | MistakesResult | RecordDiagnosisResult"
 
 
 def print_diagnosed(results: Sequence[Diagnosed | Failed], out: Console) -> None:
@@ -460,21 +315,6 @@ def print_diagnosed(results: Sequence[Diagnosed | Failed], out: Console) -> None
     for one in done(results):
         if one not in listed:
             one.print_on(out)
-
-
-# --- files ------------------------------------------------------------------------------------------
-
-
-def _by_unused_name(path: Path, write: Callable[[Path], object]) -> Path:
-    """Write a file under an unused name: `path`, or `path` with a number from 2 on."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    for number in count(1):
-        free_path = path if number == 1 else path.with_name(f"{path.stem}-{number}{path.suffix}")
-        if not free_path.exists():
-            with suppress(FileMistakes):  # another program may have created it since
-                write(free_path)
-                return free_path
-    raise AssertionError
 
 
 # --- diagnosing -------------------------------------------------------------------------------------
@@ -516,12 +356,16 @@ def diagnosis_of(body: Body) -> Diagnosed:
         return _result(body, _found(body))
 
 
-def _found(body: Body) -> Found:
+def _found(body: Body) -> FullDiagnosis | MistakesAlone | FreeDiagnosis | RecordDiagnosis:
     source = body.source
     if all_free([one.readings for one in body.sources]):
+        from bench.diagnosis.free_positions import diagnose_free
+
         tables = [replace(one.readings, source=one.name) for one in body.sources]
         return diagnose_free(tables, body.one_block, source.model)
     if is_record(source.readings):
+        from bench.diagnosis.record_diagnosis import diagnose_record
+
         return diagnose_record(source.readings)
     readings, known = put_right(source)
     try:
@@ -547,16 +391,24 @@ def _found(body: Body) -> Found:
 
 
 def _result(
-    body: Body, found: Found, files: Files = NO_FILES, not_written: tuple[str, ...] = ()
+    body: Body,
+    found: FullDiagnosis | MistakesAlone | FreeDiagnosis | RecordDiagnosis,
+    files: Files = NO_FILES,
+    not_written: tuple[str, ...] = (),
 ) -> Diagnosed:
-    kinds: dict[type[Any], type[Any]] = {
-        FreeDiagnosis: FreeDiagnosisResult, MistakesAlone: MistakesResult, RecordDiagnosis: RecordDiagnosisResult,
-    }  # fmt: skip
-    made: Diagnosed = kinds.get(type(found), DiagnosisResult)(body, found, files, not_written)
-    return made
+    if isinstance(found, FullDiagnosis):
+        return DiagnosisResult(body, found, files, not_written)
+    if isinstance(found, MistakesAlone):
+        return MistakesResult(body, found, files, not_written)
+    from bench.diagnosis.free_records import FreeDiagnosis
+    from bench.services.record_diagnosis import RecordDiagnosisResult
+
+    if isinstance(found, FreeDiagnosis):
+        return FreeDiagnosisResult(body, found, files, not_written)
+    return RecordDiagnosisResult(body, found, files, not_written)
 
 
-_Done = tuple[Found, Files, tuple[str, ...]]
+_Done = tuple[Any, Files, tuple[str, ...]]
 """The data passed between processes: the findings, the files, and the files that could not be written."""
 
 

@@ -11,7 +11,7 @@ from bench.calibration.design import EffectUnknown
 from bench.config.model_file import load_model, write_model_file
 from bench.diagnosis.confirm import EstimatedEffects, confirm, judged
 from bench.model import CATALOGUE, AppliedEffect
-from bench.results.diagnosis_words import effect_now_in_words, either_in_words
+from bench.results.confirm import effect_now_in_words, either_in_words
 from tests.diagnosis.test_next_measurement import Fixed
 from tests.support.diagnosis_bench import MODEL, STAND, paper_run
 

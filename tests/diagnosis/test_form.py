@@ -11,8 +11,8 @@ from bench.config.formulas import effects_as_written, written_formulas
 from bench.diagnosis import diagnose
 from bench.diagnosis.candidates import make_candidates, with_terms, without_copies
 from bench.diagnosis.linear import make_linear
-from bench.diagnosis.local_scatter import larger_scatter
 from bench.diagnosis.noise_grid import Repeats, make_whitener
+from bench.diagnosis.noise_kinds import larger_scatter
 from bench.diagnosis.posterior import NoiseSize
 from bench.diagnosis.residual_dictionary import dictionary
 from bench.diagnosis.residual_model import UNNAMED_FORM, UnexplainedScatter

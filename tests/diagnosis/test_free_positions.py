@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from bench.calibration import CalibrationError
-from bench.diagnosis.free_positions import all_free, diagnose_free
+from bench.diagnosis.free_positions import diagnose_free
 from bench.diagnosis.free_records import make_rows
 from bench.readings.csv import read_csv
-from bench.readings.table import make_readings
+from bench.readings.table import all_free, make_readings
 from bench.results.diagnosis_parts import gap_part
 
 MIMU = Path(__file__).parents[1] / "data" / "mimu"

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from bench.diagnosis.evidence import null_responses
-from bench.diagnosis.local_scatter import relative_by_place, residuals
 from bench.diagnosis.noise_grid import RATIOS
-from bench.diagnosis.noise_kinds import noise_hypotheses, slow_noise
+from bench.diagnosis.noise_kinds import noise_hypotheses, relative_by_place, residuals, slow_noise
 from bench.diagnosis.posterior import NoiseSize
-from bench.diagnosis.single_run_search import search_run
+from bench.diagnosis.single_run_search import SearchTask, search_run
 from tests.support.diagnosis_bench import MODEL, NOISE_V, OneThreshold, paper_run, set_up
 from tests.support.paper_bench import SETTING_U_RAD, STAND_U
 
@@ -102,7 +101,7 @@ def test_noise_that_is_alike_has_no_place(made):
 
 
 def chosen(readings):
-    prepared, naming = search_run(readings, MODEL, STAND_U, SETTING_U_RAD, OneThreshold(), 0.0)
+    prepared, naming = search_run(SearchTask(MODEL, STAND_U, SETTING_U_RAD, 0.0, OneThreshold()), readings)
     kinds = set(prepared.chosen)
     return kinds, naming
 

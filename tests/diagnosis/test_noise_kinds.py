@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from bench.diagnosis import diagnose
-from bench.diagnosis.mistakes.single_readings import odds_of_tails
 from bench.diagnosis.noise_grid import digit_of, is_coarse, make_noise_grid, repeated
 from bench.diagnosis.noise_kinds import sizes_by_channel
 from bench.diagnosis.posterior import NoiseSize, whiten_rows
@@ -65,27 +64,6 @@ def test_unequal_noise_is_told_and_nothing_is_found():
     assert found.verdict == "agrees"
     assert [kind.what for kind in found.noise_kinds] == ["channels"]
     np.testing.assert_allclose(found.noise_by_channel, [9e-6, 15e-6, 33e-6], rtol=0.45)
-
-
-def test_tails_are_told_from_normal_noise():
-    """300 values, 40 draws each (seed 7): at most 2 of normal noise above -1, at least 36 with tails."""
-    rng = np.random.default_rng(7)
-    normal = [odds_of_tails(rng.normal(size=300)) for _ in range(40)]
-    tailed = [odds_of_tails(rng.standard_t(4, 300)) for _ in range(40)]
-    assert np.sum(np.array(normal) > -1.0) <= 2
-    assert np.sum(np.array(tailed) > -1.0) >= 36
-    assert odds_of_tails(rng.standard_t(4, 10)) == 0.0
-
-
-def test_one_reading_far_out_is_an_outlier_of_a_normal_noise_and_a_tail_of_a_heavy_one():
-    """150 values, 40 draws each (seed 12), one more at 9 standard deviations: right in at least 30 of 40."""
-    rng = np.random.default_rng(12)
-    far = np.array([9.0])
-    normal = [odds_of_tails(rng.normal(size=150), far) for _ in range(40)]
-    tailed = [odds_of_tails(rng.standard_t(4, 150) / np.sqrt(2), far) for _ in range(40)]
-    assert np.sum(np.array(normal) < 0.0) >= 30
-    assert np.sum(np.array(tailed) > 0.0) >= 30
-    assert odds_of_tails(rng.normal(size=150), 30.0 + np.zeros(1)) < -3.0
 
 
 @pytest.mark.slow

@@ -7,8 +7,9 @@ from bench.base.arrays import rms
 from bench.calibration.result import CalibrationError
 from bench.diagnosis.record_confirm import confirm_record
 from bench.diagnosis.record_diagnosis import diagnose_record
-from bench.diagnosis.record_model import is_record, make_record
+from bench.diagnosis.record_model import make_record
 from bench.readings.csv import read_csv
+from bench.readings.table import is_record
 from tests.support.known_inputs import BATH, BATH_COLUMNS, SWEPT, SWEPT_COLUMNS, as_readings, twin
 
 THERMAL = {"voltmeter_thermal_gain", "voltmeter_thermal_offset"}

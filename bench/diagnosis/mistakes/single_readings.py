@@ -32,45 +32,13 @@ from bench.model.geometry import Block
 from bench.readings.corrected import SLIPS_RAD as SLIP_SIZES_RAD
 from bench.readings.corrected import reflected_rad
 
-HEAVY_DOF: Final = 4.0
-"""Degrees of freedom of the Student t distribution that stands for noise with heavy tails."""
-SCALES: Final = np.geomspace(0.3, 2.0, 40)
-"""Scales of the t distribution that are tried, in units of the values' root mean square."""
-LEAST_VALUES: Final = 12
-NONE: Final = np.zeros(0)
-
-
 BEYOND_TAILS: Final = 17.0
-"""Least size of an outlier, in units of the noise of a reading, if the noise has heavy tails.
+"""Least size of an outlier, in units of the noise of a reading.
 
-A smaller one may be noise. Student's t of 4 degrees of freedom, with a scale a fifth too small for its tails,
-exceeds this size in 7 of 1,000 runs of the paper's length. An outlier of 20 times the noise still exceeds it if
-the noise is estimated 15 % too large.
+A smaller one may be a tail of the noise: the comparison of noise hypotheses and single readings decides. Student's
+t of 4 degrees of freedom, with a scale a fifth too small for its tails, exceeds this size in 7 of 1,000 runs of the
+paper's length. An outlier of 20 times the noise still exceeds it if the noise is estimated 15 % too large.
 """
-OUTLIER_RATE: Final = 1e-3
-"""Prior fraction of a record's values that are outliers."""
-OUTLIER_DECADES: Final = 4.0
-"""Powers of ten over which the size of an outlier is equally probable."""
-
-
-def odds_of_tails(values: Floats, outliers: Floats = NONE) -> float:
-    """Return ln of the likelihood of heavy-tailed noise, divided by that of normal noise with outliers.
-
-    `values` (n,) may be normal noise, `outliers` (m,) cannot; both are in the same unit. Each kind of noise has
-    its best scale. Below 0, normal noise is likelier; 0 if there are fewer than `LEAST_VALUES` values.
-    """
-    if len(values) < LEAST_VALUES:
-        return 0.0
-    size = float(np.sqrt(np.mean(values**2)))
-    if not size > 0.0:
-        return 0.0
-    normal = -len(values) * (0.5 + 0.5 * np.log(2 * np.pi))
-    density = OUTLIER_RATE / (OUTLIER_DECADES * np.log(10.0) * np.maximum(np.abs(outliers / size), 1.0))
-    z = np.concatenate([values, outliers]) / size
-    half = 0.5 * (HEAVY_DOF + 1.0)
-    constant = special.gammaln(half) - special.gammaln(0.5 * HEAVY_DOF) - 0.5 * np.log(HEAVY_DOF * np.pi)
-    heavy = constant - half * np.log1p((z[:, None] / SCALES) ** 2 / HEAVY_DOF) - np.log(SCALES)
-    return float(np.sum(heavy, axis=0).max() - normal - np.sum(np.log(density)))
 
 
 SLIPS_RAD: Final = tuple(
@@ -101,14 +69,6 @@ STANDS_OUT: Final = 3.5
 """Least size of a mistake, in standard deviations, also in the descriptions that have more unknowns than needed."""
 EXPLAINED: Final = 1e-4
 """A kind of mistake explains a reading if the p-value of the remaining difference is above this."""
-TAILS_ODDS: Final = -2.5
-"""Outliers below `BEYOND_TAILS` count as noise if `odds_of_tails` exceeds this (12 to 1 against heavy tails).
-
-Outliers taken for noise get a low weight and do little harm; outliers taken for mistakes are left out and
-reported.
-"""
-OF_READING: Final = 0.5
-"""A channel of a reading shows the noise of readings if at most this part of its variance lies along du/dphi."""
 DIRECTIONS: Final = 4
 """Tests of each reading: its three channels, and the direction of du/dphi."""
 
@@ -157,9 +117,7 @@ def find_single(
         freer = [weigh(description, situation, judged.noise).without(others) for description in held]
         if all(float(np.max(_studentised(p, situation, judged.noise, row))) > STANDS_OUT for p in freer):
             found.append(mistake)
-    near = [m for m in found if m.off_rad is None and _in_readings(m, judged.noise) < BEYOND_TAILS]
-    if near and _tailed(situation, judged, near):
-        found = [m for m in found if m not in near]
+    found = [m for m in found if m.off_rad is not None or _in_readings(m, judged.noise) >= BEYOND_TAILS]
     turned = level + 1 == len(described.ladder)
     return sorted(_alone(found, turned=turned), key=lambda m: -m.sigma), looks
 
@@ -167,19 +125,6 @@ def find_single(
 def _in_readings(mistake: SingleMistake, noise: Noise) -> float:
     """Return the size of an outlier in units of the noise of a reading."""
     return float(max(abs(mistake.shift["xyz".index(c)]) for c in mistake.channels)) / noise.reading
-
-
-def _tailed(situation: Situation, judged: Examination, near: Sequence[SingleMistake]) -> bool:
-    """Return whether the outliers `near` may be tails of the noise, judged with the other readings."""
-    rest = judged.precision.without(judged.strange)
-    good = np.setdiff1d(np.arange(len(situation.left)), judged.strange).tolist()
-    blocks, pulls = rest.blocks, rest.pulls
-    sizes = np.stack([_ways_of(blocks[r], pulls[r], _ways(situation, judged.noise, r)) for r in good])
-    along = np.stack([_along_parts(situation, judged.noise, r) for r in good])
-    by_channel = [sizes[along[:, c] < OF_READING, c] for c in range(3)]
-    scale = [max(float(np.sqrt(np.mean(of**2))), 1e-300) if len(of) else 1.0 for of in by_channel]
-    alike = [of / size for of, size in zip(by_channel, scale, strict=True)]
-    return odds_of_tails(np.concatenate(alike), np.array([m.sigma for m in near])) > TAILS_ODDS
 
 
 def _ways_of(block: Floats, pull: Floats, ways: Floats) -> Floats:

@@ -1,0 +1,167 @@
+"""What all results of diagnosing a body of readings share, and the files written from them."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from itertools import count
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self, TypeVar
+
+from rich.console import Console
+
+from bench.base.files import write_whole
+from bench.base.tables import as_text
+from bench.base.text import visible
+from bench.base.yaml_files import FileMistakes
+from bench.diagnosis.mistakes.search import Mistake
+from bench.diagnosis.next_measurement import Proposal
+from bench.diagnosis.pipeline import FullDiagnosis, MistakesAlone
+from bench.readings.corrected import as_read
+from bench.readings.csv import format_csv
+from bench.readings.table import Readings
+from bench.results.diagnosis_words import NO_FILES, Files
+from bench.services.bench_selection import SUFFIX
+from bench.services.bodies import Body
+from bench.services.source import Source
+
+if TYPE_CHECKING:
+    from bench.diagnosis.free_records import FreeDiagnosis
+    from bench.diagnosis.record_diagnosis import RecordDiagnosis
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class BodyResult(ABC):
+    """The result of diagnosing a body of readings: the findings (`found`) and the files written.
+
+    `not_written` says which files could not be written, and why.
+    """
+
+    body: Body
+    found: FullDiagnosis | MistakesAlone | FreeDiagnosis | RecordDiagnosis
+    files: Files = NO_FILES
+    not_written: tuple[str, ...] = ()
+
+    @property
+    def source(self) -> Source:
+        """The readings, the bench and the model."""
+        return self.body.source
+
+    @property
+    def verdict(self) -> str:
+        """One of agrees, mistake, named, confounded, unknown."""
+        return "mistake"
+
+    @property
+    def bench(self) -> str:
+        """The name of the bench file used for the errors of the stand and gravity, with the reason for it."""
+        return self.source.taken.words
+
+    @property
+    def next_measurement(self) -> Proposal | None:
+        """The measurement proposed next; None if nothing is proposed."""
+        return None
+
+    @abstractmethod
+    def to_dict(self) -> dict[str, Any]:
+        """Return the result as `bench diagnose --json` writes it, with the files that were written."""
+
+    @abstractmethod
+    def print_on(self, out: Console) -> None:
+        """Print the diagnosis in the order in which it was made."""
+
+    @abstractmethod
+    def written(self, *, accept_first: bool = False, report: bool = True) -> Self:
+        """Write all files of `bench diagnose`; return the result with their paths.
+
+        `accept_first` writes a model also if the readings cannot decide between effects, with the likeliest
+        one. A file that cannot be written is noted in `not_written`, or raises `OSError` if an output folder
+        was requested.
+        """
+
+    def __repr__(self) -> str:
+        """Return the output of `bench diagnose`, with the bench file that was used."""
+        return f"{as_text(self.print_on)}\nbench: {self.bench}"
+
+    def tried(self, what: str, write: Callable[[], T]) -> tuple[T | None, Self]:
+        """Return the value of `write` and the result; None and a note in the result if writing fails."""
+        try:
+            return write(), self
+        except OSError as error:
+            if self.source.request.out is not None:
+                raise
+            note = f"{what} was not written ({error.strerror}); use --out DIR"
+            return None, replace(self, not_written=(*self.not_written, note))
+
+    def with_copy(self, mistakes: Sequence[Mistake], corrected: Readings) -> Self:
+        """Write the copy of the readings in which mistakes are corrected, if there are any; return the result."""
+        if not mistakes:
+            return self
+        place = self.body.output("-corrected.csv")
+        path, result = self.tried(
+            "the corrected copy of the readings", lambda: write_copy(self.body, mistakes, corrected, place)
+        )
+        return result if path is None else replace(result, files=Files(copies=(path,)))
+
+
+class ResultWithPage(BodyResult):
+    """A result of a diagnosis that has an HTML page."""
+
+    @abstractmethod
+    def html(self) -> str:
+        """Return the HTML page."""
+
+    def report(self, path: str | Path) -> Path:
+        """Write the self-contained HTML page; return its path. Raises `OSError`."""
+        write_whole(Path(path), self.html())
+        return Path(path)
+
+    def with_report(self) -> Self:
+        """Write the page beside the other files; return the result with its path."""
+        # the page does not contain its own path, so it can be rendered before it is written
+        page, file = self.html(), self.body.output(".html")
+        path, result = self.tried(str(file), lambda: write_content(file, page))
+        return replace(result, files=replace(result.files, report=path))
+
+
+# --- files ------------------------------------------------------------------------------------------
+
+
+def write_content(path: Path, content: str) -> Path:
+    """Write a text file, with its folder; return its path. Raises `OSError`."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(path, content)
+    return path
+
+
+def write_copy(body: Body, mistakes: Sequence[Mistake], corrected: Readings, path: Path) -> Path:
+    """Write the copy in which mistakes are corrected, and its origin file in the same folder.
+
+    The copy holds the values that the instruments showed; reading it with the same bench file gives exactly
+    `corrected`.
+    """
+    source = body.source
+    content = format_csv(as_read(corrected, source.traced.by))
+    if source.origin is not None and len(body.sources) == 1:
+        mended = tuple(visible(mistake.words) for mistake in mistakes)
+        origin = source.origin.model_copy(update={"mended": (*source.origin.mended, *mended)})
+        write_content(path, content)
+        write_content(path.with_name(path.name + SUFFIX), origin.text_beside(path, content.encode()))
+        return path
+    return write_content(path, content)
+
+
+def by_unused_name(path: Path, write: Callable[[Path], object]) -> Path:
+    """Write a file under an unused name: `path`, or `path` with a number from 2 on."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    for number in count(1):
+        free_path = path if number == 1 else path.with_name(f"{path.stem}-{number}{path.suffix}")
+        if not free_path.exists():
+            with suppress(FileMistakes):  # another program may have created it since
+                write(free_path)
+                return free_path
+    raise AssertionError
