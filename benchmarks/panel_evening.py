@@ -3,9 +3,9 @@
     python -m benchmarks.panel_evening keys        # a whole 'calibration', typed
     python -m benchmarks.panel_evening live        # meters of `bench simulate` over TCP, in real time
 
-`keys` types each reading as its deviation from the commanded angle, and counts what the browser is sent. `live` asks the browser for the age of
-each live value on the screen, then measures the time from a person's answer to the end of the reading, in turns
-with live reads and without. No reading changes: `pytest -m slow tests/run/test_live.py` says so.
+`keys` types each reading as its deviation from the commanded angle, and counts what the browser is sent. `live`
+asks the browser for the age of each live value on the screen, then measures the time from a person's answer to the
+end of the reading, in turns with live reads and without. No reading changes: `pytest tests/run/test_live.py`.
 """
 
 from __future__ import annotations
