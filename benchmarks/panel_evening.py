@@ -1,12 +1,11 @@
 """A calibration by panel in Chromium: keys and clicks, how late a live value is shown, what live reads cost.
 
-    python -m benchmarks.panel_evening keys        # a whole 'calibration': typed, and hands-free
+    python -m benchmarks.panel_evening keys        # a whole 'calibration', typed
     python -m benchmarks.panel_evening live        # meters of `bench simulate` over TCP, in real time
 
-`keys` types each reading as its deviation from the commanded angle, and counts what the browser is sent; then an
-encoder reads a head that hands turn, over pseudo-terminals in real time. `live` asks the browser for the age of
-each live value on the screen, then measures the time from a person's answer to the end of the reading, in turns
-with live reads and without. No reading changes: `pytest -m slow tests/run/test_live.py` says so.
+`keys` types each reading as its deviation from the commanded angle, and counts what the browser is sent. `live`
+asks the browser for the age of each live value on the screen, then measures the time from a person's answer to the
+end of the reading, in turns with live reads and without. No reading changes: `pytest tests/run/test_live.py`.
 """
 
 from __future__ import annotations
@@ -14,20 +13,18 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
-import math
 import os
-import socket
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from datetime import datetime
 from pathlib import Path
 from statistics import mean, median, stdev
 from typing import Any, Final
 
-from bench.config.shipped import find_bench, find_procedure
+from bench.config.shipped import find_bench
 from tests.support.browser_runs import PROGRAM, Begun, prompt_of, typed_for, until
 from tests.support.browsers import find_chromium
 from tests.support.served_panel import ServedPanel, served
@@ -87,46 +84,18 @@ def keys() -> CountingPerson:
     """Carry out a whole calibration in practice in the panel, with typed readings; return who answered."""
     with tempfile.TemporaryDirectory() as folder, served(Path(folder)) as panel, signed_in(panel) as page:
         run = Begun(Path(folder), "run", "calibration", "folder", more=("--dry-run", "--bench", "bench-lan"))
-        return carried_out(run, panel, page, lambda asked: False)
+        return carried_out(run, panel, page)
 
 
-def hands_free() -> CountingPerson:
-    """Carry out a calibration's turns with an encoder at a simulated head that is turned meanwhile."""
-    with (
-        tempfile.TemporaryDirectory() as name,
-        served(Path(name) / "runs") as panel,
-        signed_in(panel) as page,
-    ):
-        folder = Path(name)
-        with simulating("bench-encoder", folder) as ready:
-            text = find_bench("bench-encoder").read_text("utf-8")
-            for number, one in enumerate(ready["instruments"]):
-                text = text.replace(f"/dev/ttyUSB{number}::", f"{one['pty']}::")
-            (folder / "bench.yaml").write_text(text, "utf-8")
-            procedure = find_procedure("calibration").read_text("utf-8")
-            for waits in ("1 h", "10 min", "10 s"):
-                procedure = procedure.replace(waits, "1 s")
-            (folder / "calibration.yaml").write_text(
-                procedure.replace("samples: 10, nplc: 10", "samples: 2, nplc: 1")
-            )
-            more = ("--bench", str(folder / "bench.yaml"))
-            run = Begun(panel.runs, "run", str(folder / "calibration.yaml"), "folder", more=more)
-            return carried_out(run, panel, page, Hands(ready["control"]))
-
-
-def carried_out(
-    run: Begun, panel: ServedPanel, page: Any, does: Callable[[dict[str, Any]], bool]
-) -> CountingPerson:
-    """Answer all questions of a run on its page; return who did. `does` says whether the hands alone answer one."""
+def carried_out(run: Begun, panel: ServedPanel, page: Any) -> CountingPerson:
+    """Answer all questions of a run on its page; return who did."""
     try:
         run.wait_for_events()
         page.goto(f"{panel.url}/runs/run/")
         page.click("text=Take control")
         person, asked_id, number = CountingPerson(page), "", 0
         while asked_id := prompt_of(page, asked_id):
-            asked = run.of_type("asked")[-1]
-            if not does(asked):
-                person.answer(asked, number)
+            person.answer(run.of_type("asked")[-1], number)
             number += 1
         status, said = run.ended()
         if status not in {0, 1}:
@@ -135,36 +104,6 @@ def carried_out(
         return person
     finally:
         run.close()
-
-
-class Hands:
-    """Hands at a simulated head: they mount and turn what is asked for, through the control of `bench simulate`."""
-
-    def __init__(self, address: str) -> None:
-        host, port = address.split(":")
-        self._wire = socket.create_connection((host, int(port)), 30.0).makefile("rw", encoding="utf-8")
-        self._at_deg = 0.0
-
-    def __call__(self, asked: dict[str, Any]) -> bool:
-        """Do what a question asks for; return whether nothing is left to be said."""
-        action = asked["action"]
-        if action["do"] == "mount":
-            self._send(f"mount {action['installation']}")
-        elif action["do"] == "turn":
-            target_deg = math.degrees(action["target_rad"])
-            for to_deg in (target_deg - 2.0 * action["direction"], target_deg):
-                self._send(f"turn {to_deg} deg")
-                time.sleep(abs(to_deg - self._at_deg) / 20.0 + 0.2)  # 20 deg/s
-                self._at_deg = to_deg
-            return bool(action.get("hands_free"))
-        return False
-
-    def _send(self, command: str) -> None:
-        self._wire.write(f"{command}\n")
-        self._wire.flush()
-        told = json.loads(self._wire.readline())
-        if not told["ok"]:
-            raise SystemExit(f"{command}: {told}")
 
 
 @contextlib.contextmanager
@@ -258,12 +197,12 @@ def main() -> None:
     if asked.what == "live":
         live(asked.turns)
         return
-    for what, person in (("typed", keys()), ("hands-free", hands_free())):
-        typed = person.keys["turn"]
-        print(
-            f"{what}: {person.readings} readings, {len(typed)} of them typed, at most {max(typed, default=0)} keys "
-            f"each; clicks: {person.clicks['turn']} for readings, {person.clicks['else']} for mountings"
-        )
+    person = keys()
+    typed = person.keys["turn"]
+    print(
+        f"{person.readings} readings, {len(typed)} of them typed, at most {max(typed, default=0)} keys each; "
+        f"clicks: {person.clicks['turn']} for readings, {person.clicks['else']} for mountings"
+    )
 
 
 if __name__ == "__main__":
