@@ -5,9 +5,10 @@ PRODUCT := $(VENV)/.product
 STAMP := $(VENV)/.installed
 # Without its bytecode each test process would compile every module anew.
 unexport PYTHONDONTWRITEBYTECODE
-PYTEST := $(VENV)/bin/python -m pytest -n auto --dist loadfile
+# Slow files begin first (tests/conftest.py), which a worker alone would else have at the end.
+PYTEST := $(VENV)/bin/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
 
-.PHONY: dry-run test test-quick test-browser coverage mutation lint hooks docs blind-trial clean
+.PHONY: dry-run test test-quick test-browser thresholds coverage mutation lint hooks docs blind-trial clean
 
 # The program alone; every other target adds the tools of tests and of development to the same environment.
 dry-run: $(PRODUCT)
@@ -19,6 +20,11 @@ test: $(STAMP)
 # Without the tests that are marked slow: what to run between two edits.
 test-quick: $(STAMP)
 	$(PYTEST) -m "not slow and not browser"
+
+# After a change of the diagnosis: simulates anew what the tests' designs need, which each `make test` would do else.
+thresholds: $(STAMP)
+	rm -f tests/data/thresholds.json
+	BENCH_KEEP_THRESHOLDS=1 $(PYTEST)
 
 # The panel in the system's Chromium; without one it says so, and fails.
 test-browser: $(VENV)/.driving
@@ -43,6 +49,8 @@ lint: $(STAMP)
 	$(VENV)/bin/ruff format --check .
 	$(VENV)/bin/mypy
 	$(VENV)/bin/lint-imports
+	$(VENV)/bin/codespell bench drivers sim benchmarks docs procedures config README.md CONTRIBUTING.md CHANGELOG.md
+	$(VENV)/bin/python -m benchmarks.prose --check
 
 hooks: $(STAMP)
 	$(VENV)/bin/pre-commit install
@@ -57,15 +65,17 @@ $(STAMP): $(PRODUCT)
 	PIP_CONSTRAINT=constraints.txt $(VENV)/bin/python -m pip install --quiet --editable '.[test,dev]'
 	touch $@
 
-# A site of the pages under docs, with the references made from the code; a broken link is an error.
+# A site of the pages under docs, with references, pictures and the gallery made by the program; a broken link is an error.
+# Then a look at it in the system's Chromium; without one it has no screenshots, and says so.
 docs: $(VENV)/.documented
-	$(VENV)/bin/sphinx-build -q -W --keep-going -b html docs docs/_build/html
+	OPENBLAS_NUM_THREADS=1 $(VENV)/bin/sphinx-build -q -W --keep-going -b html docs docs/_build/html
+	$(VENV)/bin/python -m docs.generators.accessible docs/_build/html
 
 $(VENV)/.documented: $(STAMP)
 	PIP_CONSTRAINT=constraints.txt $(VENV)/bin/python -m pip install --quiet --editable '.[docs,browser]'
 	touch $@
 
-# About half an hour on two cores, after which docs/diagnosis-trial.md has its tables; TRIAL=--short takes a few minutes.
+# About half an hour on two cores, after which the site has its tables; TRIAL=--short takes a few minutes.
 TRIAL ?= --page --seed 7
 blind-trial: $(STAMP)
 	OPENBLAS_NUM_THREADS=1 $(VENV)/bin/python -m benchmarks.blind_trial $(TRIAL)

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from bench.services.diagnosis import DiagnosisResult as DiagnosisResult
     from bench.services.diagnosis import FreeDiagnosisResult as FreeDiagnosisResult
     from bench.services.diagnosis import MistakesResult as MistakesResult
+    from bench.services.diagnosis import RecordDiagnosisResult as RecordDiagnosisResult
     from bench.services.errors import Refused as Refused
     from bench.services.face import DryRun as DryRun
     from bench.services.face import calibrate as calibrate
@@ -60,7 +61,9 @@ _HOMES: Final = {
     "bench.results.control_chart": ("CheckBlockChart",),
     "bench.services.check_block": ("chart",),
     "bench.services.confirmation": ("ConfirmationResult",),
-    "bench.services.diagnosis": ("DiagnosisResult", "FreeDiagnosisResult", "MistakesResult"),
+    "bench.services.diagnosis": (
+        "DiagnosisResult", "FreeDiagnosisResult", "MistakesResult", "RecordDiagnosisResult",
+    ),
     "bench.services.errors": ("Refused",),
     "bench.services.face": (
         "DryRun", "calibrate", "confirm", "diagnose", "diagnose_each", "dry_run", "load_bench",

@@ -9,9 +9,9 @@ line of JSON, and at random moments the program is killed (SIGKILL) and the run 
 Typed angles are off their targets by some seconds, each by its own, so an answer that goes astray is seen.
 
 Every run must end with exactly the readings of one of the same seed that nobody disturbed, none twice, with the
-chain of hashes whole; no question answered twice, no answer used but the recorded one, none lost; a question whose
-answer a kill came between is put again. `--simple`: at least so many kills, over the life of processes that nobody
-is asked by, their start and their conclusion included.
+chain of hashes complete; no question answered twice, no answer used but the recorded one, none lost; a question
+whose answer a kill came between is put again. `--simple`: at least so many kills, over the life of processes that
+ask nobody, their start and their conclusion included.
 """
 
 from __future__ import annotations

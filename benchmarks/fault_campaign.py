@@ -386,17 +386,13 @@ def table(outcomes: Sequence[Outcome]) -> str:
         return any(text.startswith("hang") for text in row.violations)
 
     counts: dict[str, Callable[[Sequence[Outcome]], object]] = {
-        "runs": len,
-        "faults": lambda rows: sum(len(row.trial.faults) for row in rows),
-        "struck": summed("struck"),
-        "completed": summed("completed"),
-        "stopped": lambda rows: len(rows) - summed("completed")(rows),
-        "resumed": summed("resumed"),
-        "wrong": summed("wrong_values"),
-        "hangs": lambda rows: sum(map(hangs, rows)),
+        "runs": len, "faults": lambda rows: sum(len(row.trial.faults) for row in rows),
+        "struck": summed("struck"), "completed": summed("completed"),
+        "stopped": lambda rows: len(rows) - summed("completed")(rows), "resumed": summed("resumed"),
+        "wrong": summed("wrong_values"), "hangs": lambda rows: sum(map(hangs, rows)),
         "other": lambda rows: sum(len(row.violations) - row.wrong_values - hangs(row) for row in rows),
         "worst, s": lambda rows: f"{max(row.time_s for row in rows):.2f}",
-    }
+    }  # fmt: skip
     return by_kind(outcomes, map(str, KINDS), lambda row: str(row.trial.kind), counts)
 
 

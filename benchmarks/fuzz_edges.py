@@ -80,7 +80,7 @@ def _unit_case(rng: random.Random) -> Case:
             for k in channels:
                 row[k] = repr(float(row[k]) * factor)
     whole = where is None and len(channels) == 3
-    refuse, doubt = ("", "are the signals in") if whole else ("signals in two units", "seem to be in")
+    refuse, doubt = ("", "perhaps the signals are in") if whole else ("signals in two units", "seem to be in")
     return Case([["calibrate", "r.csv"]], {"r.csv": as_csv(rows)}, refuse=refuse, doubt=doubt)
 
 

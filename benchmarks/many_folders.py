@@ -391,12 +391,8 @@ def bench_text(name: str, serials: tuple[str, ...], year: int, kind: str) -> str
     for k, (channel, serial) in enumerate(zip("xyz", serials, strict=True)):
         number = f"{year}-{serial[-5:]}"
         meters += METER % {
-            "channel": channel,
-            "place": 20 + k,
-            "serial": serial,
-            "year": year,
-            "number": number,
-        }
+            "channel": channel, "place": 20 + k, "serial": serial, "year": year, "number": number,
+        }  # fmt: skip
     text = f"{before}  voltmeters:\n{meters}{after}".replace("name: paper-stand", f"name: {name}")
     return text.replace("type: triaxial block of the paper", f"type: {kind}")
 

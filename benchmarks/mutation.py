@@ -42,12 +42,9 @@ def verdicts() -> dict[str, str]:
 
 def main() -> int:
     given = arguments(
-        __doc__,
-        mutants=(30, "how many are tried"),
-        seed=(1, "which are tried"),
-        least=(0.0, "the share that is to be killed"),
-        processes=os.cpu_count() or 1,
-    )
+        __doc__, mutants=(30, "how many are tried"), seed=(1, "which are tried"),
+        least=(0.0, "the share that is to be killed"), processes=os.cpu_count() or 1,
+    )  # fmt: skip
     children = ("--max-children", str(given.processes))
 
     mutmut("run", *children, FIRST)

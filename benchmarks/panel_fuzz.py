@@ -52,6 +52,7 @@ METHODS = (
     "", "É",
 )  # fmt: skip
 FIXED = (
+    "/queue", "/queue/0123456789ab", "/procedures", "/procedures/form",
     "/", "/start", "/sign-in", "/sign-out", "/nowhere", "/start/0123456789ab", "/start/0123456789ab/go",
     "//", "/runs/", "/runs",
 )  # fmt: skip
@@ -72,11 +73,11 @@ WORDS = (
     "1e999", "-0", "nan", "９９", "1" * 400, "calibration", "paper-stand",
     "../outside/procedure.yaml", "next:done", "next:../outside", "",
     "\x1b[2J", "\u0000", "é" * 300, "<script>alert(1)</script>", "' OR 1=1 --", "x" * 9000, "--help",
-    "1@1", "{{7*7}}",
+    "1@1", "{{7*7}}", "add", "begin", "put aside", "remove done", "duty", "quick", "copy:steps[1].wait",
 )  # fmt: skip
 FIELDS = (
     "do", "to", "wish", "reason", "id", "text", "procedure", "bench", "unit", "operator", "name",
-    "dry_run", "token", "link", "next", "csrf",
+    "dry_run", "token", "link", "next", "csrf", "units", "file", "start", "typed", "f0",
 )  # fmt: skip
 BODIES = (b"null", b"[]", b'{"a": {"b": 1}}', b'{"do": 1}', b'"\\ud800"', b'{"do": "\\ud800"}', b"NaN")
 ORIGINS = ("null", "http://evil.example", "https://127.0.0.1:8741", HOME + ".evil", HOME + "/", "", "\xff")

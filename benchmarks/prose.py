@@ -1,4 +1,4 @@
-"""How long and how plain the pages of the documentation are: a report, no gate.
+"""How long and how plain the pages of the documentation are: a report; with `--check`, a gate for banned phrases.
 
 For each page of docs/ and the README: words (as `wc -w` counts them), sentences, their mean length, the share of
 them over 25 words, pictures, and the phrases of docs/banned-phrases.txt found. Sentences are those of paragraphs
@@ -6,12 +6,14 @@ and lists: code blocks, tables, headings, comments and front matter have none. C
 
     python -m benchmarks.prose            # all pages
     python -m benchmarks.prose --pages docs/panel.md README.md
+    python -m benchmarks.prose --check    # `make lint`: banned phrases in pages, texts of the program and comments
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+import sys
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -22,14 +24,16 @@ BANNED: Final = ROOT / "docs" / "banned-phrases.txt"
 LONG: Final = 25
 """A sentence with more words than this is a long one."""
 
+CHECKED: Final = ("bench", "drivers", "sim", "config", "procedures", "docs/generators")
+SUFFIXES: Final = {".py", ".j2", ".js", ".typ", ".yaml"}
+
+_GAP: Final = r"[\s\"'#]+(?:[fr]{1,2}[\"'])?"
 _LEFT_OUT: Final = re.compile(
     r"\A---\n.*?\n---\n|^(?P<fence>`{3,}|:{3,}).*?^(?P=fence)$|<!--.*?-->|^\|[^\n]*$|^#+ [^\n]*$|^\(\S+\)=$"
     r"|(?<=\n\n)(?: {4}\S[^\n]*\n)+",
     re.M | re.S,
 )
-_PICTURE: Final = re.compile(
-    r"!\[[^\]]*\]\([^)]*\)|^```\{(?:figure|image)\}.*$|^```\{include\} reference/_panel\.md$", re.M
-)
+_PICTURE: Final = re.compile(r"!\[[^\]]*\]\([^)]*\)|^```\{(?:figure|image|picture)\}.*$", re.M)
 _ITEM: Final = re.compile(r"^\s*(?:[-*+]|\d+\.|:|>)\s+", re.M)
 _END: Final = re.compile(r"(?<!\b[A-Z])(?<!e\.g)(?<!i\.e)[.!?][\"'”’)*_]*\s+(?=[\"'“‘(*_]*[^\sa-z])")
 
@@ -72,11 +76,48 @@ def prose_of(name: str, text: str, phrases: Iterable[str]) -> Prose:
     return Prose(name, len(text.split()), lengths, len(_PICTURE.findall(text)), banned)
 
 
+def banned_in(text: str, phrases: Iterable[str]) -> Iterator[tuple[int, str]]:
+    """Yield line and phrase of each banned phrase, also where it runs over a line's end or between two literals."""
+    plain = text.lower()
+    for phrase in phrases:
+        words = phrase.split()
+        if all(word in plain for word in words):
+            first, *others = map(re.escape, words)
+            for found in re.finditer(
+                rf"{first}(?<!\w{first}){''.join(_GAP + word for word in others)}(?!\w)", plain
+            ):
+                yield plain.count("\n", 0, found.start()) + 1, phrase
+
+
+def check(phrases: Iterable[str]) -> int:
+    """Print each banned phrase of the project with its place; return how many there are."""
+    pages = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")]
+    files = (path for top in CHECKED for path in (ROOT / top).rglob("*") if path.suffix in SUFFIXES)
+    number = 0
+    for path in sorted([*pages, *files]):
+        text = path.read_text(encoding="utf-8")
+        if path.suffix == ".md":
+            text = re.sub(r"`[^`\n]*`", "", text)  # CONTRIBUTING.md quotes what not to say
+        for line, phrase in sorted(banned_in(text, phrases)):
+            print(
+                f"{path.relative_to(ROOT)}:{line}: '{phrase}' is banned: say it plainly (CONTRIBUTING.md, Words)"
+            )
+            number += 1
+    return number
+
+
 def main() -> None:
-    given = arguments(__doc__, pages=([""], "only these pages")).pages
-    paths = [Path(one) for one in given if one] or [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
-    phrases = BANNED.read_text(encoding="utf-8").split("\n")
-    pages = [prose_of(p.name, p.read_text(encoding="utf-8"), [one for one in phrases if one]) for p in paths]
+    asked = arguments(
+        __doc__, pages=([""], "only these pages"), check=(False, "only look for banned phrases")
+    )
+    paths = [Path(one) for one in asked.pages if one] or [
+        ROOT / "README.md",
+        *sorted((ROOT / "docs").glob("*.md")),
+    ]
+    phrases = BANNED.read_text(encoding="utf-8").splitlines()
+    if asked.check:
+        sys.exit(min(check(phrases), 1))
+    pages = [prose_of(p.name, p.read_text(encoding="utf-8"), phrases) for p in paths]
     all_lengths = tuple(length for page in pages for length in page.lengths)
     banned = tuple(one for page in pages for one in page.banned)
     totals = Prose("all", sum(p.words for p in pages), all_lengths, sum(p.pictures for p in pages), banned)

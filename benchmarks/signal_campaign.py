@@ -287,7 +287,9 @@ def judge(outcome: Outcome, process: Process, served: Served, run: Path) -> None
         if history.torn:
             wrong.append("the last line of the record is torn")
     told = json.dumps([event.data for event in history.events[-2:]]) if history is not None else ""
-    if served.conditions() and not ("goes on conditioning at 60" in told and "switch it off by hand" in told):
+    if served.conditions() and not (
+        "is still conditioning at 60" in told and "switch it off by hand" in told
+    ):
         wrong.append(f"the chamber conditions, and nobody is told: {said.strip()[-300:]}")
     if outcome.state in ("running", "paused"):
         wrong.append(f"the record says that the run is {outcome.state}: {said.strip()[-300:]}")

@@ -3,7 +3,6 @@
     python -m benchmarks.speed program            # start, help and a dry run
     python -m benchmarks.speed plan               # expand, hash, check and list 100,000 steps
     python -m benchmarks.speed record             # check, resume and list records of 100,000 events
-    python -m benchmarks.speed questions          # a reading, with its questions on record and without
     python -m benchmarks.speed fits --times 60    # the estimators, the whole result, the batch
     python -m benchmarks.speed diagnosis --each 17
     python -m benchmarks.speed runs --runs 1 5 20 # one diagnosis of many runs
@@ -20,7 +19,6 @@ from __future__ import annotations
 
 import argparse
 import hashlib
-import io
 import json
 import math
 import os
@@ -300,98 +298,11 @@ def copies(folder: Path, number: int) -> Path:
     return many
 
 
-# --- questions --------------------------------------------------------------------------------------
-
-READINGS, ROUNDS = 500, 3
-WAYS: Final = ("nothing asked", "asked, before", "asked, now")
-"""A head that turns by itself; one that is asked for at each setting, as it was before questions stood in the
-record (none is recorded, each event is waited for until it is on the disk); the same with all on record."""
-
-
-def questions(given: argparse.Namespace) -> bool:
-    """Print what the runner costs a reading, in memory but for the record, and what its questions cost."""
-    found: dict[str, list[tuple[float, float]]] = {way: [] for way in WAYS}
-    with tempfile.TemporaryDirectory(dir=Path()) as folder:
-        print(f"fsync of 600 bytes: {fsync_ms(Path(folder)):.3f} ms")
-        for number in range(ROUNDS):
-            for k, way in enumerate(WAYS):
-                found[way].append(asked_run(Path(folder) / f"{number}-{k}", way))
-    for column, name in enumerate(("wall", "CPU")):
-        told = [f"{statistics.median(one[column] for one in found[way]):.3f} ms {way}" for way in WAYS]
-        pairs = zip(found[WAYS[1]], found[WAYS[2]], strict=True)
-        ratio = statistics.median(after[column] / before[column] for before, after in pairs)
-        print(f"{name:4} per reading: {', '.join(told)}; now to before {ratio:.2f}")
-    return True
-
-
-def asked_run(folder: Path, way: str) -> tuple[float, float]:
-    """Return wall and CPU time of a run per reading, ms; somebody at the terminal answers at once."""
-    from rich.console import Console
-
-    from bench.config.procedure.plan import Plan
-    from bench.run import record as record_module
-    from bench.run.instruments import Instruments
-    from bench.run.listening import Asker
-    from bench.run.person import WishAuthor
-    from bench.run.record import Record
-    from bench.run.terminal import TerminalPerson
-    from drivers.clock import utc_now
-    from drivers.instruments.manual import ManualHead
-    from drivers.person import Answer, Prompt
-    from sim.world.clock import VirtualClock
-    from tests.support.runner_bench import Bench, Head, Meter, runner_of
-
-    class AtOnce(TerminalPerson):
-        """Answers before the question is shown: what is measured is the record."""
-
-        def ask(self, prompt: Prompt) -> Answer:
-            return Answer(prompt.id, "" if prompt.default else "yes")
-
-    class TenSamples(Meter):
-        def fetch(self) -> dict[Any, tuple[float, ...]]:
-            return {self.channel: tuple(1.0 + 1e-6 * i for i in range(10))}
-
-    steps: list[Mount | Turn | Read] = [Mount("m", "1", 1)]
-    for n in range(READINGS):
-        steps.append(Turn(f"t{n}", "1", 1, 1, n + 1, 0.01 * n, 1))
-        steps.append(Read(f"r{n}", "1", 1, 1, n + 1, 0.01 * n, 1, 10, 10.0))
-    written = Record.create(folder, {}, {}, utc_now)
-    who = WishAuthor("cost", "supervisor", "terminal")
-    person = AtOnce(io.StringIO(), Console(file=io.StringIO()), who=who)
-    asker = Asker(folder, written, lambda kind, data: None, terminal=person) if way == WAYS[2] else None
-    memory = Bench()
-    head = Head(memory) if way == WAYS[0] else ManualHead("head", asker or person, tolerance_rad=1e-4)
-    having = Instruments([TenSamples(memory, channel) for channel in ("x", "y", "z")], head)
-    runner = runner_of(
-        Plan("cost", tuple(steps), ""), having, asker or person, VirtualClock(), written, asker=asker
-    )
-    later = frozenset() if way == WAYS[1] else record_module.WITH_THE_NEXT
-    with patch.object(record_module, "WITH_THE_NEXT", later):
-        begun, begun_cpu = time.perf_counter(), time.process_time()
-        runner.run()
-        spent = time.perf_counter() - begun, time.process_time() - begun_cpu
-    written.close()
-    return 1e3 * spent[0] / READINGS, 1e3 * spent[1] / READINGS
-
-
-def fsync_ms(folder: Path) -> float:
-    """Return how long the disk takes for 600 bytes, ms."""
-    begun = time.perf_counter()
-    with (folder / "probe").open("ab", buffering=0) as probe:
-        for _ in range(READINGS):
-            probe.write(b"x" * 600)
-            os.fsync(probe.fileno())
-    return 1e3 * (time.perf_counter() - begun) / READINGS
-
-
 # --- fits -------------------------------------------------------------------------------------------
 
 FIT, WHOLE, WHOLE_MS, BATCH_RATIO = (
-    "calibrate, gls",
-    "the whole result, every source of the budget",
-    50.0,
-    20.0,
-)
+    "calibrate, gls", "the whole result, every source of the budget", 50.0, 20.0,
+)  # fmt: skip
 
 
 def fits(given: argparse.Namespace) -> bool:
@@ -578,7 +489,7 @@ def timed_question(where: str, kind: str, words: list[str], of: str) -> tuple[st
 
 
 PARTS: Final[dict[str, Callable[[argparse.Namespace], bool]]] = {
-    "program": program, "plan": plan, "record": record, "questions": questions, "fits": fits,
+    "program": program, "plan": plan, "record": record, "fits": fits,
     "diagnosis": diagnosis, "runs": many_runs, "catalogue": catalogue,
 }  # fmt: skip
 

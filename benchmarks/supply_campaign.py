@@ -297,14 +297,8 @@ def judge_stop(status: Any, outcome: FedOutcome) -> None:
     outcome.judge_stop(status)
     said = outcome.said
     named = (
-        "rail p15",
-        "rail n15",
-        "its output",
-        "did not answer",
-        "no answer",
-        "not set any more",
-        "is off",
-    )
+        "rail p15", "rail n15", "its output", "did not answer", "no answer", "its settings changed", "is off",
+    )  # fmt: skip
     if "power_supply:" not in said or not any(words in said for words in named):
         outcome.violations.append(f"the cause is not named: {said.strip()}")
 
@@ -379,15 +373,11 @@ def table(outcomes: Sequence[FedOutcome]) -> str:
         return len(row.violations) - row.wrong_values - row.outside_limits
 
     counts: dict[str, Callable[[Sequence[FedOutcome]], object]] = {
-        "runs": len,
-        "completed": summed("completed"),
-        "stopped": lambda rows: len(rows) - summed("completed")(rows),
-        "resumed": summed("resumed"),
-        "wrong": summed("wrong_values"),
-        "outside": summed("outside_limits"),
-        "other": lambda rows: sum(map(other, rows)),
-        "unseen": summed("unseen"),
-    }
+        "runs": len, "completed": summed("completed"),
+        "stopped": lambda rows: len(rows) - summed("completed")(rows), "resumed": summed("resumed"),
+        "wrong": summed("wrong_values"), "outside": summed("outside_limits"),
+        "other": lambda rows: sum(map(other, rows)), "unseen": summed("unseen"),
+    }  # fmt: skip
     return by_kind(outcomes, KINDS, lambda row: row.trial.kind, counts)
 
 

@@ -89,14 +89,10 @@ class World:
 
 def table_of(points: list[PlannedPoint], signal: np.ndarray) -> Readings:
     return make_readings(
-        [p.site.mount.installation for p in points],
-        [p.pass_number for p in points],
-        [p.site.point for p in points],
-        np.array([p.site.angle_rad for p in points]),
-        signal,
-        source="simulated",
-        direction=[p.site.direction for p in points],
-    )
+        [p.site.mount.installation for p in points], [p.pass_number for p in points],
+        [p.site.point for p in points], np.array([p.site.angle_rad for p in points]), signal,
+        source="simulated", direction=[p.site.direction for p in points],
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -134,12 +130,9 @@ def run_until(chooser: Chooser, world: World, first: NextPoints | None = None) -
         spent_s += choice.next_s
         readings = table_of(points, np.concatenate(signals))
         standing = Standing(
-            choice.visit,
-            frozenset(p.steps[0] for p in points),
-            Counter(p.site for p in points),
-            spent_s,
+            choice.visit, frozenset(p.steps[0] for p in points), Counter(p.site for p in points), spent_s,
             scale_of(chooser.stand, readings),
-        )
+        )  # fmt: skip
         try:
             found = calibrated(readings, chooser)
         except CalibrationError:

@@ -9,16 +9,17 @@ sys.path.insert(0, str(HERE.parent))  # the generators stand beside the pages an
 
 from docs.generators import write_pages  # noqa: E402
 from docs.generators.example_certificate import write_example  # noqa: E402
-from docs.generators.panel_pictures import write_pictures  # noqa: E402
+from docs.generators.gallery import write_gallery  # noqa: E402
+from docs.generators.pictures import write_all  # noqa: E402
 from docs.generators.results import write_schemas  # noqa: E402
 
 project = "Calibration bench"
 author = "the authors of triaxial-bench"
 version = release = version_of("triaxial-bench")
 
-extensions = ["myst_parser"]
+extensions = ["myst_parser", "docs.site_parts"]
 source_suffix = {".md": "markdown"}
-exclude_patterns = ["_build", "generators", "**/_*.md"]
+exclude_patterns = ["_build", "generators", "gallery", "**/_*.md"]
 templates_path: list[str] = []
 
 myst_enable_extensions = ["deflist", "colon_fence", "attrs_inline"]
@@ -38,7 +39,8 @@ html_theme_options = {"sidebar_hide_name": False, "navigation_with_keys": True}
 pygments_style = "default"
 pygments_dark_style = "monokai"
 
-write_pictures(HERE / "reference")
+write_all()
 write_pages(HERE / "reference")
+write_gallery(HERE / "reference")
 write_example(HERE / "reference")
 write_schemas(HERE / "reference" / "served" / "schemas")

@@ -6,6 +6,8 @@ import math
 import re
 from typing import Final, Literal, NamedTuple
 
+from drivers.interfaces import message
+
 EXAMPLE: Final = "45 00 10 or 45°00′10″ or 45.0028"
 
 ROUNDING_RAD: Final = 1e-10
@@ -13,6 +15,9 @@ ROUNDING_RAD: Final = 1e-10
 
 _MARKS: Final = (("°", "°º˚:"), ("′", "′'’´`:"), ("″", '″"”“'))
 """The mark after degrees, minutes and seconds, each with its substitutes on keyboards."""
+
+_DEVIATION: Final = re.compile(r"(?P<sign>[+-])\s*(?P<seconds>[0-9]{1,4}(?:[.,][0-9]+)?)\s*[″\"”“]")
+"""A reading typed as its deviation from the commanded angle, such as `+5"`: sign and mark are needed."""
 
 _PART: Final = re.compile(r"(?P<number>[0-9]+(?P<decimals>\.[0-9]+)?)(?P<mark>\s*[^\s0-9.]*)\s*")
 
@@ -26,10 +31,10 @@ class Slip(NamedTuple):
 
 
 SLIPS: Final = (
-    Slip("10°", 10.0, "the tens of degrees are one off"),
-    Slip("1°", 1.0, "the degree line is one off"),
-    Slip("10′", 10.0 / 60.0, "the tens of minutes are one off"),
-    Slip("1′", 1.0 / 60.0, "the minute line is one off"),
+    Slip("10°", 10.0, message("the tens of degrees are one off")),
+    Slip("1°", 1.0, message("the degree line is one off")),
+    Slip("10′", 10.0 / 60.0, message("the tens of minutes are one off")),
+    Slip("1′", 1.0 / 60.0, message("the minute line is one off")),
     Slip("180°", 180.0, "the opposite side of the circle was read"),
 )
 
@@ -51,15 +56,29 @@ def parse_angle(text: str) -> float:
     body = re.sub(r"(?<=[0-9]),(?=[0-9])", ".", body)
     parts = _parts(body)
     if parts is None:
-        raise ValueError(f"{text!r} is not an angle: type degrees, minutes, seconds such as {EXAMPLE}")
+        raise ValueError(
+            message(f"{text!r} is not an angle: type degrees, minutes, seconds such as {EXAMPLE}")
+        )
     if any(part >= 60.0 for part in parts[1:]):
         raise ValueError(
-            f"{text!r} has minutes or seconds of 60 or more: type them below 60, such as {EXAMPLE}"
+            message(f"{text!r} has minutes or seconds of 60 or more: type them below 60, such as {EXAMPLE}")
         )
     degrees = math.fsum(part / scale for part, scale in zip(parts, (1.0, 60.0, 3600.0), strict=False))
     if degrees >= 361.0:
-        raise ValueError(f"{text!r} is more than one turn: type what the scale shows, such as {EXAMPLE}")
+        raise ValueError(
+            message(f"{text!r} is more than one turn: type what the scale shows, such as {EXAMPLE}")
+        )
     return math.radians(-degrees if sign == "-" else degrees)
+
+
+def typed_angle(text: str, target_rad: float) -> float:
+    """Return a typed angle in rad; `+5"` or `-12″` is the deviation from `target_rad`. Raises as `parse_angle`."""
+    stripped = text.strip().replace("−", "-").replace("''", "″").replace("′′", "″")
+    match = _DEVIATION.fullmatch(stripped)
+    if match is None:
+        return parse_angle(text)
+    seconds = float(match["seconds"].replace(",", "."))
+    return target_rad + math.radians((-seconds if match["sign"] == "-" else seconds) / 3600.0)
 
 
 def _parts(body: str) -> tuple[float, ...] | None:
@@ -90,9 +109,9 @@ def read_angle(text: str, target_rad: float, tolerance_rad: float) -> float:
     `tolerance_rad` from the target; the sentence then names the common mistake that explains it, if any.
     """
     if not text.strip():
-        raise ValueError("Nothing was typed: read the scale and type what it shows.")
+        raise ValueError(message("Nothing was typed: read the scale and type what it shows."))
     try:
-        read_rad = parse_angle(text)
+        read_rad = typed_angle(text, target_rad)
     except ValueError as error:
         raise ValueError(f"{error}.") from None
     difference_rad = wrapped_rad(read_rad - target_rad)
@@ -104,13 +123,14 @@ def read_angle(text: str, target_rad: float, tolerance_rad: float) -> float:
 
 
 def _disagreement(read_rad: float, target_rad: float, difference_rad: float, tolerance_rad: float) -> str:
-    read = f"{format_dms(read_rad)} is {format_dms(abs(difference_rad))}"
-    side = "above" if difference_rad > 0.0 else "below"
+    read, off = format_dms(read_rad), format_dms(abs(difference_rad))
+    above = difference_rad > 0.0
     slip = classic_slip(read_rad, target_rad, tolerance_rad)
     if slip is not None:
-        return f"{read} {side} the target: probably {slip}."
-    return (
-        f"{read} {side} the target, outside the {format_dms(tolerance_rad)} allowed: "
+        return message(f"{read} is {off} {'above' if above else 'below'} the target: probably {slip}.")
+    return message(
+        f"{read} is {off} {'above' if above else 'below'} the target, outside the "
+        f"{format_dms(tolerance_rad)} allowed: "
         "turn the head until it agrees."
     )
 
@@ -148,14 +168,15 @@ def classic_slip(read_rad: float, target_rad: float, tolerance_rad: float) -> st
     if abs(difference) <= tolerance_rad:
         return None
     candidates = [
-        (abs(abs(difference) - math.radians(slip.degrees)), f"{slip.words} ({slip.size})") for slip in SLIPS
+        (abs(abs(difference) - math.radians(slip.degrees)), message(f"{slip.words} ({slip.size})"))
+        for slip in SLIPS
     ]
-    candidates.append((abs(wrapped_rad(read_rad + target_rad)), "360° - x was read instead of x"))
+    candidates.append((abs(wrapped_rad(read_rad + target_rad)), message("360° - x was read instead of x")))
     miss, words = min(candidates, key=lambda candidate: candidate[0])
     # an error of 31″ is also within 30″ of a whole minute, yet is no misread minute line
     if miss <= min(tolerance_rad, abs(difference) / 3):
         return words
-    return "two digits are swapped" if _digits_swapped(read_rad, target_rad) else None
+    return message("two digits are swapped") if _digits_swapped(read_rad, target_rad) else None
 
 
 def _digits_swapped(read_rad: float, target_rad: float) -> bool:
@@ -185,7 +206,7 @@ def typed_temperature(text: str) -> float:
     """Return the temperature, °C, that a person typed, such as `23.5` or `23,5 °C`. Raises `ValueError`."""
     match = _TEMPERATURE.fullmatch(_plain(text))
     if match is None:
-        raise ValueError("That was not a temperature such as 23.5.")
+        raise ValueError(message("That was not a temperature such as 23.5."))
     return _value(match)
 
 
@@ -197,11 +218,14 @@ def typed_bubble(text: str, division_rad: float, most_divisions: float) -> float
     typed = _plain(text).lower()
     match = _DIVISIONS.fullmatch(typed.removesuffix("divisions").strip())
     if match is None:
-        raise ValueError("That was not a number of divisions such as -1.5.")
+        raise ValueError(message("That was not a number of divisions such as -1.5."))
     read_rad = _value(match) * (_ARCSEC if match[2] else division_rad)
     if abs(read_rad) > (most_divisions + 1e-9) * division_rad:
         raise ValueError(
-            f"{typed} is off the vial's scale of ±{most_divisions:g} divisions: level the platform, or read again."
+            message(
+                f"{typed} is off the vial's scale of ±{most_divisions:g} divisions: level the platform, or "
+                f"read again."
+            )
         )
     return read_rad
 
@@ -210,7 +234,7 @@ def typed_supply(text: str, unit: SupplyUnit) -> float:
     """Return a typed voltage or current (`15.0`, `15.0 V`). Raises `ValueError`, with an example in `unit`."""
     match = _SUPPLY.fullmatch(_plain(text))
     if match is None:
-        raise ValueError(f"That was not a number such as 15.0 {unit}.")
+        raise ValueError(message(f"That was not a number such as 15.0 {unit}."))
     return _value(match)
 
 

@@ -36,10 +36,10 @@ class ChamberLimits:
         """Raise `ValueError` for limits in the wrong order and for a band that is not positive."""
         if not self.minimum_c < self.maximum_c:
             raise ValueError(
-                f"the chamber's minimum {self.minimum_c:g} °C is not below its maximum {self.maximum_c:g} °C"
+                f"the chamber's minimum {self.minimum_c:g} °C must be below its maximum {self.maximum_c:g} °C"
             )
         if self.band_c is not None and not self.band_c > 0.0:
-            raise ValueError(f"the chamber's band must be positive, not {self.band_c:g} °C")
+            raise ValueError(f"state a positive band for the chamber, not {self.band_c:g} °C")
 
     def check(self, name: str, target_c: float) -> None:
         """Raise `LimitExceeded` for a set point outside the limits; `name` is the chamber's."""
@@ -72,7 +72,7 @@ class ChamberLimits:
         raise InstrumentRefused(
             name,
             f"the air is at {temperature_c:g} °C, more than {self.band_c:g} °C from the {target_c:g} °C demanded",
-            "let it settle (a longer soak in the procedure), or see why the chamber does not hold it",
+            "lengthen the soak in the procedure, or repair the chamber",
         )
 
 

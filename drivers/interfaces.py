@@ -15,6 +15,14 @@ from typing import Final, Literal, Protocol, runtime_checkable
 # --- failures ---------------------------------------------------------------------------------------
 
 
+def message(text: str, context: str = "") -> str:
+    """Return a text unchanged; the call marks it as read by people, so that it is translated where it is shown.
+
+    `text` is a literal or an f-string. `context` tells apart texts that English spells alike.
+    """
+    return text
+
+
 class BenchError(Exception):
     """A failure that a person can remedy.
 
@@ -57,7 +65,7 @@ class NotConnected(BenchError):
         super().__init__(
             ", ".join(f.instrument for f in failures),
             "not connected: " + " | ".join(str(f) for f in failures),
-            "mend these and start again",
+            "correct these, then start again",
         )
 
 

@@ -7,7 +7,7 @@ from typing import Final
 
 from drivers.interfaces import BenchError, Instrument, InstrumentLost, InstrumentRefused
 
-SEE_IT_STANDS: Final = "see that it stands, and press its emergency stop where it does not"
+SEE_IT_STANDS: Final = "check that it stands still; if not, press its emergency stop"
 """The manual remedy for a head whose stop failed."""
 STAYS_REMOTE: Final = "its front panel stays in remote: press its local key"
 """The manual remedy for an instrument that did not return to local control."""
@@ -60,7 +60,9 @@ class Attempts:
 def let_go(instrument: Instrument) -> str:
     """Close an instrument; return what a person must still do, an empty string for nothing."""
     attempts = Attempts()
-    attempts.make("could not be let go: see that it stands and switch it off and on", instrument.close)
+    attempts.make(
+        "could not be released: check that it stands still, then switch it off and on", instrument.close
+    )
     return attempts.end()
 
 

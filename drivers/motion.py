@@ -76,7 +76,7 @@ class TravelWatch:
             f"it moved {where}: sent from {format_dms(self.start_rad)} to {format_dms(self.target_rad)} it was at "
             f"{format_dms(angle_rad)} and was stopped",
             "check the sign and the scale of the axis in the controller and the bench file before it moves again, "
-            "minding the cables",
+            "watching the cables",
         )
 
     def _stalled(self, angle_rad: float, stood_s: float) -> BenchError:
@@ -84,7 +84,7 @@ class TravelWatch:
             self.name,
             f"it stalled at {format_dms(angle_rad)}, sent to {format_dms(self.target_rad)}: no progress in "
             f"{stood_s:.0f} s",
-            "check that nothing blocks the head, and its load, then take this step again",
+            "check the load and that nothing blocks the head, then repeat this step",
         )
 
 
@@ -136,14 +136,14 @@ class Travel:
         """Raise `ValueError` for limits in the wrong order and for sizes that are not positive."""
         if not self.minimum_rad < self.maximum_rad:
             raise ValueError(
-                f"the lowest angle {format_dms(self.minimum_rad)} of the head is not below the highest "
+                f"the lowest angle {format_dms(self.minimum_rad)} of the head must be below the highest "
                 f"{format_dms(self.maximum_rad)}"
             )
         for name in ("tolerance_rad", "speed_rad_s", "poll_s"):
             if not getattr(self, name) > 0.0:
                 raise ValueError(f"{name} of the head must be positive, not {getattr(self, name):g}")
         if not self.backoff_rad > self.tolerance_rad:
-            raise ValueError("the head must back off by more than its tolerance")
+            raise ValueError("state a back-off above the tolerance")
 
     def contains(self, angle_rad: float, margin_rad: float = _ROUNDING_RAD) -> bool:
         """Return whether an angle lies within the limits, or at most `margin_rad` outside."""
@@ -223,7 +223,7 @@ class Mover:
                 raise InstrumentRefused(
                     self._name,
                     f"it still moves after {limit_s:.0f} s",
-                    "check the head and its speed in the bench file, then take this step again",
+                    "check the head and its speed in the bench file, then repeat this step",
                 )
             self._clock.sleep(self._travel.poll_s)
 
@@ -235,7 +235,7 @@ class Mover:
             raise LimitExceeded(
                 self._name,
                 f"it stands at {format_dms(angle_rad)}, outside its limits, {self._travel.text}",
-                "bring it back within them by hand, minding the cables",
+                "bring it back within them by hand, watching the cables",
             )
 
     def _go(self, start_rad: float, target_rad: float, settle_s: float) -> float:
@@ -278,7 +278,7 @@ class Mover:
         return InstrumentRefused(
             self._name,
             cause,
-            "check that nothing blocks the head, its load, its scale and its speed, then take this step again",
+            "check that nothing blocks the head, its load, its scale and its speed, then repeat this step",
         )
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import TYPE_CHECKING, Final, Literal, NotRequired, Protocol, TypedDict, TypeVar, runtime_checkable
 
-from drivers.interfaces import Direction, LevelAxis
+from drivers.interfaces import Direction, LevelAxis, message
 
 if TYPE_CHECKING:
     from drivers.clock import Clock
@@ -248,10 +248,10 @@ ATTEMPTS: Final = 5
 """How often a question is asked at most."""
 
 APPROACH: Final[dict[Direction, str]] = {
-    1: "approach with the angle rising, from below",
-    -1: "approach with the angle falling, from above",
+    1: message("approach with the angle rising, from below"),
+    -1: message("approach with the angle falling, from above"),
 }
-"""The side of an approach, as a person is told it."""
+"""The side of an approach, in words for a person."""
 
 _Read = TypeVar("_Read")
 
@@ -274,7 +274,7 @@ def ask_until(
         prompt = question(f"{key}#{attempt}", trouble)
         answer = person.ask(prompt)
         if answer.prompt_id != prompt.id:
-            trouble = "That answer belonged to an earlier question."
+            trouble = message("That answer belonged to an earlier question.")
             continue
         try:
             return read(answer.text.strip() or prompt.default or "")

@@ -39,7 +39,7 @@ PATIENCE_S: Final = 10.0
 """The longest wait for rest after the person has confirmed, beyond the settling time, s."""
 MOST_ATTEMPTS: Final = 20
 """The most prompts for one angle."""
-UNWATCHED: Final = "Here the head is seen at your answers alone: answer where you have backed off, too."
+UNWATCHED: Final = "The program sees the head only when you answer: answer at the back-off position, too."
 """The hint for a person whose open prompts allow no watching."""
 ENCODER: Final = "encoder"
 """The name of the encoder as author of an answer in the record."""
@@ -162,7 +162,7 @@ class Track:
     def _wrong_side(self) -> str:
         back = format_dms(self._approach.backoff_rad)
         way = "below" if self._direction > 0 else "above"
-        return f"The head did not come from {way}: back off by {back} at least and approach again."
+        return f"The head did not approach from {way}: back off by {back} at least and approach again."
 
 
 class ReadOutHead(ABC):
@@ -220,13 +220,15 @@ class ReadOutHead(ABC):
         `InstrumentLost`, `LimitExceeded` after the last attempt, `NoAnswer` if there is nobody to ask.
         """
         if not math.isfinite(target_rad):
-            raise LimitExceeded(self.name, f"{target_rad} rad is no angle", "correct the procedure's angle")
+            raise LimitExceeded(
+                self.name, f"{target_rad} rad is not an angle", "correct the procedure's angle"
+            )
         track = self._begun(target_rad, direction, key)
         trouble = ""
         for attempt in range(1, MOST_ATTEMPTS + 1):
             if (
                 not self._trusted
-            ):  # the connection was made anew on the way, perhaps to a counter that was off
+            ):  # the connection was made again on the way, perhaps to a counter that was off
                 track = self._begun(target_rad, direction, key)
             prompt = self._prompt(target_rad, direction, f"{key}#{attempt}", trouble)
             trouble = self._asked(prompt, track)
@@ -235,7 +237,7 @@ class ReadOutHead(ABC):
         raise LimitExceeded(
             self.name,
             f"it did not come to {scale_text(target_rad)} in {MOST_ATTEMPTS} attempts ({trouble.rstrip('.')})",
-            "check the clamp, the encoder's coupling and the procedure's angle, then take this point again",
+            "check the clamp, the encoder's coupling and the procedure's angle, then redo this point",
         )
 
     # --- what a subclass provides -------------------------------------------------------------------
@@ -271,7 +273,7 @@ class ReadOutHead(ABC):
                 self.name,
                 f"the encoder's angle jumped by {format_dms(jump_rad)} to {format_dms(angle_rad)}, "
                 f"faster than {math.degrees(self._approach.speed_rad_s):g}°/s",
-                "check the encoder's cable, cross its reference mark again, then take this point again",
+                "check the encoder's cable, cross its reference mark again, then redo this point",
             )
 
     def _have_reference(self, key: str) -> None:
@@ -288,7 +290,9 @@ class ReadOutHead(ABC):
 
         def read(text: str) -> None:
             if text.lower() in _NO:
-                raise ValueError("Without it the counter shows no angle.")
+                raise ValueError(
+                    "Without it the counter shows no angle: turn the head across the reference mark."
+                )
 
         try:
             ask_until(self._person, f"{key}/reference", question, read)
@@ -296,7 +300,7 @@ class ReadOutHead(ABC):
             raise InstrumentRefused(
                 self.name,
                 f"nobody confirmed that its reference mark was crossed ({trouble})",
-                "turn the head across the encoder's reference mark, then take this point again",
+                "turn the head across the encoder's reference mark, then redo this point",
             ) from None
         self._trusted = True
 
@@ -361,7 +365,7 @@ class ReadOutHead(ABC):
         if approach.hands_free:
             then = "clamp and let go; the encoder is read once the head is at rest."
         elif approach.typed:
-            then = "clamp; type the angle on the scale, which is compared with the encoder."
+            then = "clamp; type the angle on the scale, to compare it with the encoder."
         action: Action = {
             "do": "turn",
             "target_rad": target_rad,

@@ -187,7 +187,7 @@ class ScpiVoltmeter(ABC):
         troubles = differences + self._errors()
         if troubles and opened:
             self._identified = _NONE
-        self._refuse(troubles, "did not take its settings")
+        self._refuse(troubles, "did not accept its settings")
         self._settings = settings
         self._connection = self._session.connection
 
@@ -333,7 +333,7 @@ class ScpiVoltmeter(ABC):
             raise InstrumentRefused(
                 self.name,
                 f"{cause}: {', '.join(troubles)}",
-                "see what these mean in the meter's manual, and check that nobody else controls the meter",
+                "look these up in the meter's manual, and check that nobody else controls the meter",
             )
 
     def _refuse_overload(
@@ -359,7 +359,7 @@ class ScpiVoltmeter(ABC):
             raise InstrumentLost(
                 self.name,
                 "the meter was switched off and on since it was set up",
-                "check its power, then take this reading again",
+                "check its power, then repeat this reading",
             )
         if events & _ERRORS:
             self._refuse(self._errors(), "reports errors with a reading")

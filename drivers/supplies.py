@@ -91,8 +91,8 @@ class WiredSupply(ABC):
         if differing := [text for o in on for text in self._differences(o, states[o].settings, settings[o])]:
             raise SetOtherwise(
                 self.name,
-                f"it was found switched on, and {' and '.join(differing)}",
-                "switch it off, or set it as the bench file has it, then go on",
+                f"it was found switched on: {' and '.join(differing)}",
+                "switch it off, or set it as the bench file states, then resume",
             )
         self._refuse_unready(states, settings)
         self._set = {}
@@ -121,14 +121,14 @@ class WiredSupply(ABC):
             raise InstrumentRefused(
                 self.name,
                 f"its output {output} is {_word(after[output].on)}, not {_word(on)}{reported}",
-                "see its display; nobody else may control it",
+                "check its display, and let nobody else control it",
             )
         others = [o for o in self.outputs if o != output and after[o].on != before[o].on]
         if others and not self._limits.together:
             raise InstrumentRefused(
                 self.name,
                 f"with its output {output} output {' and '.join(others)} went {_word(after[others[0]].on)}",
-                "uncouple its outputs",
+                "end the coupling of its outputs",
             )
         self._refuse_troubles(errors)
 
@@ -153,7 +153,7 @@ class WiredSupply(ABC):
             raise InstrumentRefused(
                 self.name,
                 f"a protection has switched its output {' and '.join(tripped)} off",
-                "find out why, mend it and clear the protection at the supply",
+                "find the cause, remove it and clear the protection at the supply",
             )
 
     def _refuse_not_set_up(self, output: str, states: Mapping[str, OutputState]) -> None:
@@ -166,8 +166,8 @@ class WiredSupply(ABC):
         if differing := self._all_differences(states, concerned):
             raise InstrumentRefused(
                 self.name,
-                f"it is not set any more as it was set up: {' and '.join(differing)}",
-                "see whether its power failed or somebody changed it, then take this step again",
+                f"its settings changed after the set-up: {' and '.join(differing)}",
+                "check its power and who else controls it, then repeat this step",
             )
 
     def _refuse_troubles(self, troubles: Sequence[str]) -> None:
@@ -175,7 +175,7 @@ class WiredSupply(ABC):
             raise InstrumentRefused(
                 self.name,
                 f"did not take its settings: {', '.join(troubles)}",
-                "see what these mean in its manual, and check that nobody else controls it",
+                "look these up in its manual, and check that nobody else controls it",
             )
 
     def _all_differences(

@@ -164,7 +164,7 @@ class SimulatedBench:
 
     @contextmanager
     def aside(self) -> Iterator[None]:
-        """Let instruments be read without a trace in the world; see `World.aside`."""
+        """Let instruments be read without a change of the world; see `World.aside`."""
         with self.world.aside():
             yield
             self.traffic.settle()

@@ -125,9 +125,9 @@ class BenchControl(PlainDialect):
 
     def _mount(self, words: list[str]) -> None:
         if not 1 <= len(words) <= 2 or not words[-1].isalnum():
-            raise ControlError("say which installation, and the series if it is not 1: mount 2")
+            raise ControlError("name the installation, and a series other than 1: mount 2")
         if len(words) == 2 and not words[1].isdigit():
-            raise ControlError(f"a series is a number such as 2, not '{words[1]}'")
+            raise ControlError(f"give a series such as 2, not '{words[1]}'")
         try:
             self._bench.world.mount(words[0], int(words[1]) if len(words) == 2 else 1)
         except KeyError as error:
@@ -163,7 +163,7 @@ class BenchControl(PlainDialect):
                 fault = HeadFault(runs_away=True)
             case _:
                 raise ControlError(
-                    "say head stuck, head stuck 10 deg, head off 30 arcsec, head away, or head ok"
+                    "type head stuck, head stuck 10 deg, head off 30 arcsec, head away, or head ok"
                 )
         self._bench.world.head_fault = fault
 
@@ -178,7 +178,7 @@ class BenchControl(PlainDialect):
             )
         world = self._bench.world
         if not world.power.outputs():
-            raise ControlError("no supply feeds the block of this bench")
+            raise ControlError("no supply feeds the block of this bench; add one to its file")
         world.power.disturb(
             Disturbance(
                 cast("DisturbanceKind", named[0]),
@@ -214,7 +214,7 @@ class BenchControl(PlainDialect):
 
     def _at_once(self, what: str, words: list[str]) -> None:
         if len(words) != 1:
-            raise ControlError(f"say which instrument: {what} {next(iter(self._bench.servers))}")
+            raise ControlError(f"name the instrument: {what} {next(iter(self._bench.servers))}")
         name = self._known(words[0])
         wires: list[TcpServer | TerminalServer] = [self._bench.servers[name]]
         if name in self._bench.terminals:
@@ -240,7 +240,7 @@ class BenchControl(PlainDialect):
         try:
             self._bench.servers[name].accept_again()
         except OSError as error:
-            raise ControlError(f"the port of {name} went to somebody else meanwhile") from error
+            raise ControlError(f"the port of {name} was taken by another program; start again") from error
         if name in self._bench.terminals:
             self._bench.terminals[name].accept_again()
 
@@ -252,7 +252,7 @@ class BenchControl(PlainDialect):
 
 def _no_more(words: list[str]) -> None:
     if words:
-        raise ControlError(f"'{' '.join(words)}' is too much")
+        raise ControlError(f"'{' '.join(words)}' is too much; give less")
 
 
 def _quantity(words: list[str]) -> tuple[float, str]:
@@ -266,7 +266,7 @@ def _angle_rad(words: list[str]) -> float:
     """Return an angle in rad; the default unit is the degree."""
     number, unit = _quantity(words)
     if unit not in _RADIANS:
-        raise ControlError(f"an angle is in deg, arcmin, arcsec or rad, not in '{unit}'")
+        raise ControlError(f"give an angle in deg, arcmin, arcsec or rad, not '{unit}'")
     return number * _RADIANS[unit]
 
 
@@ -274,5 +274,5 @@ def _celsius(words: list[str]) -> float:
     """Return a temperature or a temperature difference in °C."""
     number, unit = _quantity(words)
     if unit not in _CELSIUS:
-        raise ControlError(f"a temperature is in degC, not in '{unit}'")
+        raise ControlError(f"give a temperature in degC, not '{unit}'")
     return number

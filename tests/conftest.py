@@ -7,10 +7,12 @@ import io
 import os
 import shutil
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 from tests.support import thresholds
 
@@ -31,13 +33,25 @@ class Session:
 
 
 def pytest_xdist_auto_num_workers() -> int:
-    """Return the workers of `-n auto`: two for each core, since tests on wires and processes mostly wait."""
-    return 2 * (os.cpu_count() or 1)
+    """Return the workers of `-n auto`: one beside those of the cores, since tests on wires and processes wait.
+
+    Each worker imports and collects all tests, so that more of them cost more than they gain.
+    """
+    return 1 + (os.cpu_count() or 1)
 
 
 def pytest_configure() -> None:
-    """Keep the standard error of the session, which tests do not see."""
+    """Keep the session's standard error; let no speed of the machine decide; collect without garbage passes."""
     Session.stderr = os.dup(2)
+    settings.register_profile("any speed", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+    settings.load_profile("any speed")
+    gc.disable()
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Put the files with most slow tests first, so that at the end no worker is left alone with one of them."""
+    slow = Counter(item.path for item in items if item.get_closest_marker("slow"))
+    items.sort(key=lambda item: -slow[item.path])
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -69,9 +83,10 @@ def cache_of_tests(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
-        thresholds.unpack(cache_folder("thresholds"))
+        folder = cache_folder("thresholds")
+        thresholds.unpack(folder, tmp_path_factory.getbasetemp())
         yield
-        thresholds.keep(cache_folder("thresholds"))
+        thresholds.keep(folder)
 
 
 @pytest.fixture(autouse=True, scope="session")
@@ -134,5 +149,5 @@ def bench(
 
 def pytest_collection_finish() -> None:
     """Leave the thousands of tests and modules out of every later search for garbage."""
-    gc.collect()
+    gc.enable()
     gc.freeze()

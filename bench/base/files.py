@@ -90,7 +90,7 @@ def _from_pipe(path: Path) -> bytes:
         except BlockingIOError:  # a writer has the pipe open but has not written yet
             begun = None
         if begun == b"":
-            raise OSError(errno.EPIPE, "this is a pipe to which nobody writes", str(path))
+            raise OSError(errno.EPIPE, "this is a pipe without a writer", str(path))
         os.set_blocking(descriptor, True)
         return (begun or b"") + pipe.read()
 
@@ -125,7 +125,7 @@ def read_json(content: bytes) -> Any:
 
 
 def _no_number(name: str) -> NoReturn:
-    raise ValueError(f"{name} is no number of JSON")
+    raise ValueError(f"{name} is not a number of JSON")
 
 
 _DECODER: Final = json.JSONDecoder(parse_constant=_no_number)
@@ -147,18 +147,18 @@ def from_text(text: str | bytes) -> Any:
     try:
         return json.loads(text, parse_constant=_not_finite, object_pairs_hook=_once)
     except RecursionError:
-        raise ValueError("its brackets are nested too deep") from None
+        raise ValueError("its brackets are nested too deeply") from None
 
 
 def _not_finite(word: str) -> Any:
-    raise ValueError(f"{word} is no number")
+    raise ValueError(f"{word} is not a number")
 
 
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     whole = dict(pairs)
     if len(whole) < len(pairs):
         twice = repeated(name for name, _ in pairs)[0]
-        raise ValueError(f"'{shortened(twice)}' stands twice")
+        raise ValueError(f"'{shortened(twice)}' appears twice")
     return whole
 
 
@@ -171,7 +171,7 @@ def write_whole(path: Path, text: str | bytes) -> None:
     try:
         os.fsencode(path)
     except UnicodeEncodeError:  # a lone surrogate, which no file system accepts
-        raise OSError(errno.EINVAL, "no name that a file can have", visible(str(path))) from None
+        raise OSError(errno.EINVAL, "not a valid file name", visible(str(path))) from None
     try:
         if path.exists() and not path.is_file():
             with _opened_at_once(path) as special:
@@ -188,7 +188,7 @@ def _opened_at_once(path: Path) -> BinaryIO:
         descriptor = os.open(path, os.O_WRONLY | getattr(os, "O_NONBLOCK", 0))
     except OSError as error:
         if error.errno == errno.ENXIO:
-            raise OSError(errno.ENXIO, "this is a pipe that nobody reads") from None
+            raise OSError(errno.ENXIO, "this is a pipe without a reader") from None
         raise
     os.set_blocking(descriptor, True)
     return os.fdopen(descriptor, "wb")

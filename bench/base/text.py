@@ -10,6 +10,8 @@ from datetime import datetime
 from pathlib import PurePath
 from typing import TYPE_CHECKING, Final
 
+from bench.base.languages import message
+
 if TYPE_CHECKING:
     import numpy as np
 
@@ -95,7 +97,9 @@ def repeated(words: Iterable[str]) -> list[str]:
 
 def listed(names: Sequence[str]) -> str:
     """Return names joined for a sentence: "Kxx, Kxy and Kxz"."""
-    return " and ".join(filter(None, (", ".join(names[:-1]), *names[-1:])))
+    if len(names) < 2:
+        return "".join(names)
+    return message(f"{', '.join(names[:-1])} and {names[-1]}")
 
 
 def duration(seconds: float) -> str:

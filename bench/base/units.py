@@ -149,7 +149,7 @@ def _parsed(text: str, kind: QuantityKind) -> float:
         raise ValueError(f"{kind.expected}, got '{shortened(text)}'")
     number, unit = read
     if not unit and kind.si:
-        raise ValueError(f"{kind.expected}, got '{shortened(text)}' without a unit")
+        raise ValueError(f"{kind.expected}, got '{shortened(text)}' without a unit; add one")
     factor = _factor_of(unit, kind, text)
     if factor is None or (kind.only and unit not in kind.only):
         raise ValueError(f"{kind.expected}, got '{shortened(text)}'")
@@ -190,7 +190,7 @@ def unit_of(unit: str) -> tuple[float, Dimension]:
     if not unit:
         return 1.0, ()
     if _UNIT.fullmatch(unit) is None:
-        raise ValueError(f"'{unit}' is no unit; known are {', '.join(_UNITS)}")
+        raise ValueError(f"'{unit}' is not a unit; known are {', '.join(_UNITS)}")
     _factor(unit, "")
     dimensionality: Mapping[str, Any] = (
         _registry().Quantity(1.0, _registry().parse_units(unit)).dimensionality

@@ -100,7 +100,7 @@ def unknown_word(word: str, known: list[str], what: str) -> str:
     For an unknown word it suggests the nearest in `known`.
     """
     if word in known:
-        return f"'{word}' does not go with the other keys here; leave it or those out"
+        return f"'{word}' does not fit the other keys here; remove it or them"
     near = _nearest(word, known)
     hint = f"did you mean '{near}'? " if near else ""
     return f"unknown {what} '{shortened(word)}'; {hint}known: {', '.join(known)}"
@@ -269,12 +269,12 @@ class _Reader:
             if isinstance(event, AliasEvent):
                 line = self._anchors[event.anchor].line + 1
                 self._slip(
-                    line, place, "anchors and aliases (& and *) are not understood here; write the value out"
+                    line, place, "anchors and aliases (& and *) are not allowed here; write the value out"
                 )
                 return None
         tag = event.tag
         if tag is not None and tag not in _PLAIN_TAGS and tag != "!":
-            self._slip(_line(event), place, f"the tag {tag!r} is not understood; leave it out")
+            self._slip(_line(event), place, f"the tag {tag!r} is not allowed; remove it")
         if isinstance(event, ScalarEvent):
             text = event.value
             is_nothing = tag == _NULL or (text in _NULLS and tag in _UNTOLD and event.implicit[0])
@@ -341,7 +341,7 @@ class _Reader:
 
     def _slip_again(self, line: int, place: Place, name: str) -> None:
         first = self._noting.lines[(*place, name)] if self._noting is not None else 0
-        self._slip(line, place, f"'{name}' stands here a second time, first in line {first}; leave one out")
+        self._slip(line, place, f"'{name}' appears here again, first in line {first}; leave one out")
 
     def _slip(self, line: int, place: Place, text: str) -> None:
         if self._noting is None:
@@ -354,7 +354,7 @@ def _line(event: Any) -> int:
 
 
 def _too_deep(event: Any) -> TooDeep:
-    problem = f"lists and keys stand more than {MOST_DEEP} deep in each other"
+    problem = f"lists and keys are nested more than {MOST_DEEP} levels deep; simplify the file"
     return TooDeep(problem=problem, problem_mark=event.start_mark)
 
 
@@ -479,7 +479,7 @@ def document_of(path: Path, content: bytes) -> Document:
     except yaml.YAMLError as error:
         raise _not_yaml(path, text, error) from None
     if written.data is None:
-        raise _unusable(path, "the file is empty; 'bench init' writes files to start from")
+        raise _unusable(path, "the file is empty; start from a file written by 'bench init'")
     mistakes = [FileMistake(line, dotted(place), told) for line, place, told in written.slips]
     return Document(path, written.data, hashlib.sha256(content).hexdigest(), text, mistakes)
 
@@ -492,7 +492,7 @@ def _content(path: Path, most_bytes: int) -> bytes:
     except IsADirectoryError:
         text = "this is a folder; name a file in it"
     except OSError as error:
-        text = f"the file cannot be read ({error.strerror})"
+        text = f"the file cannot be read ({error.strerror}); check its permissions"
     raise _unusable(path, text)
 
 
@@ -556,7 +556,7 @@ def validated(document: Document, model: type[Model]) -> Model:
 def _told(mistakes: list[FileMistake]) -> list[FileMistake]:
     if len(mistakes) < MOST_TOLD:
         return mistakes
-    last = FileMistake(mistakes[-1].line, "", "there are more mistakes; they are told when these are mended")
+    last = FileMistake(mistakes[-1].line, "", "more mistakes follow: correct these first, then check again")
     return [*mistakes[: MOST_TOLD - 1], last]
 
 

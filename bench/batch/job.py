@@ -76,7 +76,7 @@ class Job:
             load_bench(find_bench(bench))
             bench = str(find_bench(bench).absolute())
         if self.model is not None and not Path(self.model).is_file():
-            raise Refused(f"--model {self.model}: there is no such file")
+            raise Refused(f"--model {self.model}: no such file; check the name")
         model = None if self.model is None else str(Path(self.model).absolute())
         given = {field.name: getattr(self, field.name) for field in fields(self)}
         effects = tuple(str(Path(file).absolute()) for file in self.effects)

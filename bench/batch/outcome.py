@@ -37,7 +37,7 @@ def carried_out(request: Batch, tell: Callable[[Iterable[str]], None]) -> BatchR
     """
     job = job_of(request).checked()
     listed = list_runs(request.over, runs_folder(request.runs), request.catalogue)
-    tell(f"{place} is no run and holds none: left out" for place in listed.no_runs)
+    tell(f"{place} is not a run and contains none: left out" for place in listed.no_runs)
     with Store(request.out) as store:
         left = store.begin(job, request.over, listed.runs)
         tell(left.notes)
@@ -48,7 +48,7 @@ def carried_out(request: Batch, tell: Callable[[Iterable[str]], None]) -> BatchR
         except KeyboardInterrupt:
             done = len(listed.runs) - len(store.begin(job, request.over, listed.runs).pending)
             raise Refused(
-                f"stopped by Ctrl-C; {done} of {len(listed.runs)} runs are done; the same command goes on"
+                f"stopped by Ctrl-C; {done} of {len(listed.runs)} runs are done; the same command continues"
             ) from None
         return conclude(store)
 

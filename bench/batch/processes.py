@@ -137,7 +137,7 @@ class _Pool:
         """Count a process that died before it was ready. Raises `Refused` when this happens too often."""
         self._stillborn += 1
         if self._stillborn >= TRIES * self._count:
-            raise Refused(f"the processes that compute end before they begin ({how})")
+            raise Refused(f"the worker processes end before they start ({how})")
 
     def _let_go(self, worker: _Worker) -> None:
         self._workers.remove(worker)
@@ -181,13 +181,13 @@ class _Pool:
 
 def died_at(run: str, why: str) -> Row:
     """Return the row of a run that repeatedly killed its process; `why` is the reason stated."""
-    told = f"no process gets through this run: {why}; try it alone"
+    told = f"every process failed at this run: {why}; try it alone"
     return {"run": run, "name": Path(run).name, "failed": told}
 
 
 def _how(code: int | None) -> str:
     if code is None:
-        return "in a way that is not known"
+        return "for an unknown reason"
     return f"by signal {signal.Signals(-code).name}" if code < 0 else f"with status {code}"
 
 
@@ -250,15 +250,15 @@ def by_scheduler(job: Job, runs: Iterator[str], address: str) -> Iterator[Row]:
         client = dask.Client(address, timeout=_SCHEDULER_PATIENCE, set_as_default=False)
     except (OSError, TimeoutError, ValueError) as problem:
         raise Refused(
-            f"--scheduler {address}: no Dask scheduler answers there ({type(problem).__name__}); begin one with "
-            "'dask scheduler', and its workers with 'dask worker ADDRESS --nthreads 1'"
+            f"--scheduler {address}: no Dask scheduler answers there ({type(problem).__name__}); start "
+            "one with 'dask scheduler', and its workers with 'dask worker ADDRESS --nthreads 1'"
         ) from None
     try:
         client.wait_for_workers(1, timeout=_PATIENCE_WITH_WORKERS_S)
     except (OSError, TimeoutError):
         client.close(timeout=2)
         raise Refused(
-            f"--scheduler {address}: no worker is there; begin some with 'dask worker {address} --nthreads 1'"
+            f"--scheduler {address}: it has no worker; start some with 'dask worker {address} --nthreads 1'"
         ) from None
     try:
         yield from _rows_of(dask, client, job, runs, address)
@@ -298,11 +298,14 @@ def _row(dask: Any, future: Any, run: str, address: str) -> Row:
     except dask.scheduler.KilledWorker as killed:
         return died_at(run, f"{killed.allowed_failures + 1} workers ended at it")
     except (dask.CancelledError, dask.client.FutureCancelledError, OSError, TimeoutError):
-        raise Refused(f"--scheduler {address}: the scheduler has gone away") from None
+        raise Refused(
+            f"--scheduler {address}: the connection to the scheduler was lost; start it and "
+            "repeat the command"
+        ) from None
     except Exception as problem:
         told = " ".join(str(problem).split())
         raise Refused(
-            f"--scheduler {address}: its workers cannot do it ({type(problem).__name__}: {told})"
+            f"--scheduler {address}: its workers cannot compute it ({type(problem).__name__}: {told})"
         ) from None
 
 
@@ -313,7 +316,7 @@ def of_program(asked: dict[str, str], job: Job, run: str) -> Row:
         f"{name} is {mine.get(name)}, here {asked[name]}" for name in asked if mine.get(name) != asked[name]
     ]
     if other:
-        raise RuntimeError(f"a worker has another program: its {'; its '.join(other)}")
+        raise RuntimeError(f"a worker has another version; install the same one: its {'; its '.join(other)}")
     from bench.batch.work import worked
 
     return worked(job, run)

@@ -56,13 +56,13 @@ def list_runs(over: Sequence[str], runs: Path, catalogue: str | None = None) -> 
     words = [word for given in over for word in _words(given)]
     asked = [word for word in words if is_question(word)]
     if not any(words):
-        raise Refused("--over: say which runs, such as --over 'runs/*' or --over unit=Q-17")
+        raise Refused("--over: name the runs, such as --over 'runs/*' or --over unit=Q-17")
     if asked and len(asked) < len(words):
         other = next(word for word in words if not is_question(word))
-        raise Refused(f"--over {other}: a pattern beside a query ({asked[0]}); give the one or the other")
+        raise Refused(f"--over {other}: a pattern and a query together ({asked[0]}); give one of them")
     found = _asked(asked, catalogue) if asked else _there(words, runs)
     if not found.runs:
-        kind = "the catalogue has no run of which this holds" if asked else "no run lies there"
+        kind = "no run in the catalogue matches" if asked else "no run is there"
         raise Refused(f"--over {' '.join(words)}: {kind}")
     return found
 
@@ -162,16 +162,16 @@ class Store:
     def __enter__(self) -> Store:
         """Lock the folder. Raises `Refused` if another program has it or it is no folder of a batch."""
         if self.folder.exists() and not self.folder.is_dir():
-            raise Refused(f"--out {self.folder}: a file of that name is there; give a folder")
+            raise Refused(f"--out {self.folder}: this is a file; name a folder")
         there = self.folder.is_dir() and any(one.name not in _BEFORE for one in self.folder.iterdir())
         if there and not (self.folder / BATCH).is_file():
-            raise Refused(f"--out {self.folder}: the folder holds other files and no batch; give another")
+            raise Refused(f"--out {self.folder}: the folder has other files but no batch; name another")
         (self.folder / PARTS).mkdir(parents=True, exist_ok=True)
         try:
             self._lock.acquire()
         except Timeout:
             raise Refused(
-                f"{self.folder}: another program carries this batch out; wait until it ends"
+                f"{self.folder}: another program is computing this batch; wait until it ends"
             ) from None
         for half in self.folder.rglob(f"*{_HALF}"):
             half.unlink()
@@ -218,8 +218,8 @@ class Store:
         told += _differences(before["program"], asked["program"], "the program's ")
         if told:
             raise Refused(
-                f"{self.folder}: its batch was begun otherwise: {'; '.join(told)}; go on as it was begun, or give "
-                "another folder with --out"
+                f"{self.folder}: its batch was started differently: {'; '.join(told)}; use the same "
+                "options, or name another folder with --out"
             )
 
     def noted(self) -> dict[str, Any]:
@@ -230,9 +230,9 @@ class Store:
             if noted["format"] != FORMAT or noted["command"] not in COLUMNS:
                 raise ValueError(f"format {noted['format']}")
         except FileNotFoundError:
-            raise Refused(f"{self.folder}: no batch is there (no {BATCH} in it)") from None
+            raise Refused(f"{self.folder}: no batch there (no {BATCH} in it)") from None
         except (OSError, ValueError, KeyError, TypeError) as problem:
-            raise Refused(f"{file}: cannot be read ({problem}); give another folder with --out") from None
+            raise Refused(f"{file}: cannot be read ({problem}); name another folder with --out") from None
         return noted
 
     # --- what is done -------------------------------------------------------------------------------
@@ -247,9 +247,9 @@ class Store:
         pending = {run: mark for run, mark in now.items() if mark not in done.get(run, ())}
         notes = []
         if changed := sum(run in done for run in pending):
-            notes.append(f"{changed} runs have changed since they were computed: they are computed again")
+            notes.append(f"{changed} runs changed since they were computed; they are computed again")
         if gone := len(done.keys() - now.keys()):
-            notes.append(f"{gone} runs that were computed are no longer there: the result is without them")
+            notes.append(f"{gone} computed runs no longer exist; the result omits them")
         if done and (new := sum(run not in done for run in pending)):
             notes.append(f"{len(now) - len(pending)} runs are done, {new} are left")
         return BatchProgress(pending, len(now) - len(pending), tuple(notes))
@@ -266,7 +266,9 @@ class Store:
                 raise Refused(f"{part}: damaged ({first}); delete it: its runs are computed again") from None
             for run, mark in zip(table["run"].to_pylist(), table["fingerprint"].to_pylist(), strict=True):
                 if mark in done.get(run, ()):
-                    raise Refused(f"{part}: {run} stands in another part, too; delete {part}, and go on")
+                    raise Refused(
+                        f"{part}: {run} is in another part, too; delete {part}, and repeat the command"
+                    )
                 done[run] = (*done.get(run, ()), mark)
         return done
 

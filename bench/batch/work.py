@@ -130,9 +130,9 @@ def _compared(result: CalibrationResult, verdict: VerificationResult | None, sto
 def _notes_on(before: CalibrationValues, result: CalibrationResult) -> Iterator[str]:
     run = result.source.run
     if run is not None and before.head is not None and before.head != run.history.head:
-        yield "the stored result is of another state of the record (its head is another)"
+        yield "the stored result is of an earlier state of the record (its head differs)"
     if before.u_of_readings_alone:
-        yield "the stored u is that of an earlier version: of the readings alone"
+        yield "the stored u is from an earlier version and covers the readings alone"
 
 
 def _verdicts(before: VerdictValues | None, now: VerdictValues | None) -> Row:

@@ -18,7 +18,13 @@ from bench.calibration.free import first_guess_free, triangular
 from bench.calibration.gls import Estimator, WeightingTask
 from bench.calibration.linear import linear_estimate
 from bench.calibration.noise import KnownStand, require_told
-from bench.calibration.observability import GAIN, GRAVITY, assumptions, require_rank
+from bench.calibration.observability import (
+    GAIN,
+    GRAVITY,
+    assumptions,
+    require_rank,
+    unseen_coefficients,
+)
 from bench.calibration.outliers import FittedRows
 from bench.calibration.result import (
     Calibration,
@@ -30,7 +36,7 @@ from bench.calibration.result import (
 )
 from bench.model.forward import ForwardModel
 from bench.model.geometry import STAND_ANGLES, Block
-from bench.readings.table import FREE, VERIFICATION, Readings
+from bench.readings.table import FREE, REFERENCE, VERIFICATION, Readings
 
 ROUNDING: Final = 1e-9
 """Noise below this fraction of the largest signal means computed readings, which have no outliers."""
@@ -122,6 +128,7 @@ def calibrate(
         stand=_stand(problem, fit) if by.weighs_all else {},
         effects=_effects(problem, fit) if by.weighs_all else {},
         assume=partial(_assumed, problem, fit.block, fit.gain, readings.unit),
+        unseen=partial(unseen_coefficients, problem, fit.block),
         free=chosen.free if len(chosen.free) else None,
         modulus_error=fit.modulus,
         outliers=found,
@@ -153,8 +160,7 @@ def _choose(
     if join_verification and not by.weighs_all:
         able = " or ".join(e.name for e in ESTIMATORS.values() if e.weighs_all)
         raise CalibrationError(
-            f"the estimator {by.name} takes oriented readings alone; use {able} where verification "
-            "points are to join"
+            f"the estimator {by.name} needs oriented readings; use {able} to let verification points join"
         )
     labels = [FREE] * join_free + [VERIFICATION] * join_verification
     joins = np.isin(readings.installation, labels) & by.weighs_all
@@ -172,15 +178,20 @@ def usable_rows(readings: Readings, model: ForwardModel) -> Readings:
     Raises `CalibrationError` if there are none, an installation is not in the model, or a value is no number.
     """
     rows = readings.oriented()
+    if len(readings) and np.all(readings.installation == REFERENCE):
+        raise CalibrationError(
+            f"{readings.source}: a record at a known input has no coefficients of a block; 'bench diagnose' gives "
+            "zero, drift and effects of each channel"
+        )
     if len(rows) == 0:
         raise CalibrationError(
             f"{readings.source}: no reading in an installation of known orientation; "
-            "a calibration needs installations 1 and 2, or free positions (F) all round"
+            "measure installations 1 and 2, or free positions (F) all round"
         )
     strange = sorted(set(rows.installation.tolist()) - set(model.installations))
     if strange:
         raise CalibrationError(
-            f"{readings.source}: installation {', '.join(strange)} is not known (known are "
+            f"{readings.source}: installation {', '.join(strange)} is unknown (known are "
             f"{', '.join(model.installations)}); define it in the bench file"
         )
     mistakes.require_numbers(rows, angles=True)
@@ -206,12 +217,12 @@ def _notes_on_rows(
     readings: Readings, chosen: FittedRows, estimator: str, *, join_free: bool
 ) -> tuple[str, ...]:
     if np.any(chosen.free.installation == VERIFICATION):
-        return ("the verification points joined the fit: they are no independent check of it",)
+        return ("the verification points joined the fit, so they do not check it independently",)
     count = int(np.sum(readings.installation == FREE))
     if not count or len(chosen.free):
         return ()
-    why = f"the estimator {estimator} takes oriented readings alone" if join_free else "as asked"
-    return (f"{count} free positions do not take part: {why}",)
+    why = f"the estimator {estimator} needs oriented readings" if join_free else "as asked"
+    return (f"{count} free positions are not used: {why}",)
 
 
 def _on_levels(problem: Problem) -> tuple[str, ...]:
@@ -227,7 +238,7 @@ def _on_levels(problem: Problem) -> tuple[str, ...]:
         sizes.append(f"{symbol}: {low:.2g}" + (f" to {high:.2g}" if high > 1.05 * low else "") + " arcsec")
     return (
         f"a level showed how the platform stood in installation {', '.join(mounts)} (u of {', of '.join(sizes)}); "
-        "that counts in place of the limits in the bench file",
+        "this replaces the limits in the bench file",
     )
 
 
@@ -272,7 +283,7 @@ def _fitted(
     # one outlier is enough for a note, but in free positions alone several may mask each other
     most = outliers.most_outliers(problem) if problem.upper else 1
     notes = tuple(
-        f"an outlier is evident: {outlier.text()}; the estimator '{ROBUST}' takes its weight away"
+        f"outlier found: {outlier.text()}; the estimator '{ROBUST}' gives it no weight"
         for outlier in outliers.listed(outliers.search(problem, task.fit, task.refit, most), chosen)
     )
     return fit, (), notes
@@ -321,9 +332,9 @@ def _assumed(problem: Problem, block: Block, gain: Floats, unit: str) -> tuple[s
     if not problem.upper:
         return assumptions(problem, block, gain[:FIXED], unit)
     return (
-        "common rotation of the block's axes: no free position shows it; by convention K is upper triangular "
-        "(axis z is that of channel z, axis y lies in the plane of channels y and z)",
-        "sign of each channel: no free position shows it; every scale factor is given as positive",
+        "common rotation of the block's axes: no free position shows it; by convention K is upper "
+        "triangular (axis z along channel z, axis y in the plane of channels y and z)",
+        "sign of each channel: no free position shows it; every scale factor is stated positive",
         GAIN,
         GRAVITY,
     )

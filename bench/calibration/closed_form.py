@@ -86,7 +86,7 @@ def _cells(readings: Readings) -> tuple[Ints, Ints]:
     if np.any(stray):
         first = int(np.argmax(stray))
         raise CalibrationError(
-            f"the closed form (8) knows installations 1 and 2 with points 1 to 9 only, but there is "
+            f"the closed form (8) covers installations 1 and 2 with points 1 to 9 only, not "
             f"installation {readings.installation[first]}, point {readings.point[first]}; "
             "use the default estimator"
         )
@@ -102,7 +102,7 @@ def _cells(readings: Readings) -> tuple[Ints, Ints]:
     if np.any(off > FARTHEST_FROM_NOMINAL_RAD):
         worst = int(np.argmax(off))
         raise CalibrationError(
-            f"the closed form (8) takes point {readings.point[worst]} at "
+            f"the closed form (8) needs point {readings.point[worst]} at "
             f"{np.degrees(NOMINAL_RAD[readings.point[worst] - 1]):g}°, but the head stood at "
             f"{np.degrees(readings.angle_rad[worst]):.4f}°; use the default estimator"
         )

@@ -10,6 +10,7 @@ import numpy as np
 from scipy import special
 
 from bench.base.arrays import ARCSEC, CHANNELS, HOUR, Floats, Ints, rms
+from bench.base.languages import message
 from bench.base.numbers import scale_for
 from bench.calibration.design import Problem
 from bench.calibration.gls import Fit, finish
@@ -362,10 +363,10 @@ DISAGREES_P: Final = 0.05
 """P-value below which a contradiction to the stated noise is reported: few readings seldom show one."""
 
 _SHARED_BY: Final = {
-    "setting": "the readings at a setting (installation and point) in all passes",
-    ANGLE: "the readings at a setting (installation and point) in all passes",
-    "visit": "the readings of one stay at a setting",
-    "pass": "the readings of one pass",
+    "setting": message("the readings at a setting (installation and point) in all passes"),
+    ANGLE: message("the readings at a setting (installation and point) in all passes"),
+    "visit": message("the readings of one stay at a setting"),
+    "pass": message("the readings of one pass"),
 }
 
 
@@ -376,21 +377,23 @@ def notes_on_noise(
     notes = [*note_on_prior(noise, unit)]
     if noise.channels is not None and noise.p_equal < UNEQUAL_P:
         sizes = ", ".join(f"{c} {size:.2g} {unit}" for c, size in zip(CHANNELS, noise.channels, strict=True))
-        notes.append(f"the channels differ in noise ({sizes}; p = {noise.p_equal:.1g}): each has its own")
+        notes.append(
+            f"the channels differ in noise ({sizes}; p = {noise.p_equal:.1g}): each has its own noise"
+        )
     if tails < UNEQUAL_P:
         notes.append(
-            f"the noise has heavy tails (p = {tails:.1g}): u holds for its standard deviation, and the estimator "
-            "'robust' leaves out what is far off"
+            f"the noise has heavy tails (p = {tails:.1g}): u describes its standard deviation; the "
+            "estimator 'robust' reduces the weight of outliers"
         )
     notes += _on_components(shared.components, unit)
     if shared.drift is not None:
         notes.append(
-            f"U0 is the bias at the mean of the run of {shared.drift.hours:.2g} h; at any one time it is less "
-            "certain by as much as it wanders"
+            f"U0 is the bias at the mean of the run of {shared.drift.hours:.2g} h; at one instant it is "
+            "less certain, by its drift"
         )
     if birge > 1.0:
         notes.append(
-            f"the model leaves more than the noise explains: u is {birge:.2g} times what the noise alone gives "
+            f"the model leaves more than the noise explains: u is {birge:.2g} times that of the noise alone "
             "(Birge ratio)"
         )
     return tuple(notes)
@@ -402,30 +405,33 @@ def note_on_prior(noise: Noise, unit: str) -> tuple[str, ...]:
 
 
 def _on_prior(prior: NoisePrior, unit: str) -> str:
-    where = "the bench file states" if prior.stated else "other runs told"
+    where = "the bench file states" if prior.stated else "other runs gave"
     scale = scale_for(prior.reading, unit)
-    rests = (
+    rests = message(
         f"u rests on the sizes of the noise that {where} (reading {prior.reading / scale.size:.3g} {scale.unit}, "
         f"setting {prior.setting_rad / ARCSEC:.2g} arcsec, {prior.dof:.2g} degrees of freedom)"
     )
     if not prior.readings_dof > 0:
-        return f"{rests}: so few readings leave nothing over that would show the noise"
+        return f"{rests}: so few readings leave no degrees of freedom to estimate the noise"
     scatter = f"they scatter {prior.ratio:.2g} times as much"
     if prior.p < DISAGREES_P:
         return f"{rests}, and the readings disagree: {scatter} (p = {prior.p:.1g}); measure more points"
-    return f"{rests}: so few readings show little of it, and {scatter} (p = {prior.p:.2g})"
+    return f"{rests}: so few readings hardly show the noise, and {scatter} (p = {prior.p:.2g})"
 
 
 def _on_components(components: Sequence[Component], unit: str) -> Iterator[str]:
     for what in dict.fromkeys(c.what for c in components):
         own = [c for c in components if c.what == what]
         if what == ANGLE:
-            sizes = f"{own[0].size / ARCSEC:.2g} arcsec of the head"
+            sizes = message(f"{own[0].size / ARCSEC:.2g} arcsec of the head")
         elif own[0].channels == "all":
             sizes = f"{own[0].size:.2g} {unit}"
         else:
             sizes = ", ".join(f"{c.channels} {c.size:.2g} {unit}" for c in own)
         if what == DRIFT:
-            yield f"the biases seem to wander over the run by {sizes} rms about their means: u holds it"
+            yield f"the biases appear to drift over the run by {sizes} rms about their means; u includes it"
         else:
-            yield f"{_SHARED_BY[what]} seem to share an error ({sizes}), which repeats do not average: u holds it"
+            yield (
+                f"{_SHARED_BY[what]} seem to share an error ({sizes}), which repeats do not average; u "
+                "includes it"
+            )

@@ -20,11 +20,12 @@ from numpy.typing import ArrayLike
 from scipy import special
 
 from bench.base.arrays import Floats, Mask
+from bench.base.languages import message
 from bench.calibration.result import CalibrationError
 
-SIMPLE: Final = "simple acceptance"
-GUARDED: Final = "guarded"
-NON_BINARY: Final = "non-binary"
+SIMPLE: Final = message("simple acceptance")
+GUARDED: Final = message("guarded")
+NON_BINARY: Final = message("non-binary")
 RULES: Final = (SIMPLE, GUARDED, NON_BINARY)
 
 FALSE_ACCEPTANCE: Final = 0.05
@@ -57,12 +58,12 @@ _FAR: Final = 12.0
 class Statement(StrEnum):
     """A statement of conformity (ILAC-G8:09/2019, 4.2), or the reason why none is made; from best to worst."""
 
-    PASS = "pass"
-    CONDITIONAL_PASS = "conditional pass"
-    CONDITIONAL_FAIL = "conditional fail"
+    PASS = message("pass", "statement")
+    CONDITIONAL_PASS = message("conditional pass")
+    CONDITIONAL_FAIL = message("conditional fail")
     INCONCLUSIVE = "inconclusive"
     NOT_COMPLETE = "not complete"
-    FAIL = "fail"
+    FAIL = message("fail", "statement")
 
 
 @dataclass(frozen=True)
@@ -91,12 +92,12 @@ class DecisionRule:
             return cls()
         name = {None: NON_BINARY, "simple": SIMPLE}.get(asked, asked)
         if name not in RULES:
-            raise CalibrationError(f"no decision rule {asked!r}; there are {', '.join(RULES)}")
+            raise CalibrationError(f"unknown decision rule {asked!r}; choose from {', '.join(RULES)}")
         if guard_band is None:
             return cls(name, 1.0)
         if name == SIMPLE:
             raise CalibrationError(
-                "simple acceptance takes no guard band off the limit; leave it out, or ask for the rule guarded"
+                "simple acceptance has no guard band; remove it, or choose the rule 'guarded'"
             )
         if not (math.isfinite(guard_band) and guard_band > 0.0):
             raise CalibrationError(
@@ -123,9 +124,9 @@ class DecisionRule:
     def words(self) -> str:
         """The rule as a verdict names it: "guarded (w = 0.83 U)"."""
         if self.guard_band is None:
-            return f"{self.name} (false acceptance ≤ {100 * FALSE_ACCEPTANCE:g} %)"
+            return message(f"{self.name} (false acceptance ≤ {100 * FALSE_ACCEPTANCE:g} %)")
         times = "" if self.guard_band == 1.0 else f"{self.guard_band:g} "
-        return self.name if self.name == SIMPLE else f"{self.name} (w = {times}U)"
+        return self.name if self.name == SIMPLE else message(f"{self.name} (w = {times}U)")
 
     def acceptance_limit(self, limit: float, known: MeasuredValues) -> Floats:
         """Return the largest |y| that is accepted, for each of n measured values, (n,).

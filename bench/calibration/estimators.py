@@ -34,7 +34,7 @@ def find_estimator(asked: str) -> Estimator:
     for estimator in ESTIMATORS.values():
         if asked in {estimator.name, *estimator.also}:
             return estimator
-    raise CalibrationError(f"no estimator {asked!r}; there are {', '.join(ESTIMATORS)}")
+    raise CalibrationError(f"no estimator {asked!r}; choose from {', '.join(ESTIMATORS)}")
 
 
 def in_a_budget(asked: str) -> Estimator:
@@ -48,4 +48,4 @@ def estimators_in_words(*, budget: bool = False) -> str:
     phrases = [f"{' or '.join((e.name, *e.also))} ({e.phrase})" for e in ESTIMATORS.values()]
     text = f"{', '.join(phrases[:-1])}, or {phrases[-1]}"
     counted = [f"{e.name} counts as {e.counts_as}" for e in ESTIMATORS.values() if e.counts_as]
-    return f"{text}; where nothing is an outlier, {', '.join(counted)}." if budget and counted else f"{text}."
+    return f"{text}; without outliers, {', '.join(counted)}." if budget and counted else f"{text}."

@@ -93,8 +93,8 @@ def _force(problem: Problem, free: FreeRows | None, block: Block, others: Floats
         force = force + step
         if not np.all(np.isfinite(force)):
             raise CalibrationError(
-                f"model {problem.model.name}: an effect in it needs what free positions lack (a head angle, a "
-                "time or a temperature); leave them out with --no-join-free"
+                f"model {problem.model.name}: one effect needs a head angle, a time or a temperature, "
+                "which free positions lack; leave them out with --no-join-free"
             )
         if np.max(np.abs(step)) < STANDS_STILL_G:
             break
@@ -112,8 +112,8 @@ def first_guess_free(signal: Floats) -> Block:
     """
     if len(signal) < LEAST_POSITIONS:
         raise CalibrationError(
-            f"{len(signal)} free positions are too few for a calibration without orientations: it has nine "
-            f"coefficients; measure {LEAST_POSITIONS} or more, all round"
+            f"{len(signal)} free positions are too few for the nine coefficients of a calibration without "
+            f"orientations; measure {LEAST_POSITIONS} or more, all round"
         )
     middle = (signal.max(axis=0) + signal.min(axis=0)) / 2
     size = np.ptp(signal, axis=0) / 2
@@ -125,7 +125,7 @@ def first_guess_free(signal: Floats) -> Block:
         part = np.abs(directions[-1])
         untold = [name for name, p in zip(PRODUCTS, part, strict=True) if p > 0.3 * part.max()]
         raise CalibrationError(
-            f"{len(signal)} free positions do not determine the nine coefficients: they hardly tell "
+            f"{len(signal)} free positions do not determine the nine coefficients: they hardly show "
             f"{', '.join(untold)} of the ellipsoid of signals; add positions with two and three axes "
             "inclined, up and down"
         )
@@ -140,8 +140,8 @@ def _block_of_ellipsoid(matrix: Floats, linear: Floats, middle: Floats, size: Fl
     shape = matrix / (1 + centre @ matrix @ centre)
     if np.min(np.linalg.eigvalsh(shape)) <= 0:
         raise CalibrationError(
-            "the free positions do not lie on an ellipsoid, as readings at rest of |a| = 1 g must; are there "
-            "readings in motion among them, or too few directions?"
+            "the free positions do not lie on an ellipsoid, as readings at rest of |a| = 1 g must; remove "
+            "readings in motion, or measure more directions"
         )
     upper: Floats = np.linalg.cholesky(shape).T / size
     return Block(np.asarray(np.linalg.inv(upper), dtype=np.float64), middle + centre * size)

@@ -151,9 +151,8 @@ def _not_converged(problem: Problem, system: System, unknown: int, moved: float)
     unit = "" if len(system.left) else " g"
     return CalibrationError(
         f"the fit did not converge: after {MOST_ITERATIONS} steps {names[unknown]} still moves by {moved:.2g} of "
-        f"its standard uncertainty, and the model leaves {left:.2g}{unit} of the readings (root mean square); look "
-        "for rows of another installation, another block or another unit, and for an effect that they do not "
-        "determine"
+        f"its standard uncertainty, and the model leaves {left:.2g}{unit} of the readings (root mean "
+        "square); check for rows of another installation, block or unit"
     )
 
 

@@ -48,7 +48,7 @@ def require_numbers(rows: Readings, *, angles: bool) -> None:
         bad |= ~np.isfinite(rows.angle_rad)
     if np.any(bad):
         raise CalibrationError(
-            f"{_place(rows, bad)} has a signal or an angle that is not a number; leave this reading out"
+            f"{_place(rows, bad)} has a signal or an angle that is not a number; remove this reading"
         )
     over = np.asarray((np.abs(rows.signal) >= OVERLOAD).any(axis=1))
     if np.any(over):
@@ -76,7 +76,7 @@ def refuse_wrong_angle_unit(problem: Problem, signal: Floats, residuals: Floats)
     unit = min(left, key=lambda name: left[name])
     if left[unit] < MUCH_BETTER_ANGLES * as_given and left[unit] < BADLY * whole:
         raise CalibrationError(
-            f"the angles look like {unit}, not degrees: as degrees they leave {100 * as_given / whole:.2g} % of "
+            f"the angles look like {unit}, not degrees: in degrees they leave {100 * as_given / whole:.2g} % of "
             f"the variance of the signals, as {unit} {100 * left[unit] / whole:.2g} %; write angle_deg in degrees"
         )
 
@@ -157,8 +157,8 @@ def refuse_saturated_free(signal: Floats) -> None:
 def _raise_saturated(axis: str, count: int, signal: Floats) -> None:
     values = " and ".join(f"{v:.7g}" for v in np.unique(signal))
     raise CalibrationError(
-        f"channel {axis} is saturated: {count} readings stand at {values}, the end of its range, where the "
-        "signal goes further; measure them again on a higher range, or leave them out"
+        f"channel {axis} is saturated: {count} readings stand at {values}, the end of its range, while "
+        "the signal goes further; measure them again on a higher range, or leave them out"
     )
 
 
@@ -173,7 +173,7 @@ def refuse_singular(block: Block, u: Floats | None = None) -> None:
     dead = [axis for axis, k, s in zip("xyz", length, least, strict=True) if not k > NO_ANSWER * s]
     if dead:
         raise CalibrationError(
-            f"channel {', '.join(dead)} does not answer to the acceleration; check its cable and the supply of "
+            f"channel {', '.join(dead)} does not respond to the acceleration; check its cable and the supply of "
             "the block"
         )
     unit = block.K / length[:, None]
@@ -183,8 +183,8 @@ def refuse_singular(block: Block, u: Floats | None = None) -> None:
     i, j = divmod(int(np.argmax(between)), 3)
     if between[i, j] > ALIKE:
         raise CalibrationError(
-            f"K is singular: channels {'xyz'[i]} and {'xyz'[j]} answer alike; are two voltmeters on one "
-            "accelerometer?"
+            f"K is singular: channels {'xyz'[i]} and {'xyz'[j]} respond equally; check whether two "
+            "voltmeters are on one accelerometer"
         )
     raise CalibrationError(
         "K is singular: the sensitive axes of the three channels lie in one plane; check which accelerometer "
@@ -206,8 +206,8 @@ def at_nominal_angles(rows: Readings) -> Readings:
     nominal[usable] = papers[usable]
     if np.any(missing & ~usable):
         raise CalibrationError(
-            f"{_place(rows, missing & ~usable)} has no nominal angle: there is no target_deg, and its point is "
-            "not one of the paper's; add the column, or use the angles read back"
+            f"{_place(rows, missing & ~usable)} has no nominal angle; add the column target_deg, or use "
+            "the angles read back"
         )
     return replace(rows, angle_rad=nominal)
 
@@ -233,20 +233,20 @@ def implausible(result: Calibration, nominal: Sequence[float]) -> tuple[str, ...
         )
         prefix = round(math.log10(abs(found / announced)) / 3) if found else 0
         if prefix and abs(math.log10(abs(found / announced)) - 3 * prefix) < 0.3:
-            sentence += f"; are the signals in {'mV' if prefix == 1 else 'another unit'}, and not in V?"
+            sentence += f"; perhaps the signals are in {'mV' if prefix == 1 else 'another unit'}, not in V"
         elif most != axis:
-            sentence += f"; it answers most to {most}: are two channels or installations swapped?"
+            sentence += f"; it responds most to {most}: perhaps two channels or installations are swapped"
         elif found * announced < 0 and result.triangular is None:
-            sentence += "; is the pair of wires reversed?"
+            sentence += "; perhaps the pair of wires is reversed"
         elif abs(abs(found / announced) - 1) <= FARTHEST:
             continue
         else:
-            sentence += "; is it the block that the bench file names?"
+            sentence += "; check that it is the block of the bench file"
         sentences.append(sentence)
     return tuple(sentences)
 
 
-# --- signals in another unit than the file says ---------------------------------------------------
+# --- signals in another unit than stated ---------------------------------------------------
 
 
 PREFIX: Final = 3.0
@@ -280,9 +280,9 @@ def in_another_unit(channels: Sequence[str], part: str, unit: str, tens: int) ->
     than = "the data sheet, if that is of this block" if everything and not part else "the others"
     prefix, left = divmod(tens, round(PREFIX))
     name = _NAMES.get(unit, {}).get(prefix)
-    said = f"in {name}, where the file says {unit}" if name else "in another unit than the file says"
+    said = f"in {name}, instead of {unit}" if name else "in another unit than stated"
     if left:
-        said = "read with another range or decimal point than the file says"
+        said = "read with another range or decimal point than stated"
     return (
         f"{what}{part} seem to be {said}: they are {10 ** abs(tens)} times too "
         f"{'large' if tens > 0 else 'small'} beside {than}"
@@ -361,7 +361,7 @@ def refuse_mixed_units(readings: Readings, model: ForwardModel, nominal: Sequenc
     found = wrong_unit(readings, model, nominal)
     if found is not None and not found.whole:
         raise CalibrationError(
-            f"{readings.source}: {found.words}; write them in one unit, or 'bench diagnose' writes a corrected copy"
+            f"{readings.source}: {found.words}; convert them to one unit; 'bench diagnose' writes a corrected copy"
         )
 
 

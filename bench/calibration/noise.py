@@ -407,8 +407,8 @@ def require_told(noise: Noise) -> None:
     """Raise `CalibrationError` if the noise has too few degrees of freedom and no prior: u would be arbitrary."""
     if noise.source == OF_RESIDUALS and noise.prior is None and noise.reading_dof < LEAST_DOF:
         raise CalibrationError(
-            "so few readings tell nothing of their noise, and nobody stated it in the unit of the signals: measure "
-            "more points or passes, or give signals in V and voltmeter_error in the bench file"
+            "so few readings do not show their noise; measure more points or passes, or state "
+            "voltmeter_error in the bench file for signals in V"
         )
 
 

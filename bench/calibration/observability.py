@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 
 from bench.base.arrays import ARCSEC, Floats
+from bench.base.languages import message
 from bench.calibration.design import FIXED, SYMBOLS, FreeRows, Problem, StandUnknown
 from bench.calibration.free import modulus_rows
 from bench.calibration.result import CalibrationError
@@ -29,7 +30,7 @@ class DirectionKind(StrEnum):
     UNSEEN = "no reading depends on it"
     TURN = "a common turn of the block's axes"
     ALIKE = "the readings cannot tell them apart"
-    MIXED = "goes into coefficients without a trace"
+    MIXED = "is indistinguishable from a change of coefficients"
 
 
 @dataclass(frozen=True)
@@ -64,19 +65,23 @@ class Direction:
     def text(self, unit: str = "V") -> str:
         """Return the direction in words; `unit` is the unit of the signals."""
         if self.kind is DirectionKind.TURN and not self.others:
-            return f"{self.kind} about {axis_in_words(self.axis)}: {self._changed(unit)}"
+            return message(f"{self.kind} about {axis_in_words(self.axis)}: {self._changed(unit)}")
         if self.kind is DirectionKind.UNSEEN or not self.others:
             return f"{', '.join(self.others or self.coefficients)}: {self.kind}"
         if self.kind is DirectionKind.ALIKE:
             return f"{self._shown()}; {self.kind}"
         if self.kind is DirectionKind.TURN:
-            return f"{self.kind} about {axis_in_words(self.axis)} ({self._shown()}): {self._changed(unit)}"
+            return message(
+                f"{self.kind} about {axis_in_words(self.axis)} ({self._shown()}): {self._changed(unit)}"
+            )
         return f"{self._together()}: {self.kind}: {self._changed(unit)}"
 
     def _shown(self) -> str:
         names = self.others
         return (
-            f"of {names[0]} and {names[1]} only the {self.only} is shown" if self.only else self._together()
+            message(f"of {names[0]} and {names[1]} only the {self.only} is shown")
+            if self.only
+            else self._together()
         )
 
     def _together(self) -> str:
@@ -87,18 +92,23 @@ class Direction:
             f"{self.members[name] / self.members[names[0]]:.2g}" for name in names[:_MOST_NAMED]
         )
         more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
-        return f"{', '.join(names[:_MOST_NAMED])} as ({ratios}){more}"
+        return message(f"{', '.join(names[:_MOST_NAMED])} as ({ratios}){more}")
 
     def _changed(self, unit: str) -> str:
         """Return the changes of coefficients in words, per arcsecond if the first member is an angle."""
         angle = self.kind is DirectionKind.TURN or self.others[0].startswith(("alpha", "mounting"))
-        size, per = (ARCSEC, "1 arcsec") if angle else (1.0, f"1 of {self.others[0]} (SI)")
+        size = ARCSEC if angle else 1.0
         micro, shown_unit = (1e6, "µV") if unit == "V" else (1.0, unit)
         changes = (
-            f"{self.members[name] * size * micro:+.3g} {shown_unit}{'' if name[0] == 'U' else '/g'} in {name}"
+            message(
+                f"{self.members[name] * size * micro:+.3g} {shown_unit}{'' if name[0] == 'U' else '/g'} in {name}"
+            )
             for name in self.coefficients[:_MOST_NAMED]
         )
-        return f"{per} is {', '.join(changes)}"
+        joined = ", ".join(changes)
+        return (
+            message(f"1 arcsec is {joined}") if angle else message(f"1 of {self.others[0]} (SI) is {joined}")
+        )
 
 
 class _Directions:
@@ -291,7 +301,7 @@ class Sensitivities:
         return np.asarray(self.rows[:, self.names.index(name)])
 
     def without(self, names: Collection[str]) -> Sensitivities:
-        """Return the columns of the other unknowns."""
+        """Return the sensitivities without the columns of the unknowns `names`."""
         kept = [j for j, name in enumerate(self.names) if name not in names]
         return Sensitivities(self.rows[:, kept], tuple(self.names[j] for j in kept))
 
@@ -381,8 +391,7 @@ MOST_NAMED: Final = 8
 
 GAIN: Final = "voltmeter gain: 1 ppm of it is 1 ppm of every coefficient, and no reading shows it"
 GRAVITY: Final = (
-    "local gravity: coefficients are per local g; a wrong value of it changes none of them, but "
-    "whatever is computed from them in m/s^2"
+    "local gravity: a wrong value changes only what is computed in m/s^2, as coefficients are per local g"
 )
 
 
@@ -398,8 +407,8 @@ def require_rank(force: Floats) -> None:
     lost = [f"K{i}{axis}" for i in "xyz" for axis in axes]
     raise CalibrationError(
         f"{len(force)} readings do not determine {', '.join(lost) or 'the biases'}: the acceleration along "
-        f"{', '.join(axes) or 'every axis'} hardly changes in them; add the other installation "
-        "(or further angles) to the procedure"
+        f"{', '.join(axes) or 'every axis'} hardly changes; add the other installation or further angles "
+        "to the procedure"
     )
 
 
@@ -415,7 +424,7 @@ def assumptions(problem: Problem, block: Block, gain: Floats, unit: str) -> tupl
     sentences += _undetermined(columns.without(beyond).observability(block), unit)
     sentences += [
         GAIN,
-        f"voltmeter offset: it goes whole into the biases, {unit} for {unit}, and no reading shows it",
+        f"voltmeter offset: it adds fully to the biases, {unit} for {unit}, and no reading shows it",
         GRAVITY,
     ]
     return tuple(sentences)
@@ -423,6 +432,21 @@ def assumptions(problem: Problem, block: Block, gain: Floats, unit: str) -> tupl
 
 _ASSUMED: Final = ("mounting_roll",)
 """Stand angles that every bracket has and that a bench file may leave out."""
+
+
+def unseen_coefficients(problem: Problem, block: Block) -> Floats:
+    """Return changes (12, d) of the coefficients that no reading tells from angles of the stand.
+
+    The third mounting angle counts as unknown, too. Each change has the largest element of K as its size.
+    """
+    if problem.upper:
+        return np.zeros((FIXED, 0))
+    columns = columns_of(with_angles(problem, _ASSUMED), block)
+    length = np.linalg.norm(columns.rows, axis=0)
+    found = columns.observability(block).null / np.where(length > 0, length, np.inf)[:, None]
+    basis, size, _ = np.linalg.svd(found[:FIXED], full_matrices=False)
+    basis = basis[:, size > _IN_SPAN * max(float(size.max(initial=0.0)), 1e-300)]
+    return np.asarray(basis * (np.max(np.abs(block.K)) / np.max(np.abs(basis), axis=0, initial=1e-300)))
 
 
 def _is_unknown(problem: Problem, name: str) -> bool:
@@ -444,10 +468,10 @@ def _absent(
         largest = float(np.max(np.abs(change)))
         changed = [j for j in np.argsort(-np.abs(change)) if abs(change[j]) > max(MATTERS * largest, 1e-15)]
         if changed:
-            where = f"one of the {len(own)} mountings" if len(own) > 1 else ""
+            where = message(f"one of the {len(own)} mountings") if len(own) > 1 else ""
             where = f"{where} in installation {installation}".strip().removeprefix("in ")
             what = ", ".join(f"{_small(change[j], unit)}/g into {COEFFICIENTS[j]}" for j in changed[:3])
-            parts.append(f"1 arcsec in {where} puts {what}")
+            parts.append(message(f"1 arcsec in {where} puts {what}"))
     return (
         f"{name} ({SYMBOLS[name]}, the third mounting angle) is assumed zero and "
         f"{_shown(columns, oriented.shape[1], block, name)}: "
@@ -461,18 +485,18 @@ def _shown(columns: Sensitivities, oriented: int, block: Block, name: str) -> st
     The first `oriented` rows of `columns` are signals, the rows after them moduli.
     """
     if _is_hidden(columns, block, name):
-        return "nothing in these readings shows it"
+        return message("nothing in these readings shows it")
     if not _is_hidden(Sensitivities(columns.rows[:oriented], columns.names), block, name):
-        return "these readings would show it if the bench file stated its size"
+        return message("these readings would show it if the bench file stated its size")
     pairs = [
         f"the {d.only} of {' and '.join(sorted(d.others))}"
         for d in columns.observability(block).directions
         if d.kind is DirectionKind.TURN and d.only and d.others[0].startswith(f"{SYMBOLS[name]}[")
     ]
-    what = " and ".join(pairs) or "what is no common turn of the block's axes"
+    what = " and ".join(pairs) or "the part other than a common turn of the block's axes"
     return (
         f"of it the readings that joined by |a| = 1 g would show {what}, if the bench file stated its size; "
-        "until then it goes into the coefficients"
+        "until then it changes the coefficients"
     )
 
 
@@ -493,7 +517,7 @@ def _together(names: list[str]) -> str:
         return ", ".join(names)
     symbols = dict.fromkeys(name.partition("[")[0] for name in names)
     mountings = dict.fromkeys(name.partition("[")[2] for name in names)
-    return f"{', '.join(symbols)} of {len(mountings)} mountings"
+    return message(f"{', '.join(symbols)} of {len(mountings)} mountings")
 
 
 def _undetermined(found: Observability, unit: str) -> list[str]:
@@ -506,10 +530,10 @@ def _undetermined(found: Observability, unit: str) -> list[str]:
         axes = ", ".join(axis_in_words(d.axis) for d in turns)
         sentences.append(
             f"{names}: in some combination a common turn of the block's axes (about {axes}), which no "
-            "reading shows; only the limits of the bench file hold it"
+            "reading shows; only the bench file limits it"
         )
     return sentences + [
-        f"{d.text(unit)}; only the limits of the bench file hold it"
+        f"{d.text(unit)}; only the bench file limits it"
         for d in found.directions
         if d.kind is not DirectionKind.TURN
     ]

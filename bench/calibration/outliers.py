@@ -29,7 +29,7 @@ LEVEL: Final = 0.01
 QUIET: Final = 3.0
 """Studentised residual below which no search begins: outliers that mask each other leave larger ones."""
 LOUD: Final = 3.8
-"""The same for a search for a single outlier, which is larger: it hardly inflates the noise."""
+"""Studentised residual below which no search for a single outlier begins: it hardly inflates the noise."""
 PLAINER: Final = 1.05
 """Factor by which the residual of a setting must exceed that of one of its three signals to be chosen."""
 LEAST_PART: Final = 1e-6
@@ -72,7 +72,7 @@ def search(problem: Problem, fit: Fit, refit: Callable[[tuple[Shift, ...]], Fit]
 
 
 def looks(problem: Problem) -> int:
-    """Return the number of candidates for an outlier."""
+    """Return the number of tests for an outlier: the signals and setting of each reading, and each modulus."""
     return 4 * len(problem.conditions) + (0 if problem.free is None else len(problem.free.signal))
 
 

@@ -180,7 +180,7 @@ class LackOfFit:
             return ()
         return (
             f"not accepted: the readings contradict the model (p < {NOT_ACCEPTED_P:g}); 'bench diagnose {source}' "
-            "finds which mistake or which effect it is",
+            "finds the mistake or the effect",
         )
 
 
@@ -274,7 +274,8 @@ class Calibration(HasCovariance):
     are not oriented. `shared` are the variance components that readings share, `drift` the wander of the biases if
     one was found, `wander` (3,) its possible rms. `birge` is the factor that widened u for a lack of fit, `p_tails`
     the p-value of heavy tails. `triangular` is set for free positions alone. `assume` returns the sentences of
-    `assumed`; `notes` are sentences for the user.
+    `assumed`, `unseen` changes (12, d) of the coefficients, of relative size 1, that only limits of the stand hold;
+    `notes` are sentences for the user.
     """
 
     estimator: str
@@ -294,6 +295,7 @@ class Calibration(HasCovariance):
     stand: Mapping[str, Estimate] = field(default_factory=dict)
     effects: Mapping[str, Estimate] = field(default_factory=dict)
     assume: Callable[[], tuple[str, ...]] = tuple
+    unseen: Callable[[], Floats] = lambda: np.zeros((12, 0))
     free: Readings | None = None
     modulus_error: Floats = field(default_factory=lambda: np.zeros(0))
     outliers: tuple[Outlier, ...] = ()

@@ -1,13 +1,11 @@
 """Readings at several temperatures, sorted into plateaus, and the coefficients as functions of temperature.
 
 A mounting has one set of stand angles. It lasts while the installation stays the same, at any temperature. If the
-block is mounted anew at the same temperature, a change of the column `series` marks the new mounting.
+block is mounted again at the same temperature, a change of the column `series` marks the new mounting.
 """
 
 from __future__ import annotations
 
-import csv
-import io
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,8 +14,7 @@ from typing import Final
 import numpy as np
 
 from bench.base.arrays import Floats, HasCovariance, Ints, Mask, Singles
-from bench.base.text import comment, one_line, single
-from bench.calibration.result import INVERSE, CalibrationError, LackOfFit, Noise
+from bench.calibration.result import CalibrationError, LackOfFit, Noise
 from bench.model.geometry import COEFFICIENTS, Block
 from bench.readings.table import REFERENCE, SHORTED, UNORIENTED, VERIFICATION, JoinedPart, Readings, together
 
@@ -97,7 +94,7 @@ def sort_readings(tables: Sequence[Readings]) -> ThermalReadings:
     units = sorted({table.unit for table in tables})
     if len(units) > 1:
         raise CalibrationError(
-            f"the readings are in different units ({', '.join(units)}); give files of one unit"
+            f"the readings are in different units ({', '.join(units)}); use files in one unit"
         )
     parts, mountings, visits, branches, means = [], [], [], [], []
     last_mounting = last_visit = 0
@@ -115,7 +112,7 @@ def sort_readings(tables: Sequence[Readings]) -> ThermalReadings:
     if not sum(len(part) for part in parts):
         raise CalibrationError(
             f"{', '.join(table.source for table in tables)}: no reading in an installation of known "
-            "orientation; a calibration needs installations 1 and 2"
+            "orientation; measure installations 1 and 2"
         )
     return ThermalReadings(
         parts[0] if len(parts) == 1 else together([JoinedPart(part) for part in parts]),
@@ -134,7 +131,7 @@ def _walk(rows: Readings) -> tuple[Ints, Ints, Ints, Floats]:
         raise CalibrationError(
             f"{rows.source}: {int(unknown.sum())} readings have no temperature_c (the first: installation "
             f"{rows.installation[i]}, series {rows.series[i]}, pass {rows.pass_number[i]}, point {rows.point[i]}); "
-            "fill in the temperature of the block, or leave these readings out"
+            "fill in the temperature of the block, or remove these readings"
         )
     n = len(rows)
     mounting, visit, branch = (np.zeros(n, dtype=np.int64) for _ in range(3))
@@ -294,7 +291,7 @@ class TemperatureModel:
             worst = temperature[self.outside(temperature)][0]
             raise CalibrationError(
                 f"{worst:g} °C is outside the range of the temperature model, {self.minimum_c:.1f} to "
-                f"{self.maximum_c:.1f} °C; measure there, polynomials are not to be extended"
+                f"{self.maximum_c:.1f} °C; measure at that temperature; polynomials must not be extrapolated"
             )
         force = np.empty_like(rows)
         covariance = np.empty((len(rows), 3, 3))
@@ -373,6 +370,14 @@ class CompensationTable:
         n = row[:, :9].reshape(-1, 3, 3)
         return n[:, :, 0] * left[:, :1] + n[:, :, 1] * left[:, 1:2] + n[:, :, 2] * left[:, 2:]
 
+    def double_force(self, signal: Floats, temperature_c: Floats) -> Floats:
+        """Return specific forces (n, 3) in g, computed from the table's entries in double precision."""
+        place = (temperature_c - self.first_c) / self.step_k
+        low = np.clip(place.astype(np.int64), 0, self.nodes - 2)
+        entries = self.entries.astype(np.float64)
+        row = entries[low] + (place - low)[:, None] * (entries[low + 1] - entries[low])
+        return np.asarray(np.einsum("nij,nj->ni", row[:, :9].reshape(-1, 3, 3), signal - row[:, 9:]))
+
 
 def make_table(model: TemperatureModel, reach_g: float, step_k: float | None = None) -> CompensationTable:
     """Return the table over the model's valid range, for accelerations up to `reach_g`.
@@ -386,7 +391,7 @@ def make_table(model: TemperatureModel, reach_g: float, step_k: float | None = N
     if step_k is not None:
         if not (np.isfinite(step_k) and span / MOST_STEPS <= step_k <= span):
             raise CalibrationError(
-                f"a step of {step_k:g} K does not suit a table from {low:.1f} to {high:.1f} °C; state one "
+                f"a step of {step_k:g} K does not fit a table from {low:.1f} to {high:.1f} °C; state one "
                 f"between {span / MOST_STEPS:.2g} and {span:.3g} K"
             )
         return _table(model, reach_g, int(np.ceil(span / step_k - 1e-9)))
@@ -479,91 +484,3 @@ def approximation(table: CompensationTable) -> dict[str, float | int]:
         "up_to_g": error.reach_g,
         "temperatures_checked": error.looks,
     }
-
-
-def facts(model: TemperatureModel, table: CompensationTable, of: str) -> list[str]:
-    """Return the header lines of an exported file: content (compensation of `of`), valid range and errors."""
-    error = table.error
-    return [
-        f"Compensation of {of}",
-        f"a = N(T) (U - U0(T)): a in local g ({model.g_m_s2:.6g} m/s^2), U in {model.unit}, T in deg C.",
-        f"Valid from {model.minimum_c:.2f} to {model.maximum_c:.2f} deg C; {table.nodes} temperatures, "
-        "linear between them.",
-        f"Found against the polynomials at {error.looks} temperatures: interpolation adds at most "
-        f"{error.bias:.2g} g,",
-        f"and {error.per_g:.2g} for each g of acceleration; single precision at most {error.single:.2g} g up to "
-        f"{error.reach_g:g} g.",
-        "The uncertainty of the calibration is not in these figures; it stands in the JSON result.",
-    ]
-
-
-def c_header(model: TemperatureModel, table: CompensationTable, of: str) -> str:
-    """Return a self-contained C99 header: the table and a function that compensates a reading."""
-    head = comment(facts(model, table, one_line(of)))
-    rows = ",\n".join("    {" + ", ".join(single(entry) for entry in row) + "}" for row in table.entries)
-    return f"""/*
-{head}
- */
-#ifndef BENCH_COMPENSATION_H
-#define BENCH_COMPENSATION_H
-
-#define COMPENSATION_NODES {table.nodes}
-#define COMPENSATION_LOCAL_GRAVITY_M_S2 {model.g_m_s2!r}
-
-static const float compensation_first_c = {single(np.float32(table.first_c))};
-static const float compensation_last_c = {single(np.float32(model.maximum_c))};
-static const float compensation_steps_per_k = {single(np.float32(1.0 / table.step_k))};
-
-/* {", ".join(INVERSE)} at each temperature */
-static const float compensation_table[COMPENSATION_NODES][12] = {{
-{rows}
-}};
-
-/*
- * Specific force a[3], in local g, from signals u[3] and the temperature of the block in deg C.
- * Returns 0; 1 when the temperature is outside the table (the nearest end is then taken);
- * -1 when it is not a number (a is then not written).
- */
-static inline int compensation_specific_force(const float u[3], float t_c, float a[3])
-{{
-    float row[12], part, left[3];
-    int low, k, outside = 0;
-
-    if (t_c != t_c)
-        return -1;
-    if (t_c < compensation_first_c) {{
-        t_c = compensation_first_c;
-        outside = 1;
-    }}
-    if (t_c > compensation_last_c) {{
-        t_c = compensation_last_c;
-        outside = 1;
-    }}
-    part = (t_c - compensation_first_c) * compensation_steps_per_k;
-    low = (int)part;
-    if (low > COMPENSATION_NODES - 2)
-        low = COMPENSATION_NODES - 2;
-    part -= (float)low;
-    for (k = 0; k < 12; k++)
-        row[k] = compensation_table[low][k]
-            + part * (compensation_table[low + 1][k] - compensation_table[low][k]);
-    for (k = 0; k < 3; k++)
-        left[k] = u[k] - row[9 + k];
-    for (k = 0; k < 3; k++)
-        a[k] = row[3 * k] * left[0] + row[3 * k + 1] * left[1] + row[3 * k + 2] * left[2];
-    return outside;
-}}
-
-#endif
-"""
-
-
-def table_csv(model: TemperatureModel, table: CompensationTable, of: str) -> str:
-    """Return the table as CSV, headed by comment lines that begin with #."""
-    out = io.StringIO()
-    out.writelines(f"# {line}\r\n" for line in facts(model, table, one_line(of)))
-    writer = csv.writer(out, lineterminator="\r\n")
-    writer.writerow(["temperature_c", *INVERSE])
-    for t, row in zip(table.temperatures_c, table.entries, strict=True):
-        writer.writerow([f"{t:.6f}", *(f"{entry:.9g}" for entry in row)])
-    return out.getvalue()

@@ -155,8 +155,7 @@ def fit(task: ThermalProblem, noise: Noise | None = None) -> ThermalFit:
     if not moved < FAR_FROM_STILL:
         raise CalibrationError(
             f"the fit over temperature did not converge: after {MOST_ITERATIONS} steps a term still moves by "
-            f"{moved:.2g} of its standard uncertainty; look for rows of another installation, another block or "
-            "another unit"
+            f"{moved:.2g} of its standard uncertainty; check for rows of another installation, block or unit"
         )
     residuals = task.signal - task.predict(values, others)
     whitened = whiten(residuals[:, :, None], system.slope, sizes)
@@ -361,19 +360,19 @@ def _body(
     if model.effects:
         raise CalibrationError(
             f"model {model.name}: a temperature model has the paper's twelve coefficients and no effects; "
-            "leave the model file away"
+            "remove --model"
         )
     found = sort_readings(tables)
     low, high = float(found.rows.temperature_c.min()), float(found.rows.temperature_c.max())
     if found.levels < 2:
         raise CalibrationError(
-            f"{found.rows.source}: all readings lie between {low:.1f} and {high:.1f} °C, which is one temperature; "
-            "measure at three or more (procedure 'temperature'), or use 'bench calibrate'"
+            f"{found.rows.source}: all readings lie between {low:.1f} and {high:.1f} °C, too narrow a "
+            "range; measure at three or more temperatures (procedure 'temperature'), or use 'bench calibrate'"
         )
     if not low <= reference_c <= high:
         raise CalibrationError(
             f"the reference temperature, {reference_c:g} °C, lies outside the readings ({low:.1f} to "
-            f"{high:.1f} °C); state one within them with --reference"
+            f"{high:.1f} °C); give one within them with --reference"
         )
     rows = found.rows
     # the forward model gives each series stand angles of its own, so a series stands for a mounting
@@ -410,7 +409,7 @@ def _highest(body: _Body, degree: int | None) -> tuple[int, bool]:
     raise CalibrationError(
         f"{body.sorted.rows.source}: {body.sorted.levels} temperatures ({temperatures} °C) with the installations "
         f"measured at them do not determine {what} of all twelve coefficients; measure both installations at "
-        "more temperatures" + ("" if degree is None else ", or state a lower degree")
+        "more temperatures" + ("" if degree is None else ", or give a lower degree")
     )
 
 
@@ -492,12 +491,11 @@ def _notes(body: _Body, plateaus: tuple[PlateauResult, ...], by_side: bool) -> t
     notes = list(body.sorted.rows.notes)
     if any(plateau.value is None for plateau in plateaus):
         notes.append(
-            "some temperatures alone do not determine twelve coefficients; all of them together do, and the "
-            "polynomials stand on that: no single temperature checks them"
+            "some temperatures alone do not determine twelve coefficients; the polynomials use all "
+            "together, so that no single temperature checks them"
         )
     if not by_side:
         notes.append(
-            "no temperature was reached both rising and falling: hysteresis is not known and not in the "
-            "uncertainty"
+            "no temperature was reached both rising and falling, so the uncertainty excludes hysteresis"
         )
     return tuple(notes)

@@ -223,7 +223,9 @@ def tumble_view(
     """
     strange = [term for term in terms if term not in HOMES]
     if strange or len(set(terms)) < len(terms):
-        raise CalibrationError(f"terms {', '.join(strange or terms)}: each once, of {', '.join(HOMES)}")
+        raise CalibrationError(
+            f"terms {', '.join(strange or terms)}: give each once, from {', '.join(HOMES)}"
+        )
     assumed = dict(assumed_u or {})
     sizes = {**stand_u, **assumed}
     rows = usable_rows(readings, model)
@@ -369,8 +371,7 @@ def _left_out(
 
 
 NOT_IN_VOLTS: Final = (
-    "the readings are in {unit}, so the errors of this bench's meters are in no uncertainty here: u is what these "
-    "readings show"
+    "the readings are in {unit}, so u covers these readings alone, not the errors of this bench's meters"
 )
 
 

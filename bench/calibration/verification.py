@@ -237,12 +237,12 @@ def verify(
     rows = readings.verification()
     if len(rows) == 0:
         raise CalibrationError(
-            f"{readings.source}: no verification point (installation V) in it; "
-            "run a procedure that has them, such as 'calibration'"
+            f"{readings.source}: it has no verification point (installation V); run a procedure with "
+            "some, such as 'calibration'"
         )
     if not np.isfinite(block.K).all() or np.linalg.cond(block.K) > HIGHEST_CONDITION:
         raise CalibrationError(
-            "the matrix K is singular, so no specific force follows from a signal; check the coefficients"
+            "the matrix K is singular, so it gives no specific force; check the coefficients"
         )
     decision = DecisionRule.of(rule)
     force = block.specific_force(rows.signal)

@@ -167,7 +167,7 @@ class RecordSeen:
 
     @property
     def proved(self) -> str:
-        """The verified integrity of the record: broken, none, chain (hashes) or read (every event)."""
+        """How far the record was verified: "read" (every event), "chain" (hashes), "none" or "broken"."""
         if self.problem:
             return "broken"
         return ("read" if self.whole else "chain") if self.count else "none"
@@ -231,14 +231,14 @@ def read_folder(path: str, fingerprint: str, *, whole: bool = False) -> FolderEn
         return FolderEntry(path, fingerprint, reason=f"cannot be read ({error.strerror})")
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
         return FolderEntry(
-            path, fingerprint, reason=f"not as this program writes it ({_in_a_line(error, path)})"
+            path, fingerprint, reason=f"not in the format of this program ({_in_a_line(error, path)})"
         )
 
 
 def _rows(folder: Path, *, whole: bool) -> dict[str, list[Row]]:
     manifest = read_manifest(folder)
     if "files" not in manifest or "created" not in manifest:
-        raise RecordError(f"{MANIFEST} is of another program: it has no files or no created")
+        raise RecordError(f"{MANIFEST} was written by another program: 'files' or 'created' is missing")
     digest = sha256(read_regular(folder / MANIFEST))
     run = key_of("run", digest)
     record = RecordSeen(folder, manifest, digest)
@@ -424,7 +424,9 @@ def issued_in(folder: str) -> list[Row]:
     try:
         register.read_lines()
     except OSError as error:
-        raise Refused(f"the register cannot be read ({error.strerror})") from error
+        raise Refused(
+            f"the register cannot be read ({error.strerror}); check name and permissions"
+        ) from error
     rows = []
     for number, standing in register.standings.items():
         record = standing.entry.data.get("record")

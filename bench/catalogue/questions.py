@@ -196,7 +196,7 @@ def moment(text: str) -> datetime:
         when = datetime.fromisoformat(text)
     except ValueError:
         raise ValueError(
-            "expected a day such as 2026-05-03, or a time such as 2026-05-03T12:00+02:00"
+            "expected a date such as 2026-05-03, or a time such as 2026-05-03T12:00+02:00"
         ) from None
     return when.astimezone(UTC).replace(tzinfo=None) if when.tzinfo else when
 
@@ -251,7 +251,7 @@ KEYS: Final[Mapping[str, Key]] = {
     "name": Key("name of the run", _text(RUNS.c.name)),
     "path": Key("folder of the run", _text(RUNS.c.path)),
     "program": Key("version of the program that made the run", _text(RUNS.c.program_version)),
-    "state": Key("what became of the run: finished, aborted, imported …", _text(RUNS.c.state)),
+    "state": Key("state of the run: finished, aborted, imported …", _text(RUNS.c.state)),
     "record": Key("what is proved of its record: chain, read, broken, none", _text(RUNS.c.record)),
     "problem": Key("what is wrong with it", _text(RUNS.c.problem)),
     "simulated": Key("yes or no", _whether(RUNS.c.simulated)),
@@ -327,7 +327,7 @@ def answer(catalogue: Catalogue, query: Sequence[str], of: str = "runs") -> Answ
     Raises `Refused` for an invalid question.
     """
     if of not in KINDS:
-        raise Refused(f"--of {of}: known are {', '.join(KINDS)}")
+        raise Refused(f"--of {of}: choose from {', '.join(KINDS)}")
     statement = KINDS[of](condition_of(query))
     with catalogue.reading() as connection:
         result = connection.execute(statement)

@@ -323,14 +323,14 @@ def _url(named: str) -> Any:
         url = make_url(named)
     except (ArgumentError, ValueError):
         raise Refused(
-            "--catalogue: this is no URL of a database; give a file, or postgresql://USER@HOST/NAME"
+            "--catalogue: this is not the URL of a database; give a file, or postgresql://USER@HOST/NAME"
         ) from None
     kind = url.get_backend_name()
     if kind == "sqlite" and url.database and not url.query:
         return URL.create("sqlite", database=str(Path(url.database).absolute()))
     if kind != "postgresql":
         raise Refused(
-            f"--catalogue: a catalogue is a file (SQLite) or stands in PostgreSQL, not in {kind or 'nothing'}; "
+            f"--catalogue: a catalogue is a SQLite file or in PostgreSQL, not {kind or 'nothing'}; "
             "give a file, or postgresql://USER@HOST/NAME"
         )
     return url.set(drivername="postgresql+psycopg")
@@ -347,7 +347,7 @@ def _prepare_file(file: Path, *, existing: bool) -> None:
     if file.is_dir():
         raise Refused(f"{file}: is a folder; name a file for the catalogue")
     if existing and not file.is_file():
-        raise Refused(f"{file}: there is no catalogue yet; make it with: bench catalogue sync DIR")
+        raise Refused(f"{file}: no catalogue yet; make it with: bench catalogue sync DIR")
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -410,13 +410,13 @@ def _with_tables(catalogue: Catalogue, *, renew: bool) -> Catalogue:
             _make_tables(connection)
         elif found > SCHEMA:
             raise Refused(
-                f"{catalogue.where}: made by a newer version of this program (schema {found}); use that, or delete "
-                "the catalogue and make it again with: bench catalogue sync DIR"
+                f"{catalogue.where}: made by a newer version of this program (schema {found}); use that "
+                "version, or delete the catalogue and make it again with: bench catalogue sync DIR"
             )
         elif found < SCHEMA:
             if not renew:
                 raise Refused(
-                    f"{catalogue.where}: made by an older version of this program; make it anew from its runs "
+                    f"{catalogue.where}: made by an older version of this program; make it again from its runs "
                     "with: bench catalogue sync DIR"
                 )
             return replace(catalogue, renewed=_renew(connection))
@@ -466,8 +466,8 @@ def _renew(connection: Connection) -> str:
             known = {name: value for name, value in row.items() if name in table.columns}
             connection.execute(insert(table).values(known))
     lost = len(rows[RUNS])
-    gone = f"; {lost} runs whose folders are gone are kept as they were" if lost else ""
-    return f"made by an older version of this program: made anew from its {len(there)} runs{gone}"
+    gone = f"; {lost} runs without a folder were kept unchanged" if lost else ""
+    return f"made by an older version of this program: made again from its {len(there)} runs{gone}"
 
 
 def forget_dues(connection: Connection, changed: ColumnElement[bool]) -> None:
@@ -487,7 +487,7 @@ def _refusing(where: str) -> Iterator[None]:
         why = " ".join(str(getattr(error, "orig", "a value in it cannot be read")).split())
         if isinstance(error, OperationalError) and not why.startswith("no such "):
             raise Refused(
-                f"{where}: the catalogue cannot be used ({why}); check its place and the server"
+                f"{where}: the catalogue cannot be used ({why}); check its path and the server"
             ) from error
         raise Refused(
             f"{where}: not a catalogue, or a damaged one ({why}); delete it and make it again with: bench "

@@ -59,7 +59,7 @@ MANY: Final = 20_000
 """If more folders than this wait to be scanned, separate processes scan them."""
 LOOKED: Final = 5000
 """Number of folders handed to a scanning process at once."""
-ENDED: Final = "a process that read run folders was ended; sync again: it goes on where it was"
+ENDED: Final = "a process reading run folders ended; repeat 'bench catalogue sync', which continues there"
 _COPY, _COUNTED = "a copy of ", ": counted once"
 MOST_IN: Final = 5000
 """Largest number of keys in one condition; SQLite allows 32,766 parameters, PostgreSQL 65,535."""
@@ -152,7 +152,10 @@ def _roots(folders: Sequence[str | Path]) -> list[str]:
     missing = [root for root in roots if not Path(root).is_dir()]
     if missing:
         raise Refused(
-            "\n".join(f"{root}: no such folder; nothing of it was marked as gone" for root in missing)
+            "\n".join(
+                f"{root}: no such folder; none of its runs was marked as gone; check the name"
+                for root in missing
+            )
         )
     return roots
 
@@ -164,7 +167,7 @@ def _seen(roots: Sequence[str], processes: int) -> WalkResult:
         try:
             found, waiting = scan(root, now_ns, MANY if processes > 1 else None)
         except OSError as error:
-            raise Refused(f"{root}: cannot be read ({error.strerror})") from error
+            raise Refused(f"{root}: cannot be read ({error.strerror}); check name and permissions") from error
         seen.take(found)
         if waiting:
             _look_apart(seen, waiting, now_ns, processes)
@@ -442,7 +445,7 @@ def _walk(seen: WalkResult, places: Iterable[Place], now_ns: int, most: int | No
             seen.runs[path] = fingerprint(found, now_ns)
             continue
         if EVENTS in names or PLAN in names:
-            seen.odd[path] = f"a run without {MANIFEST}: half copied, or half removed"
+            seen.odd[path] = f"a run without {MANIFEST}: copied or removed in part; copy it again"
             continue
         if REGISTER in names:
             seen.registers.append(path)

@@ -40,7 +40,7 @@ KEPT_AT_ONCE: Final = 20
 """Number of units whose due dates are written at once; an interrupted query resumes from there."""
 FEW: Final = 150
 """Up to this many units are computed in this process, because starting worker processes would take longer."""
-ENDED: Final = "a process that reckoned when units are due was ended; ask again: it goes on where it was"
+ENDED: Final = "a process computing due dates ended; repeat the command, which continues there"
 
 Reckoned = list[tuple[str, dict[str, Any], str]]
 """Computed due dates: name of the unit, due date (JSON data), and fingerprint of the data behind it."""
@@ -95,7 +95,7 @@ def _checked(limit_g: float | None, interval_days: float | None) -> float:
     """Return the interval in days. Raises `Refused` for an invalid limit or interval."""
     for option, value in (("--limit", limit_g), ("--interval", interval_days)):
         if value is not None and not value > 0.0:
-            raise Refused(f"{option} {value:g}: expected a number above zero")
+            raise Refused(f"{option} {value:g}: give a number above zero")
     if interval_days is not None and interval_days > MOST_DAYS:
         raise Refused(f"--interval {interval_days:g}: expected at most {MOST_DAYS} days")
     return interval_days or INTERVAL_DAYS
@@ -106,7 +106,7 @@ def _reckoned(
 ) -> Iterator[Reckoned]:
     """Yield the due dates of units in groups, computed in this process or, for many units, in worker processes."""
     parts = [names[i : i + KEPT_AT_ONCE] for i in range(0, len(names), KEPT_AT_ONCE)]
-    told = "reckoning when units are due"
+    told = "computing when units are due"
     if len(names) <= FEW or processes < 2:
         for part in tracked(parts, told):
             yield _reckon(catalogue, part, limit_g, interval_days)
@@ -231,11 +231,11 @@ def _name_of(catalogue: Catalogue, unit: str) -> str:
         names = [str(name) for name in connection.execute(asked).scalars()]
     if not names:
         raise Refused(
-            f"{unit}: the catalogue has no such unit; 'bench catalogue ask --of units' lists those it has"
+            f"{unit}: the catalogue has no such unit; 'bench catalogue ask --of units' lists its units"
         )
     if len(names) > 1:
         listed = ", ".join(f"'{name}'" for name in names[:MOST_NAMED])
-        raise Refused(f"{unit}: this is the serial number of several units: {listed}; name one with its type")
+        raise Refused(f"{unit}: several units have this serial number: {listed}; name one with its type")
     return names[0]
 
 
@@ -300,9 +300,9 @@ def due_of(
 ) -> tuple[Due | None, str]:
     """Return the due date of a unit by its calibrations, or None and the reason for having none."""
     if not len(table):
-        return None, "no calibration that can be believed has a date"
+        return None, "no trusted calibration has a date"
     if limit_g is None:
-        return None, "no verification states a limit: say --limit"
+        return None, "no verification states a limit; give --limit"
     meters = None if np.any(np.isnan(table.u_meters)) else table.u_meters
     try:
         found = due(

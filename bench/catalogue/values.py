@@ -119,7 +119,7 @@ def _left_out(connection: Any, asked: Any) -> list[str]:
     for condition, why in (
         (gone, "of folders that are gone"),
         (broken, "whose record is broken"),
-        (other, "whose calibration is not of the record as it is now: bench calibrate"),
+        (other, "whose calibration is older than the record; run 'bench calibrate'"),
         (bare, "without a calibration"),
     ):
         counted = select(func.count()).select_from(joined).where(asked, condition)
@@ -153,21 +153,21 @@ def measured_of(table: CoefficientTable) -> tuple[ComparedCalibrations, Mask, tu
         known &= there
     if not known.any():
         told = f" ({'; '.join(notes)})" if notes else ""
-        raise Refused(f"the question names no calibration of a known unit on a known bench{told}")
+        raise Refused(f"no calibration of a known unit on a known bench matches{told}")
     simulated = table.simulated[known]
     if simulated.any() and not simulated.all():
         raise Refused(
-            f"{int(simulated.sum())} of {len(simulated)} calibrations are simulated: ask for simulated=yes or "
+            f"{int(simulated.sum())} of {len(simulated)} calibrations are simulated; add simulated=yes or "
             "simulated=no"
         )
     signals = sorted(set(table.signal_unit[known].tolist()))
     if len(signals) > 1:
-        raise Refused(f"signals in {', '.join(signals)} cannot be compared: narrow the question")
+        raise Refused(f"signals in {', '.join(signals)} cannot be compared; narrow the question")
     factor = to_standard_gravity(table.g_m_s2[known])
     meters = np.nan_to_num(table.u_meters[known])
     if np.isnan(table.u_meters[known]).any():
         notes.append(
-            "some results do not tell which part of u the same meters bring again: it counts as their own"
+            "some results do not state the part of u that their meters share; it counts as independent"
         )
     if simulated.all():
         notes.append("all of these were found on simulated instruments")
@@ -205,7 +205,7 @@ def compared(table: CoefficientTable, method: str | None = None) -> BenchCompari
     rows = np.flatnonzero(several[unit])
     if not len(rows):
         raise CalibrationError(
-            f"none of {len(units)} units was measured on two of {len(benches)} benches: nothing joins them"
+            f"none of {len(units)} units was measured on two of {len(benches)} benches: widen the question"
         )
     if len(rows) > MOST_COMPARED:
         raise Refused(
@@ -224,5 +224,5 @@ def compared(table: CoefficientTable, method: str | None = None) -> BenchCompari
 def _snapshot(folder: Path, block: str) -> Snapshot:
     found = snapshots_in(folder / RESULT)
     if len(found) != 1:
-        raise Refused(f"{folder / RESULT}: holds {len(found)} results, one was expected: bench calibrate")
+        raise Refused(f"{folder / RESULT}: has {len(found)} results, not one; run 'bench calibrate'")
     return replace(found[0], block=block)

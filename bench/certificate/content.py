@@ -187,6 +187,7 @@ class RunFindings:
     coefficients: Values
     inverse: Values
     misalignments: Values
+    intrinsic: Values
     conditions: tuple[Condition, ...]
     instruments: tuple[Instrument, ...]
     contributions: tuple[Contribution, ...]

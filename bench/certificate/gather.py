@@ -18,6 +18,7 @@ from bench.base.text import visible
 from bench.calibration.budget.sources import hidden_sources
 from bench.calibration.budget.whole import dof_through
 from bench.calibration.conformity import DecisionRule
+from bench.calibration.intrinsic import intrinsic_unit
 from bench.calibration.result import INVERSE, MISALIGNMENTS
 from bench.certificate.content import (
     Certificate,
@@ -75,7 +76,7 @@ def certificate_of(
         if before.item != found.item:
             raise Refused(
                 f"{run}: the run as found, {adjusted.as_found}, is of unit {before.item.type} "
-                f"{before.item.serial}; name that of this unit under adjusted"
+                f"{before.item.serial}; name the run of this unit under 'adjusted'"
             )
     return Certificate(found, texts_for(laboratory), laboratory, order, unit, before, issue)
 
@@ -110,21 +111,21 @@ def _missing(certificate: Certificate) -> Iterator[str]:
     elif unit is None:
         yield f"unit {found.item.serial!r} in the order file (7.8.2.1 g, h): its receipt, condition and state"
     if not found.item.serial:
-        yield "the serial number of the unit (7.8.2.1 g): the record names none"
+        yield "the serial number of the unit (7.8.2.1 g): missing in the record"
     if not any(one.key == "temperature" for one in found.conditions):
-        yield "the temperature during the calibration (7.8.4.1 b): no reading has one"
+        yield "the temperature during the calibration (7.8.4.1 b): missing in every reading"
     names = uncertified(found)
     if names and not found.simulated and (order is None or order.without_certificates is None):
         yield (
             f"the traceability of {', '.join(names)} (7.8.4.1 c): state certificates that are valid "
-            "on the day of the run in the bench file before it, or what was agreed as without_certificates in the "
-            "order file"
+            "on the day of the run in the bench file before it, or the agreement as "
+            "'without_certificates' in the order file"
         )
     calibrated = certificate.calibrated
     if calibrated is None:
         yield (
-            "the days of the calibration (7.8.2.1 i): these readings do not say when they were measured; state "
-            "'calibrated' for the unit in the order file"
+            "the days of the calibration (7.8.2.1 i): missing in the readings; state 'calibrated' for the "
+            "unit in the order file"
         )
         return
     begun, ended = calibrated
@@ -146,10 +147,10 @@ def found_by(
     run = source.run
     if run is None:
         raise Refused(
-            f"{name}: a certificate is of a run; 'bench import {name}' makes one of a readings file"
+            f"{name}: a certificate needs a run; 'bench import {name}' makes one from a readings file"
         )
     if not run.imported and run.history.state not in ENDED:
-        raise Refused(f"{name}: the run is {run.history.state}; a certificate is of a run that has ended")
+        raise Refused(f"{name}: the run is {run.history.state}; a certificate needs a run that has ended")
     result = calibration_of(source)
     verdict = None
     if len(source.readings.verification()):
@@ -181,7 +182,7 @@ def _values(result: CalibrationResult, k: float) -> dict[str, Values]:
     own, derived = result.calibration, replace(result.derived, k=k)
     units = {name: coefficient_unit(name, own.unit) for name in COEFFICIENTS}
     inverted = {name: own.unit if name.startswith("U0") else derived.inverse_unit for name in INVERSE}
-    n, angles = derived.inverse, derived.misalignments
+    n, angles, nine = derived.inverse, derived.misalignments, derived.intrinsic
     return {
         "coefficients": Values.of(units, own.block.vector, own.covariance, k, own.dof),
         "inverse": Values.of(inverted, n.values, n.covariance, k, dof_through(own, n.jacobian)),
@@ -191,6 +192,13 @@ def _values(result: CalibrationResult, k: float) -> dict[str, Values]:
             angles.covariance,
             k,
             dof_through(own, angles.jacobian),
+        ),
+        "intrinsic": Values.of(
+            {name: intrinsic_unit(name, own.unit) for name in nine.names},
+            nine.values,
+            nine.covariance,
+            k,
+            dof_through(own, nine.jacobian),
         ),
     }
 
@@ -210,7 +218,7 @@ def _method(source: Source, result: CalibrationResult) -> Method:
 def _record(run: Run) -> RunReference:
     seal = read_seal(run.folder)
     if seal is not None and (wrong := seal.differences(run)):
-        raise Refused(f"{run.name}: {'; '.join(wrong)}; no certificate is made of it")
+        raise Refused(f"{run.name}: {'; '.join(wrong)}; no certificate was made")
     stated = seal_of(run, "") if seal is None else seal
     head = run.record_head
     return RunReference(

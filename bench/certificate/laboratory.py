@@ -17,6 +17,7 @@ from typing import Annotated, Any, Final, Literal
 import yaml
 from pydantic import BeforeValidator, Field, PrivateAttr, field_validator, model_validator
 
+from bench.base.languages import ENGLISH, known_language, local_number, speaking
 from bench.base.yaml_files import (
     Document,
     FileModel,
@@ -53,13 +54,16 @@ class Texts:
 
     def say(self, key: str, **values: object) -> str:
         """Return a text with its blanks filled. Raises `KeyError` for an unknown key or a blank with no value."""
-        return _BLANK.sub(lambda blank: str(values[blank[1]]), self.entries[key])
+        with speaking(known_language(self.language) or ENGLISH):
+            return _BLANK.sub(lambda blank: local_number(str(values[blank[1]])), self.entries[key])
 
 
 @cache
 def texts_of(language: str) -> Texts:
-    """Return the texts of a language of `LANGUAGES`."""
-    return Texts(language, {key: str(words[language]).strip() for key, words in _WORDS.items()})
+    """Return the texts of a language of `LANGUAGES`; one that is missing is English."""
+    return Texts(
+        language, {key: str(words.get(language, words["en"])).strip() for key, words in _WORDS.items()}
+    )
 
 
 @dataclass(frozen=True)
@@ -192,14 +196,16 @@ class Laboratory(Contact, StatedRule):
                 f"'{scheme}'"
             )
         if scheme.upper().startswith(SIMULATED_SERIES):
-            raise ValueError(f"numbers that begin with {SIMULATED_SERIES} are those of simulated runs")
+            raise ValueError(
+                f"numbers with the prefix {SIMULATED_SERIES} are for simulated runs; choose another"
+            )
         return scheme
 
     @field_validator("language")
     @classmethod
     def _each_once(cls, languages: tuple[str, ...]) -> tuple[str, ...]:
         if len(set(languages)) < len(languages):
-            raise ValueError(f"{languages[0]} stands twice")
+            raise ValueError(f"{languages[0]} appears twice; keep one")
         return languages
 
     @classmethod
@@ -305,7 +311,7 @@ class UnitOrder(FileModel):
     def _left_where_adjusted(self) -> UnitOrder:
         if self.adjusted is not None and self.state == AS_FOUND:
             raise ValueError(
-                "a unit that was adjusted is shown 'as left'; name the run before under adjusted"
+                "an adjusted unit is 'as left'; name the run before the adjustment under 'adjusted'"
             )
         return self
 
@@ -341,7 +347,7 @@ class Order(StatedRule):
             if serial in seen:
                 yield (
                     ("units", place),
-                    f"unit {serial or 'without a serial number'} stands twice; leave one out",
+                    f"unit {serial or 'without a serial number'} appears twice; keep one",
                 )
             if serial is None or isinstance(serial, str):
                 seen.add(serial)

@@ -88,7 +88,7 @@ def desk_of(request: Issuing, passphrase: Callable[[], bytes]) -> Desk:
 def laboratory_in(file: Path | None) -> Laboratory:
     """Read a laboratory file. Raises `Refused` if `file` is None, `FileMistakes` for mistakes in the file."""
     if file is None:
-        raise Refused("say --laboratory FILE")
+        raise Refused("give --laboratory FILE")
     return load_laboratory(file)
 
 
@@ -115,7 +115,7 @@ def authorised(laboratory: Laboratory, name: str, option: str = "--authorised-by
     person = laboratory.person(name)
     if person is None:
         names = ", ".join(one.name for one in laboratory.authorised)
-        raise Refused(f"{option} {name}: the laboratory file names {names}; nobody else may authorise")
+        raise Refused(f"{option} {name}: the laboratory file names {names}; choose one of them")
     return person
 
 
@@ -199,7 +199,7 @@ def amend(number: str, name: str, desk: Desk, reason: str, *, replaced: bool) ->
         old = holds(register, number).entry
         item = certificate.found.item
         if old.data["unit"] != {"type": item.type, "serial": item.serial}:
-            raise Refused(f"{number}: a certificate of another unit than that of {name}")
+            raise Refused(f"{number}: another unit than that of {name}")
         kind = "replaced" if replaced else "amended"
         before = Before(kind, number, old.time[:10], reason, old.files[f"{number}.xml"])
         return _write(certificate, desk, laboratory, person, register, before)
@@ -209,7 +209,7 @@ def revoke(request: RevokeCertificate) -> None:
     """Record the revocation of a certificate. Raises `Refused` for one that is not valid now."""
     laboratory = laboratory_in(request.laboratory)
     if request.authorised_by is None:
-        raise Refused("say --authorised-by NAME")
+        raise Refused("give --authorised-by NAME")
     person = authorised(laboratory, request.authorised_by)
     with opened(laboratory.register_folder) as register:
         holds(register, request.number)
@@ -296,7 +296,10 @@ def bodies_of(certificate: Certificate, schemas: Schemas | None = None) -> Bodie
     xml = document_of(certificate)
     wrong = [*broken_rules(xml), *(schemas.mistakes(xml) if schemas is not None else ())]
     if wrong:
-        raise Refused(f"{certificate.number}: its document is not what a DCC must be: {'; '.join(wrong[:5])}")
+        raise Refused(
+            f"{certificate.number}: its document is not a valid DCC; correct the laboratory and "
+            f"order files: {'; '.join(wrong[:5])}"
+        )
     return Bodies(xml, _body(certificate, xml))
 
 
@@ -346,7 +349,9 @@ def made_again(register: Register, number: str, runs: Path) -> Bodies:
     )
     certificate = certificate_of(entry.data["run"], runs, laboratory, order, issue)
     if certificate.found.record.head != entry.data["record"]["head"]:
-        raise Refused(f"{number}: the record of {entry.data['run']} is not the one that it was made from")
+        raise Refused(
+            f"{number}: the record of {entry.data['run']} changed since it was made; restore it from a copy"
+        )
     seal = register.kept(kept["seal"]).decode()
     record = replace(certificate.found.record, seal=seal, sealed=read_json(seal.encode())["sealed"])
     return bodies_of(replace(certificate, found=replace(certificate.found, record=record)))
@@ -359,7 +364,7 @@ def checked(request: CheckRegister) -> tuple[RegisterResult, list[Path]]:
     number that was never issued.
     """
     if request.out is not None and request.number is None:
-        raise Refused("--out: say the number of the certificate that is handed out")
+        raise Refused("--out: give the number of the certificate to hand out")
     folder = laboratory_in(request.laboratory).register_folder
     with opened(folder) as register:
         result = register_result(
@@ -408,13 +413,11 @@ def _same(register: Register, number: str, runs: Path, problems: list[str]) -> b
     try:
         again = made_again(register, number, runs).sha256()
     except Exception as error:
-        problems.append(f"{number}: cannot be made again: {sentence(error)}")
+        problems.append(f"{number}: cannot be made again; restore the run from a copy: {sentence(error)}")
         return False
     wrong = [name for name, digest in again.items() if stated[name] != digest]
     if wrong:
-        problems.append(
-            f"{number}: made again, its {' and '.join(wrong)} is not byte for byte what was issued"
-        )
+        problems.append(f"{number}: made again, its {' and '.join(wrong)} differs from the issued file")
     return not wrong
 
 
@@ -423,7 +426,7 @@ def handed_out(register: Register, number: str, folder: Path) -> list[Path]:
     entry = issued(register, number).entry
     contents = {name: register.file(name) for name in entry.files}
     if folder.absolute() == register.folder.absolute():
-        raise Refused(f"--out {folder}: that is the register's own folder; give another")
+        raise Refused(f"--out {folder}: that is the register's own folder; name another")
     folder.mkdir(parents=True, exist_ok=True)
     for name, content in contents.items():
         write_whole(folder / name, content)

@@ -16,6 +16,7 @@ from importlib.resources import files
 from typing import Any, Final
 
 from bench.base.files import MEGABYTE, read_regular
+from bench.base.languages import ENGLISH, known_language, local_number, speaking
 from bench.base.numbers import rounded, uncertainty
 from bench.certificate import proof
 from bench.certificate.content import Attached, Certificate, day_of
@@ -40,7 +41,15 @@ def attachments_of(certificate: Certificate, dcc: bytes) -> tuple[Attached, ...]
 
 
 def data_of(certificate: Certificate, dcc: bytes) -> dict[str, Any]:
-    """Return the input data of the page template. Raises `Refused` for a logo that is not a picture."""
+    """Return the input data of the page template. Raises `Refused` for a logo that is not a picture.
+
+    Numbers, figures and what the program says otherwise than by `words.yaml` are in the main language.
+    """
+    with speaking(known_language(certificate.texts[0].language) or ENGLISH):
+        return _data_of(certificate, dcc)
+
+
+def _data_of(certificate: Certificate, dcc: bytes) -> dict[str, Any]:
     write = Writer(certificate)
     laboratory, issue = certificate.laboratory, certificate.issue
     title = write.say("title")
@@ -149,7 +158,9 @@ def _matrix(certificate: Certificate, write: Writer) -> Block:
         for name in (*(f"K{channel}{axis}" for axis in "xyz"), f"U0{channel}"):
             value = values[name]
             exact = value.value == 0.0 and value.U == 0.0
-            cells.append("0" if exact else f"{rounded(value.value, value.U)} ± {uncertainty(value.U)}")
+            cells.append(
+                "0" if exact else local_number(f"{rounded(value.value, value.U)} ± {uncertainty(value.U)}")
+            )
         rows.append(cells)
     units = [values["Kxx"].unit] * 3 + [values["U0x"].unit]
     columns = [{"symbol": "K", "index": f"·{axis}"} for axis in "xyz"] + [{"symbol": "U", "index": "0"}]
@@ -184,10 +195,12 @@ def _logo(certificate: Certificate) -> dict[str, Any] | None:
     try:
         content = read_regular(file, _LARGEST_LOGO)
     except OSError as error:
-        raise Refused(f"{file}: the logo cannot be read ({error.strerror})") from error
+        raise Refused(
+            f"{file}: the logo cannot be read ({error.strerror}); check name and permissions"
+        ) from error
     kinds = [kind for start, kind in _PICTURES if content.lstrip()[: len(start)] == start]
     if not kinds:
-        raise Refused(f"{file}: the logo is no picture that a page takes; give it as SVG, PNG or JPEG")
+        raise Refused(f"{file}: the logo has an unknown format; give SVG, PNG or JPEG")
     return {"format": kinds[0], "bytes": list(content)}
 
 
@@ -238,7 +251,7 @@ def typeset_pdf(data: dict[str, str], moment: int, template: bytes | None = None
         if found is None:
             raise
         raise Refused(
-            f"the fonts of a certificate have no sign for {found[1]}; write the name that has it in Latin, Greek "
+            f"the fonts of a certificate lack a character for {found[1]}; write the name in Latin, Greek "
             "or Cyrillic letters"
         ) from error
     return bytes(made)
@@ -295,7 +308,7 @@ def _faults(pdf: Any) -> Iterator[str]:
     if pdf.is_encrypted:
         yield "6.1.3: it is encrypted"
     if str(pdf.Root.get("/Version", "/1.7")) > "/1.7":
-        yield f"6.1.2: it says to be of version {str(pdf.Root.Version)[1:]}, and part 3 stands on 1.7"
+        yield f"6.1.2: it states version {str(pdf.Root.Version)[1:]}, but part 3 needs 1.7"
     if "/ID" not in pdf.trailer:
         yield "6.1.3: it has no identifier"
     yield from _metadata(pdf)
@@ -311,10 +324,10 @@ def _metadata(pdf: Any) -> Iterator[str]:
     with pdf.open_metadata(set_pikepdf_as_editor=False, update_docinfo=False) as told:
         part, level = told.get(f"{{{_PDFA}}}part"), told.get(f"{{{_PDFA}}}conformance")
         if (part, level) != ("3", "B"):
-            yield f"6.6.4: it says to be part {part}, level {level}, and not part 3, level B"
+            yield f"6.6.4: it states part {part}, level {level}, and not part 3, level B"
         title = pdf.docinfo.get("/Title") if "/Info" in pdf.trailer else None
         if title is not None and str(title) != told.get("dc:title"):
-            yield "6.6.3: its title in the document information is not that of its metadata"
+            yield "6.6.3: its title in the document information differs from its metadata"
 
 
 def _colours(pdf: Any) -> Iterator[str]:
@@ -323,7 +336,7 @@ def _colours(pdf: Any) -> Iterator[str]:
     if len(profiles) != 1 or profiles[0] is None or profiles[0].get("/N") not in (1, 3, 4):
         yield "6.2.3: it has no output intent with a colour profile"
     elif b"acsp" not in profiles[0].read_bytes()[:128]:
-        yield "6.2.3: the profile of its output intent is no ICC profile"
+        yield "6.2.3: the profile of its output intent is not an ICC profile"
 
 
 def _catalogue(pdf: Any) -> Iterator[str]:
@@ -337,7 +350,7 @@ def _catalogue(pdf: Any) -> Iterator[str]:
         yield "6.4.1: its form is drawn by the reader"
     fields = list(form.get("/Fields", []))
     if any(field.get("/FT") != "/Sig" for field in fields):
-        yield "it has fields to fill in, and a certificate has none but its signature"
+        yield "it has form fields other than its signature"
 
 
 def _attachments(pdf: Any) -> Iterator[str]:

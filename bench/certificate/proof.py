@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Final
 
 from bench.base.arrays import ARCSEC
+from bench.base.languages import language, local_number, translated
 from bench.base.numbers import aligned, fixed, quantity, rounded, two_digits, typeset, uncertainty
 from bench.base.text import visible
 from bench.certificate.content import (
@@ -99,6 +100,8 @@ class Writer:
 
 def symbol(name: str) -> Cell:
     """Return the cell for the symbol of a coefficient: K with its indices as subscripts."""
+    if name.startswith("theta_"):
+        return {"symbol": "θ", "index": name[6:]}
     if name.startswith("alpha_"):
         return {"symbol": "α", "index": name[6:]}
     return {"symbol": name[0], "index": name[1:]}
@@ -121,8 +124,19 @@ def value_cells(value: Value, size: float = 1.0, unit: str = "") -> list[Cell]:
         uncertainty(U),
         f"{value.k:.3g}",
         freedom,
-        unit or value.unit,
+        unit or value.unit.replace("deg", "°"),
     ]
+
+
+def local(rows: Iterable[Sequence[Cell]]) -> list[list[Cell]]:
+    """Return rows of results with the decimal sign of the certificate's main language."""
+
+    def of(cell: Cell) -> Cell:
+        if isinstance(cell, dict):
+            return {name: local_number(text) if name == "part" else text for name, text in cell.items()}
+        return local_number(cell) if isinstance(cell, str) else cell
+
+    return [[of(cell) for cell in row] for row in rows]
 
 
 def correlation_rows(values: Values) -> list[list[Cell]]:
@@ -156,7 +170,7 @@ def span(low: float, high: float, u: float | None, unit: str) -> str:
     """Return a range in words, such as "22.8 … 23.1 °C ± 0.2 °C (k = 2)"; without u, the range alone."""
     ends = [rounded(one, 2.0 * u) if u else fixed(one, 2) for one in (low, high)]
     text = f"{ends[0]} {unit}" if ends[0] == ends[1] else f"{ends[0]} … {ends[1]} {unit}"
-    return f"{text} ± {uncertainty(2.0 * u)} {unit} (k = 2)" if u else text
+    return local_number(f"{text} ± {uncertainty(2.0 * u)} {unit} (k = 2)" if u else text)
 
 
 def plain(told: Any) -> Any:
@@ -218,7 +232,7 @@ def _condition(one: Condition, write: Writer) -> list[Cell]:
     return [
         write.say(one.key, rail=one.about),
         span(one.low, one.high, one.u, one.unit),
-        typeset(one.source) or NOBODY_SAYS,
+        typeset(translated(one.source)) or NOBODY_SAYS,
     ]
 
 
@@ -270,6 +284,9 @@ def _results(certificate: Certificate, write: Writer) -> list[Block]:
         _result_table(found, write, "inverse"),
         write.heading("misalignments", 2),
         _result_table(found, write, "misalignments"),
+        write.heading("intrinsic", 2),
+        write.words("intrinsic_text"),
+        _result_table(found, write, "intrinsic"),
     ]
     if before is not None:
         blocks += [write.heading("before"), _result_table(before, write, "coefficients")]
@@ -286,7 +303,7 @@ def _result_table(found: RunFindings, write: Writer, which: str) -> Block:
         shown = aligned([str(row[column]) for row in rows])
         for row, cell in zip(rows, shown, strict=True):
             row[column] = cell
-    return write.table(head, rows, "lrrrrl", _RESULT_COLUMNS, whole=True)
+    return write.table(head, local(rows), "lrrrrl", _RESULT_COLUMNS, whole=True)
 
 
 def _correlations(found: RunFindings, write: Writer) -> Block:
@@ -294,7 +311,7 @@ def _correlations(found: RunFindings, write: Writer) -> Block:
     head: list[Cell] = ["", *(symbol(value.name) for value in values.values)]
     return write.table(
         head,
-        correlation_rows(values),
+        local(correlation_rows(values)),
         "l" + "r" * len(values.values),
         ["auto"] + [1] * len(values.values),
         7.4,
@@ -306,14 +323,14 @@ def _uncertainty(found: RunFindings, write: Writer) -> list[Block]:
     head: list[Cell] = [write.say(key) for key in ("source", "size", "part", "origin")]
     rows: list[list[Cell]] = [
         [
-            typeset(one.name.replace("_", " ")),
+            typeset(translated(one.name.replace("_", " "))),
             typeset(_to_two_digits(one.size)),
             {"part": _size(one.u, one.unit), **_as_symbol(one.most_in)},
-            {"lines": [typeset(one.origin), *([write.say("prior")] if one.prior else [])]},
+            {"lines": [typeset(translated(one.origin)), *([write.say("prior")] if one.prior else [])]},
         ]
         for one in found.contributions
     ]
-    return [write.heading("budget"), write.table(head, rows, "llll", [1, 0.9, 0.9, 2])] if rows else []
+    return [write.heading("budget"), write.table(head, local(rows), "llll", [1, 0.9, 0.9, 2])] if rows else []
 
 
 def _to_two_digits(size: str) -> str:
@@ -358,7 +375,7 @@ def verdict_of(found: RunFindings, write: Writer) -> list[Block]:
     worst, scale = result.worst, 1e6
     error, U = rounded(abs(worst.delta_g) * scale, worst.U * scale), uncertainty(worst.U * scale)
     rows: list[tuple[str, list[Cell]]] = [
-        ("delta_g", [f"|Δg| ≤ {error} µg, U = {U} µg"]),
+        ("delta_g", [local_number(f"|Δg| ≤ {error} µg, U = {U} µg")]),
         (
             "rule",
             [rule_said(write.say, result.decision)],
@@ -367,9 +384,9 @@ def verdict_of(found: RunFindings, write: Writer) -> list[Block]:
     if result.missing:
         rows.append(("missing", [str(result.missing)]))
     if result.passed or result.left_open:
-        rows.append(("p_false_accept", [probability_in_words(result.p_outside)]))
+        rows.append(("p_false_accept", [local_number(probability_in_words(result.p_outside))]))
     elif result.rejected:
-        rows.append(("p_false_reject", [probability_in_words(1.0 - result.p_outside)]))
+        rows.append(("p_false_reject", [local_number(probability_in_words(1.0 - result.p_outside))]))
     return [{**told, "strong": True}, write.pairs(rows)]
 
 
@@ -396,7 +413,7 @@ def _conformity(found: RunFindings, write: Writer) -> list[Block]:
     ]
     return [
         write.heading("conformity"),
-        write.table(head, rows, "llrrrlr", [0.8, 1, 0.8, 0.7, 0.5, 1.1, 1.2], whole=len(rows) < 25),
+        write.table(head, local(rows), "llrrrlr", [0.8, 1, 0.8, 0.7, 0.5, 1.1, 1.2], whole=len(rows) < 25),
         write.figure(_drawn(verification_points, result), "figure_points", 140.0),
     ]
 
@@ -411,9 +428,10 @@ _kept: dict[str, tuple[Any, str]] = {}
 
 def _drawn(draw: Callable[[Any], str], of: Any) -> str:
     """Return a figure; the latest of each kind is cached, because the page is typeset twice."""
-    kept = _kept.get(draw.__name__)
+    name = f"{draw.__name__} {language()}"
+    kept = _kept.get(name)
     if kept is None or kept[0] is not of:
-        _kept[draw.__name__] = kept = (of, draw(of))
+        _kept[name] = kept = (of, draw(of))
     return kept[1]
 
 
@@ -447,5 +465,5 @@ def _record(certificate: Certificate, write: Writer, attached: list[tuple[str, s
 
 def _remarks(certificate: Certificate, write: Writer) -> list[Block]:
     found = certificate.found
-    notes = [{"kind": "words", "words": [typeset(note)]} for note in found.notes]
+    notes = [{"kind": "words", "words": [typeset(translated(note))]} for note in found.notes]
     return [*([write.heading("notes"), *notes] if notes else []), write.words("statement_recalibration")]

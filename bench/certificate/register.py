@@ -61,7 +61,7 @@ class Register(Chain):
         issued.
         """
         if entry.number in self.standings:
-            raise Refused(f"{entry.number}: this number was issued already")
+            raise Refused(f"{entry.number}: this number was issued before; choose another")
         for name, content in contents.items():
             _write_through(self.folder / (name + _PART), content)
         sync_folder(self.folder)
@@ -82,9 +82,11 @@ class Register(Chain):
         try:
             content = read_regular(self.folder / name)
         except OSError as error:
-            raise Refused(f"{self.folder / name}: cannot be read ({error.strerror})") from error
+            raise Refused(
+                f"{self.folder / name}: cannot be read ({error.strerror}); check name and permissions"
+            ) from error
         if hashlib.sha256(content).hexdigest() != stated:
-            raise Refused(f"{self.folder / name}: not the file that was issued; take it from a copy")
+            raise Refused(f"{self.folder / name}: not the issued file; restore it from a copy")
         return content
 
     def damaged_files(self) -> list[str]:
@@ -108,7 +110,7 @@ class Register(Chain):
         standing = self.standings.get(entry.number)
         if entry.kind == ISSUED:
             if standing is not None:
-                raise Refused(f"{where}: number {entry.number} was issued twice; take it from a copy")
+                raise Refused(f"{where}: number {entry.number} was issued twice; restore it from a copy")
             self.standings[entry.number] = NumberStatus(entry)
             before = entry.data.get("before") or {}
             old = self.standings.get(str(before.get("number")))
@@ -119,7 +121,9 @@ class Register(Chain):
                 standing.entry, REVOKED, str(entry.data.get("reason", ""))
             )
         else:
-            raise Refused(f"{where}: {entry.kind} of {entry.number} is nothing that can follow here")
+            raise Refused(
+                f"{where}: {entry.kind} of {entry.number} cannot follow here; restore it from a copy"
+            )
 
     def _put_in_place(self, entry: Entry) -> None:
         """Rename the temporary files of a certificate to their final names."""

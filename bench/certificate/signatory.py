@@ -119,9 +119,9 @@ def certificates_in(file: Path) -> tuple[Certificate, ...]:
     try:
         return tuple(x509.load_pem_x509_certificates(read_given(file)))
     except OSError as error:
-        raise Refused(f"{file}: cannot be read ({error.strerror})") from error
+        raise Refused(f"{file}: cannot be read ({error.strerror}); check name and permissions") from error
     except ValueError as error:
-        raise Refused(f"{file}: no X.509 certificate in it (PEM)") from error
+        raise Refused(f"{file}: it has no X.509 certificate (PEM); give the chain's file") from error
 
 
 def _in_file(file: Path, chain: Path | None, passphrase: Callable[[], bytes]) -> Signatory:
@@ -136,11 +136,11 @@ def _in_file(file: Path, chain: Path | None, passphrase: Callable[[], bytes]) ->
         return key.sign(message, padding.PKCS1v15(), hashes.SHA256())  # type: ignore[no-any-return]
 
     if not isinstance(key, ec.EllipticCurvePrivateKey | rsa.RSAPrivateKey):
-        raise Refused(f"{file}: a key of another kind than certificates are signed with ({wanted})")
+        raise Refused(f"{file}: this kind of key cannot sign certificates ({wanted})")
     beside = chain if chain is not None else file.with_name(file.name + SUFFIX)
     if chain is None and not beside.is_file():
         raise Refused(
-            f"{file}: no certificate says whose key it is; name its chain with --chain FILE, or put it in {beside}"
+            f"{file}: the key has no certificate; name its chain with --chain FILE, or put it in {beside}"
         )
     return Signatory(certificates_in(beside), sign)
 
@@ -155,25 +155,25 @@ def _check(signatory: Signatory, now: datetime) -> None:
     wrong = []
     public = mine.public_key()
     if isinstance(public, rsa.RSAPublicKey) and public.key_size < _LEAST_RSA_BITS:
-        wrong.append(f"its key has {public.key_size} bits, and {_LEAST_RSA_BITS} are the least")
+        wrong.append(f"its key has {public.key_size} bits, and {_LEAST_RSA_BITS} are required")
     try:
         _proves(public, signatory.sign(b"triaxial-bench"), b"triaxial-bench")
     except (InvalidSignature, ValueError, TypeError):
-        wrong.append("it is of another key; the certificate of the key stands first in its chain")
+        wrong.append("it belongs to another key; put the certificate of the key first in its chain")
     if not mine.not_valid_before_utc <= now <= mine.not_valid_after_utc:
         since, until = mine.not_valid_before_utc.date(), mine.not_valid_after_utc.date()
-        wrong.append(f"it is in force from {since} to {until}, and not now")
+        wrong.append(f"it is valid from {since} to {until}, not now")
     try:
         usage = mine.extensions.get_extension_for_class(x509.KeyUsage).value
     except (x509.ExtensionNotFound, ValueError):
         usage = None
     if usage is not None and not (usage.digital_signature or usage.content_commitment):
-        wrong.append("it is not meant for signatures (its key usage)")
+        wrong.append("its key usage excludes signatures")
     for below, above in zip(signatory.chain, signatory.chain[1:], strict=False):
         try:
             below.verify_directly_issued_by(above)
         except (InvalidSignature, ValueError, TypeError):
-            wrong.append(f"'{name_of(below)}' was not issued by '{name_of(above)}', next in it")
+            wrong.append(f"'{name_of(below)}' was not issued by '{name_of(above)}', the next in the chain")
     if wrong:
         raise Refused(f"the certificate of '{signatory.name}' cannot be signed with: {'; '.join(wrong)}")
 
@@ -223,14 +223,14 @@ def signatory_in_token(
             session.close()  # otherwise the next caller finds the token still logged in
             raise
     except UnicodeDecodeError as error:
-        raise Refused(f"{told}: a PIN is UTF-8 text") from error
+        raise Refused(f"{told}: type the PIN in UTF-8") from error
     except pkcs11.exceptions.PKCS11Error as error:
         reason = str(error) or type(error).__name__
         raise Refused(
-            f"{told}: the token gives no key ({reason}); is it there, and is its PIN right?"
+            f"{told}: the token has no key ({reason}); check that it is connected and its PIN"
         ) from error
     except RuntimeError as error:  # a file that is no module
-        raise Refused(f"{module}: not a module of PKCS #11 ({error})") from error
+        raise Refused(f"{module}: not a module of PKCS #11; give the token's library ({error})") from error
     return Signatory(own, _signing(key, told))
 
 
@@ -241,12 +241,13 @@ def _parts(address: str) -> tuple[dict[str, Any], str]:
     for part in filter(None, body.split(";")):
         name, _, value = part.partition("=")
         if name not in _PATH or name in path:
-            raise Refused(f"{address}: '{name}' is not expected here; an address is {_SHOWN}")
+            raise Refused(f"{address}: '{name}' is not allowed here; give an address such as {_SHOWN}")
         path[name] = unquote_to_bytes(value) if name == "id" else unquote(value)
     asked = dict(part.partition("=")[::2] for part in filter(None, query.split("&")))
     if set(asked) != set(_QUERY) or not {"object", "id"} & set(path):
         raise Refused(
-            f"{address}: names not one key of one module; an address is {_SHOWN}, the PIN is asked for"
+            f"{address}: does not name one key of one module; give an address such as {_SHOWN}, the "
+            "program asks for the PIN"
         )
     return path, unquote(asked["module-path"])
 
@@ -261,7 +262,7 @@ def _the_one(session: Any, kind: Any, path: dict[str, Any], what: str) -> Any:
         wanted[Attribute.ID] = path["id"]
     found = list(session.get_objects(wanted))
     if len(found) != 1:
-        raise Refused(f"{what} of that name in the token: {len(found)}, and one is wanted")
+        raise Refused(f"{what} of that name in the token: {len(found)}, give the name of one")
     return found[0]
 
 
@@ -273,7 +274,7 @@ def _certificate(session: Any, path: dict[str, Any], told: str) -> Certificate:
         found = _the_one(session, ObjectClass.CERTIFICATE, path, f"{told}: certificates")
     except Refused as error:
         raise Refused(
-            f"{error}; --chain FILE names the key's certificate where it is not in the token"
+            f"{error}; --chain FILE names the key's certificate if it is not in the token"
         ) from error
     return x509.load_der_x509_certificate(found[Attribute.VALUE])
 
@@ -291,7 +292,7 @@ def _signing(key: Any, told: str) -> Callable[[bytes], bytes]:
             both = bytes(key.sign(sha256(message).digest(), mechanism=Mechanism.ECDSA))
         except PKCS11Error as error:
             reason = str(error) or type(error).__name__
-            raise Refused(f"{told}: the token does not sign ({reason})") from error
+            raise Refused(f"{told}: the token refused to sign ({reason})") from error
         half = len(both) // 2
         return encode_dss_signature(int.from_bytes(both[:half]), int.from_bytes(both[half:]))
 
@@ -308,7 +309,7 @@ def why_not_trusted(chain: Sequence[Certificate], when: datetime, trusted: Seque
     if fingerprint_of(own) in {fingerprint_of(one) for one in trusted}:
         if own.not_valid_before_utc <= when <= own.not_valid_after_utc:
             return ""
-        return "its certificate was not in force at the time that the signature says"
+        return "its certificate was not valid at the time of the signature"
     from asn1crypto.x509 import Certificate as Asn1
     from cryptography.hazmat.primitives.serialization import Encoding
     from pyhanko_certvalidator import CertificateValidator, ValidationContext
@@ -321,7 +322,7 @@ def why_not_trusted(chain: Sequence[Certificate], when: datetime, trusted: Seque
     try:
         asyncio.run(validator.async_validate_path())
     except PathBuildingError:
-        return "no certificate in the trust file stands for it"
+        return "the trust file has no certificate that confirms it"
     except (PathValidationError, ValidationError) as error:
         return " ".join(str(error).split())
     return ""

@@ -57,7 +57,7 @@ def sign_xml(document: bytes, signatory: Signatory, now: datetime) -> bytes:
     etree, xades, methods = _packages()
     root = _read(document)
     if next(root.iter(f"{{{NAMESPACE}}}Signature"), None) is not None:
-        raise Refused("the document is signed already; sign the one without a signature")
+        raise Refused("the document is already signed; sign the unsigned one")
 
     class Signer(xades.XAdESSigner):  # type: ignore[misc, name-defined]
         def add_signing_time(self, properties: Any, sig_root: Any, signing_settings: Any) -> None:
@@ -110,7 +110,7 @@ def check_xml(document: bytes) -> SignedXml:
     try:
         whole, *_ = xades.XAdESVerifier().verify(root, x509_cert=certificates[0], expect_config=config)
     except Exception as error:  # bad input raises many kinds of exception in the libraries below
-        raise NotIntact(f"the signature does not hold ({_told(error)})") from error
+        raise NotIntact(f"the signature is invalid ({_told(error)})") from error
     _check_references(whole.signature_xml)
     comments = sum(1 for _ in root.iter(etree.Comment))
     return SignedXml(bytes(whole.signed_data), certificates, when, comments)
@@ -137,12 +137,12 @@ def _read(document: bytes) -> Any:
     except (etree.XMLSyntaxError, ValueError) as error:
         raise NoCertificate(f"not XML ({_told(error)})") from error
     if root.getroottree().docinfo.doctype:
-        raise NotIntact("it has a document type (DOCTYPE), which no certificate has")
+        raise NotIntact("it has a document type (DOCTYPE), which certificates never have")
     if next(root.iter(etree.Entity), None) is not None:
-        raise NotIntact("it has entities, which no certificate has")
+        raise NotIntact("it has entities, which certificates never have")
     outside = [*root.itersiblings(preceding=True), *root.itersiblings()]
     if any(one.tag is etree.ProcessingInstruction for one in (*root.iter(), *outside)):
-        raise NotIntact("it has processing instructions, which no certificate has")
+        raise NotIntact("it has processing instructions, which certificates never have")
     return root
 
 
@@ -153,15 +153,13 @@ def _the_signature(root: Any) -> Any:
     """
     found = list(root.iter(f"{{{NAMESPACE}}}Signature"))
     if not found:
-        raise Unsigned("nobody signed it (no XML signature)")
+        raise Unsigned("it has no XML signature")
     if len(found) > 1:
-        raise NotIntact(f"it has {len(found)} signatures, and a certificate has one")
+        raise NotIntact(f"it has {len(found)} signatures, instead of one")
     (signature,) = found
     elements = [one for one in root if isinstance(one.tag, str)]
     if signature.getparent() is not root or elements[-1] is not signature:
-        raise NotIntact(
-            "its signature does not stand where a certificate has it: the last element of the document"
-        )
+        raise NotIntact("its signature is not the last element of the document")
     ds = [f"{{{NAMESPACE}}}{name}" for name in ("SignedInfo", "SignatureValue", "KeyInfo", "Object")]
     parts = {
         tuple(ds): signature,
@@ -170,7 +168,7 @@ def _the_signature(root: Any) -> Any:
     }
     for tags, element in parts.items():
         if element is None or tuple(one.tag for one in element if isinstance(one.tag, str)) != tags:
-            raise NotIntact("its signature has parts that nobody signed, or lacks some (XAdES, baseline B-B)")
+            raise NotIntact("its signature has unsigned parts, or lacks some (XAdES, baseline B-B)")
     return signature
 
 
@@ -188,7 +186,7 @@ def _check_references(signature: Any) -> None:
         or transforms != [_ENVELOPED, _CANONICAL]
     ):
         raise NotIntact(
-            "its signature does not stand for the whole document, its properties and its certificates"
+            "its signature does not cover the whole document, its properties and its certificates"
         )
 
 
@@ -205,7 +203,7 @@ def _certificates(signature: Any) -> tuple[Certificate, ...]:
     except ValueError as error:
         raise NotIntact(f"a certificate in its signature cannot be read ({_told(error)})") from error
     if not found:
-        raise NotIntact("its signature names no certificate of a signer")
+        raise NotIntact("its signature names no signer's certificate")
     return found
 
 
@@ -215,9 +213,9 @@ def _moment(signature: Any) -> datetime:
         (text,) = times
         moment = datetime.fromisoformat(text)
     except ValueError as error:
-        raise NotIntact("its signature does not say when it was made") from error
+        raise NotIntact("its signature has no time") from error
     if moment.tzinfo is None:
-        raise NotIntact("its signature says when it was made without a time zone")
+        raise NotIntact("the time of its signature has no time zone")
     return moment
 
 
@@ -285,7 +283,7 @@ def sign_pdf(body: bytes, signatory: Signatory, now: datetime, reason: str, plac
     )
     writer = Writer(io.BytesIO(body))
     if next(iter(writer.prev.embedded_signatures), None) is not None:
-        raise Refused("the PDF is signed already; sign the body without a signature")
+        raise Refused("the PDF is already signed; sign the unsigned body")
     signed = AtTime(told, ByKey(signing_cert=own, cert_registry=store)).sign_pdf(writer)
     return bytes(signed.getvalue())
 
@@ -305,16 +303,16 @@ def check_pdf(file: bytes) -> SignedPdf:
     try:
         reader = PdfFileReader(io.BytesIO(file), strict=True)
         if reader.encrypted:
-            raise NotIntact("it is encrypted, and no certificate is")
+            raise NotIntact("it is encrypted, which certificates never are")
         signatures = list(reader.embedded_signatures)
         if not signatures:
-            raise Unsigned("nobody signed it (no PDF signature)")
+            raise Unsigned("it has no PDF signature")
         if len(signatures) > 1:
-            raise NotIntact(f"it has {len(signatures)} signatures, and a certificate has one")
+            raise NotIntact(f"it has {len(signatures)} signatures, instead of one")
         (signature,) = signatures
         _check_cover(file, signature)
         if reader.xrefs.total_revisions != _REVISIONS or reader.xrefs.hybrid_xrefs_present:
-            raise NotIntact("it has parts that were appended; a certificate is its body and one signature")
+            raise NotIntact("parts were appended to it after the signature")
         return _who(signature)
     except (NotIntact, Refused):
         raise
@@ -330,15 +328,15 @@ def _check_cover(file: bytes, signature: Any) -> None:
         raise NotIntact("its signature does not cover it from the first byte")
     _, before, after, rest = ranges
     if not 0 < before < after or after + rest != len(file):
-        raise NotIntact("something was appended after its signature, which covers it no more to the end")
+        raise NotIntact("its signature does not cover its end: something was appended")
     gap = file[before:after]
     content = signature.pkcs7_content
     digits = gap[1:-1]
     if gap[:1] + gap[-1:] != b"<>" or len(digits) != 2 * len(content) or unhexlify(digits) != content:
-        raise NotIntact("its signature leaves out more than itself")
+        raise NotIntact("its signature does not cover everything else")
     value = _written_anew(content)
     if content[: len(value)] != value or content[len(value) :].strip(b"\0"):
-        raise NotIntact("something stands in the place of its signature beside it")
+        raise NotIntact("other data replaced its signature")
 
 
 def _written_anew(content: bytes) -> bytes:
@@ -361,7 +359,7 @@ def _check_wrapping(data: Any, signer: Any) -> None:
     algorithms = [one.dump() for one in (*data["digest_algorithms"], signer["digest_algorithm"])]
     versions = [data["version"].native, signer["version"].native]
     if algorithms != [sha256, sha256] or versions != ["v1", "v1"] or signer["unsigned_attrs"].native:
-        raise NotIntact("its signature is not wrapped as one of PAdES, baseline B-B, with SHA-256 is")
+        raise NotIntact("its signature is not PAdES, baseline B-B, with SHA-256")
 
 
 def _who(signature: Any) -> SignedPdf:
@@ -372,19 +370,19 @@ def _who(signature: Any) -> SignedPdf:
 
     _check_wrapping(signature.signed_data, signature.signer_info)
     if signature.sig_object.get("/SubFilter") != SigSeedSubFilter.PADES.value:
-        raise NotIntact("its signature is of another kind than PAdES")
+        raise NotIntact("its signature is not PAdES")
     when = signature.self_reported_timestamp
     if when is None or when.tzinfo is None:
-        raise NotIntact("its signature does not say when it was made")
+        raise NotIntact("its signature has no time")
     # trust the signer here, to check the signature alone; `why_not_trusted` checks who signed
     context = ValidationContext(trust_roots=[signature.signer_cert], moment=when, allow_fetching=False)
     status = validate_pdf_signature(signature, context, key_usage_settings=_any_usage())
     if not status.intact:
-        raise NotIntact("what was signed has been changed")
+        raise NotIntact("it was changed after it was signed")
     if not status.valid:
         raise NotIntact("its signature was not made with the key of the certificate in it")
     if signature.docmdp_level != MDPPerm.NO_CHANGES:
-        raise NotIntact("its signature allows changes, and that of a certificate allows none")
+        raise NotIntact("its signature allows changes, which certificates never do")
     chain = (signature.signer_cert, *signature.other_embedded_certs)
     return SignedPdf(tuple(x509.load_der_x509_certificate(one.dump()) for one in chain), when)
 

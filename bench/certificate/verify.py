@@ -46,22 +46,19 @@ if TYPE_CHECKING:
     from cryptography.x509 import Certificate
 
 NOT_PROVED: Final = (
-    "when it was signed: the time is the signer's own word, no authority stamped it",
-    "that the signer's certificate had not been withdrawn: no list of withdrawn ones was asked",
+    "when it was signed: only the signer states the time; no authority stamped it",
+    "that the signer's certificate had not been withdrawn: no list of withdrawn ones was checked",
 )
 NOT_MEASURED: Final = "that what was measured is true"
 PAGES_NOT_READ: Final = "that the pages print what the data say: only the data were compared"
-RECORD_NOT_HERE: Final = "that the record gives these results: the record is not at hand"
-REGISTER_NOT_HERE: Final = (
-    "that it still holds: the laboratory's register knows what was amended or revoked, and is not at hand"
-)
+RECORD_NOT_HERE: Final = "that the record gives these results: the record is missing here"
+REGISTER_NOT_HERE: Final = "that it still holds: the register of amended and revoked ones is missing here"
 UNSIGNED: Final = (
-    "who made it, nor that it is as it was issued: nobody signed it, and no register was named that knows; "
-    "--laboratory FILE names the laboratory's"
+    "who made it and that it is unchanged: it is unsigned; --laboratory FILE checks the register"
 )
 UNKNOWN: Final = (
-    "who signed: the certificate in it says a name, and anybody can write one; --trust FILE names the laboratory's "
-    "own, got from the laboratory"
+    "who signed: anybody can write the name in its certificate; --trust FILE checks the laboratory's own, "
+    "obtained from the laboratory"
 )
 
 
@@ -164,7 +161,7 @@ def verify_certificate(file: Path, trust: Path | None, runs: Path, register: Pat
                 _hold_beside(verdict, attached[DCC], _content(beside), beside.name)
         if not beside.is_file() and other == "PDF":
             verdict.not_proved.append(
-                f"that there is a {other} that says the same: {beside.name} is not beside it"
+                f"that there is a {other} with the same content: {beside.name} is not beside it"
             )
     except NotIntact as error:
         verdict.wrong.append(str(error))
@@ -190,7 +187,7 @@ def _content(file: Path) -> bytes:
     try:
         return read_given(file)
     except OSError as error:
-        raise Refused(f"{file}: cannot be read ({error.strerror})") from error
+        raise Refused(f"{file}: cannot be read ({error.strerror}); check name and permissions") from error
 
 
 # --- the two forms ------------------------------------------------------------------------------------
@@ -205,17 +202,15 @@ def _verify_xml(verdict: Verdict, document: bytes, trusted: Sequence[Certificate
     shown = shown_of(content)
     if verdict.unsigned is shown.says_signed:
         raise NotIntact(
-            "it says that it is signed, and nobody signed it"
+            "it claims a signature but has none"
             if verdict.unsigned
-            else "it says that nobody signed it, and it is signed"
+            else "it claims to be unsigned but has a signature"
         )
     _agree_on_numbers(shown)
     verdict.shown = shown
-    verdict.agreed.append("the coefficients of the digital certificate are those of the result that it holds")
+    verdict.agreed.append("the coefficients of the digital certificate are those of its result")
     if signed is not None and signed.comments:
-        verdict.not_signed.append(
-            f"{signed.comments} comments in the XML, which nobody signed and are not shown"
-        )
+        verdict.not_signed.append(f"{signed.comments} comments in the XML, which are unsigned and not shown")
     return signed
 
 
@@ -234,10 +229,10 @@ def _verify_pdf(verdict: Verdict, file: bytes, trusted: Sequence[Certificate] | 
         signed = check_pdf(file)
         _name_signer(verdict, signed, trusted)
     if faults := faults_of(file):
-        raise NotIntact(f"it is not the PDF/A-3b that a certificate is: {'; '.join(faults)}")
+        raise NotIntact(f"it is not PDF/A-3b, as certificates are: {'; '.join(faults)}")
     attached, title = _attached(file)
     if signed is None and set(attached) == set(RELATIONS) - {DCC}:
-        raise NoCertificate("it is a draft, and was never issued")
+        raise NoCertificate("it is a draft and was never issued")
     if set(attached) != set(RELATIONS):
         raise NotIntact(
             f"attached are {', '.join(sorted(attached))}, and a certificate has {', '.join(sorted(RELATIONS))}"
@@ -251,7 +246,7 @@ def _verify_pdf(verdict: Verdict, file: bytes, trusted: Sequence[Certificate] | 
         _agree_on_signer(signed, digital)
     elif signed is not None or digital is not None:
         signer, other = ("the PDF", "the XML in it") if signed is not None else ("the XML in it", "the PDF")
-        raise NotIntact(f"{signer} is signed, and nobody signed {other}")
+        raise NotIntact(f"{signer} is signed, but not {other}")
     assert verdict.shown is not None  # noqa: S101 - what was verified is shown
     _agree(verdict, verdict.shown, attached, title)
     return attached
@@ -264,7 +259,7 @@ def _agree_on_signer(paper: SignedPdf, digital: SignedXml) -> None:
             f"the PDF was signed by {name_of(paper.chain[0])}, its XML by {name_of(digital.chain[0])}"
         )
     if digital.signed_at > paper.signed_at:
-        raise NotIntact("the XML in it says to have been signed after the PDF")
+        raise NotIntact("its XML states a later signature than the PDF")
 
 
 def _agree(verdict: Verdict, shown: ShownValues, attached: dict[str, bytes], title: str) -> None:
@@ -274,7 +269,7 @@ def _agree(verdict: Verdict, shown: ShownValues, attached: dict[str, bytes], tit
         raise NotIntact(f"the PDF is of '{title}', its XML of certificate {number}")
     for name, content in shown.files.items():
         if attached.get(name) != content:
-            raise NotIntact(f"{name} in the XML is another than {name} in the PDF")
+            raise NotIntact(f"{name} in the XML differs from that {name} in the PDF")
     signer = "" if verdict.unsigned else "signer, "
     verdict.agreed.append(f"PDF and XML have {signer}number, result and seal in common")
     verdict.not_proved.append(PAGES_NOT_READ)
@@ -298,8 +293,8 @@ def _hold_beside(verdict: Verdict, attached: bytes, document: bytes, name: str) 
         raise NotIntact(f"{name} beside it: {error}") from error
     signers = {None if signed is None else fingerprint_of(signed.chain[0]) for signed, _ in forms}
     if len({content for _, content in forms}) > 1 or len(signers) > 1:
-        raise NotIntact(f"{name} beside it is another certificate than the one in it")
-    verdict.agreed.append(f"{name} beside it says the same")
+        raise NotIntact(f"{name} beside it differs from the one in it")
+    verdict.agreed.append(f"{name} beside it has the same content")
 
 
 def _attached(file: bytes) -> tuple[dict[str, bytes], str]:
@@ -340,9 +335,7 @@ def _agree_on_numbers(shown: ShownValues) -> None:
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise NotIntact("the result in the digital certificate cannot be read") from error
     if values != {name: one.value for name, one in coefficients.items()} or covariance != shown.covariance:
-        raise NotIntact(
-            "the coefficients of the digital certificate are not those of the result that it holds"
-        )
+        raise NotIntact("the coefficients of the digital certificate are not those of its result")
     if not all(math.isclose(one.U, one.k * u[name], rel_tol=1e-12) for name, one in coefficients.items()):
         raise NotIntact("U of a coefficient is not k times its u")
 
@@ -409,16 +402,16 @@ def held_against_record(shown: ShownValues, runs: Path) -> Held | None:
     except (Refused, RecordError, CalibrationError) as error:
         return Held(wrong=f"{folder}: the record gives no result ({error})")
     if found.result_json.encode() == shown.files["result.json"]:
-        return Held(told=f"the record in {folder} is as it was, and gives the same result to the last digit")
+        return Held(told=f"the record in {folder} is unchanged and gives the same result to the last digit")
     if _as_good_as(found, shown):
         return Held(
-            told=f"the record in {folder} is as it was, and gives the same result within {_SAME:g} u, as another "
-            "computer may round it"
+            told=f"the record in {folder} is unchanged and gives the same result within {_SAME:g} u, "
+            "within rounding of another computer"
         )
     if shown.release != metadata.version("triaxial-bench"):
         return Held(
-            told=f"the record in {folder} is as it was",
-            open=f"that the record gives these results: release {shown.release} evaluated it, another than this",
+            told=f"the record in {folder} is unchanged",
+            open=f"that the record gives these results: release {shown.release} evaluated it, not this one",
         )
     return Held(wrong=f"{folder}: the record gives another result than the certificate")
 
@@ -471,14 +464,12 @@ def held_against_register(
     if not (place / LINES).is_file():
         if folder is None:
             return None, Held()
-        raise Refused(
-            f"{place}: there is no register ({LINES}); nothing was issued with this laboratory file"
-        )
+        raise Refused(f"{place}: no register there ({LINES}); check the laboratory file")
     register = Register(place)
     try:
         register.read_lines()
     except OSError as error:
-        raise Refused(f"{place}: cannot be read ({error.strerror})") from error
+        raise Refused(f"{place}: cannot be read ({error.strerror}); check name and permissions") from error
     known = register.standings.get(number)
     if known is None:
         return (
@@ -490,6 +481,6 @@ def held_against_register(
     )
     if known.entry.files.get(name) != hashlib.sha256(content).hexdigest():
         return standing, Held(
-            wrong=f"the register has another SHA-256 of {name}: this is not the issued file"
+            wrong=f"the register has another SHA-256 for {name}: this is not the issued file"
         )
-    return standing, Held(told=f"the register in {place} has the SHA-256 of this file as that of {name}")
+    return standing, Held(told=f"the register in {place} has the SHA-256 of this file for {name}")

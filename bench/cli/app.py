@@ -89,7 +89,7 @@ def explain(error: Exception, command: str = "bench") -> str:
     if isinstance(error, Refused | OSError) or expected(error):
         return sentence(error)
     return (
-        f"'{command}' was stopped by a mistake of the program ({kind_and_words(error)}); run it again with --debug "
+        f"'{command}' was stopped by an error of the program ({kind_and_words(error)}); run it again with --debug "
         "and report what it shows"
     )
 

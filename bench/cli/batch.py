@@ -1,4 +1,4 @@
-"""batch: many runs evaluated anew, restartable, by processes or a cluster; changed results and verdicts."""
+"""batch: many runs evaluated again, restartable, by processes or a cluster; changed results and verdicts."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import typer
 
 from bench.base.computing import one_thread
 from bench.cli import printing
-from bench.cli.helping import CommandGroup
+from bench.cli.commands import CommandGroup
 from bench.cli.options import JsonOption, WithEstimators, requested
 from bench.services.requests.documents import Batch, BatchCalibrate, BatchDiagnose, BatchReport
 

@@ -7,7 +7,7 @@ from typing import Final
 import typer
 
 from bench.cli import printing
-from bench.cli.helping import CommandGroup
+from bench.cli.commands import CommandGroup
 from bench.cli.options import JsonOption, requested
 from bench.services.requests.documents import Ask, DueUnits, Sync, Unit
 

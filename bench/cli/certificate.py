@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 import typer
 
 from bench.cli import printing
-from bench.cli.helping import HELP_FLAGS, CommandGroup
+from bench.cli.commands import HELP_FLAGS, CommandGroup
 from bench.cli.options import JsonOption, requested
 from bench.services.requests.documents import (
     AmendCertificate,
@@ -75,7 +75,7 @@ def issue(request: IssueCertificates, json: JsonOption = None) -> int:
 
 def _say_unsigned(request: Issuing) -> None:
     if request.key is None:
-        printing.aside("bench: not signed; --key FILE signs what is issued")
+        printing.aside("bench: not signed; --key FILE signs it")
 
 
 @GROUP.command(

@@ -138,12 +138,13 @@ def report(request: Report, json: JsonOption = None, out: OutOption = None) -> i
 def coefficients(request: Coefficients, json: JsonOption = None, out: OutOption = None) -> int:
     """Write coefficients for other software: JSON, CSV, C, Excel, Kalibr, PX4, ArduPilot."""
     from bench.exchange.forms import print_coefficients
-    from bench.services.coefficients import forms_of, nominal_of
+    from bench.services.coefficients import forms_of, nominal_of, require_temperature
     from bench.services.compensation import results_of
     from bench.services.source import reading
 
     forms = forms_of(list(request.forms or ["json"]))
     given = results_of(reading(request, *request.sources, out=out))
+    require_temperature([one.result for one in given], without=request.without_temperature)
     nominal = nominal_of(request.nominal, [one.result for one in given])
     on = printing.console(json=json)
     asked_for = out is not None or bool(request.forms)

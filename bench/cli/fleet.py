@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Final, TypeVar
 import typer
 
 from bench.cli import printing
-from bench.cli.helping import CommandGroup
+from bench.cli.commands import CommandGroup
 from bench.cli.options import JsonOption, OutOption, requested
 from bench.services.errors import Refused
 from bench.services.requests.history import Capability, CompareBenches, DriftOfUnit, OfFleet
@@ -50,7 +50,9 @@ def compare(
     request: CompareBenches,
     json: JsonOption = None,
     out: OutOption = None,
-    strict: Annotated[bool, typer.Option("--strict", help="A bench beyond U (k=2) is not accepted.")] = False,
+    strict: Annotated[
+        bool, typer.Option("--strict", help="A bench that is off in the nine together is not accepted.")
+    ] = False,
 ) -> int:
     """Compare benches on common units: degrees of equivalence, E_n, Birge ratio."""
     from bench.base.files import to_text
@@ -68,7 +70,7 @@ def compare(
         )
         printing.write_files(files, on, asked=True)
     printing.write_json([result.to_dict()], json)
-    return 1 if strict and result.apart else 0
+    return 1 if strict and result.off else 0
 
 
 @GROUP.command(epilog="Example: bench fleet prior type='block A' simulated=no --prior-out block-a.yaml")
@@ -148,5 +150,5 @@ def _method(asked: str | None) -> str | None:
 
     known = {method.lower().replace(" ", "-"): method for method in METHODS}
     if asked is not None and asked not in known:
-        raise Refused(f"--reference {asked}: known are {', '.join(known)}")
+        raise Refused(f"--reference {asked}: choose from {', '.join(known)}")
     return None if asked is None else known[asked]

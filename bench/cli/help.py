@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from bench.cli.helping import ask_whole_help
+from bench.cli.commands import ask_whole_help
 from bench.cli.options import app
 from bench.services.errors import Refused
 
@@ -31,7 +31,7 @@ def help(
             context.command.get_command(context, word) if hasattr(context.command, "get_command") else None
         )
         if found is None:
-            raise Refused(f"there is no command '{' '.join(command or ())}'; 'bench help --all' lists all")
+            raise Refused(f"unknown command '{' '.join(command or ())}'; 'bench help --all' lists all")
         context = typer.Context(found, parent=context, info_name=word)
     typer.echo(context.get_help())
     return 0

@@ -85,9 +85,7 @@ def learn(
 
     target = out or Path("learned.yaml")
     if target.exists():
-        raise Refused(
-            f"{target}: is there already, and a learned file is not overwritten; give another --out"
-        )
+        raise Refused(f"{target}: exists, and a learned file is not overwritten; name another with --out")
     sources = load_sources(reading(request, *request.sources))
     printing.bench_files(sources, json)
     found = learning_of(request, sources)

@@ -37,11 +37,13 @@ def instruments(request: InstrumentsRequest, json: JsonOption = None) -> int:
     """Test all instruments of a bench: identity, self-test, reading."""
     if request.commission:
         if request.discover or request.wire_log is not None:
-            raise Refused("--commission goes without --discover and --wire-log: its folder holds a wire log")
+            raise Refused(
+                "--commission excludes --discover and --wire-log (its folder holds a wire log); remove them"
+            )
         _named(request.bench)
         return _commission(request, json)
     if request.dry_run or request.out is not None:
-        raise Refused("--dry-run and --out go with --commission")
+        raise Refused("--dry-run and --out need --commission; add it or remove them")
     return _offers(json) if request.discover else look(request.bench, json, request.wire_log)
 
 
@@ -49,7 +51,7 @@ def _named(bench: str | None) -> str | None:
     """Return the bench file named, or None if BENCH_FILE names one. Raises `Refused` if neither does."""
     if not (bench or os.environ.get("BENCH_FILE")):
         raise Refused(
-            "say which bench: --bench FILE (or set BENCH_FILE); --discover lists what the interfaces offer"
+            "no bench file named; give --bench FILE or set BENCH_FILE (--discover lists what is connected)"
         )
     return bench
 
@@ -97,7 +99,7 @@ def _offers(target: str | None) -> int:
         table.add_row(resource, "")
     for port in offer.serial_ports:
         table.add_row(port.resource, f"serial port {port.device} {port.description}".rstrip())
-    out.print(table if table.row_count else "nothing was found")
+    out.print(table if table.row_count else "nothing was found: check power, cables and addresses")
     printing.notes_on(out, offer.notes)
     return 0
 
@@ -118,8 +120,7 @@ def _commission(request: InstrumentsRequest, target: str | None) -> int:
 
     if not request.dry_run and not sys.stdin.isatty():
         raise Refused(
-            "commissioning asks a person at every step and moves the head: start it in a terminal, or go "
-            "through it with --dry-run on the simulated bench"
+            "commissioning asks a person and moves the head; start it in a terminal, or try it with --dry-run"
         )
     path = bench_path(request.bench)
     file = load_bench(path)
@@ -127,7 +128,7 @@ def _commission(request: InstrumentsRequest, target: str | None) -> int:
     folder = request.out or free_folder(utc_now())
     console.print(
         f"commissioning of {file.name} ({path}), {'SIMULATED' if request.dry_run else 'on the bench'}; "
-        "type :skip REASON at a question to leave something out, :abort to end; Ctrl-C leaves the bench safe"
+        "type :skip REASON at a question to leave out a check, :abort to end; Ctrl-C makes the bench safe"
     )
     person = None if request.dry_run else TerminalPerson(sys.stdin, console, wishes=WISHES)
     result = commission(
@@ -137,7 +138,7 @@ def _commission(request: InstrumentsRequest, target: str | None) -> int:
     for name, what in result["to_do"].items():
         printing.aside(f"bench: still to do: {name}: {what}")
     if result["ended"]:
-        printing.aside(f"bench: not gone through to its end: {result['ended']}")
+        printing.aside(f"bench: ended early: {result['ended']}")
     console.print(VERDICTS[result["status"]][1])
     printing.written("page", folder / PAGE, console)
     return int(result["status"])
@@ -170,9 +171,9 @@ def _serve(request: SimulateRequest) -> int:
 
     speed, host, port = request.speed, request.host, request.port
     if not 0.0 < speed < math.inf:
-        raise Refused(f"--speed {speed:g}: a clock runs at a positive speed such as 1 or 60")
+        raise Refused(f"--speed {speed:g}: give a positive speed such as 1 or 60")
     if port is not None and not 0 <= port <= 65535:
-        raise Refused(f"--port {port}: ports are numbers from 1 to 65535 (0: free ones)")
+        raise Refused(f"--port {port}: give a port from 1 to 65535 (0: free ones)")
     file = load_bench(bench_path(request.bench))
     with (
         _ended_by_signal() as ended,
@@ -200,7 +201,7 @@ def _command(control: str | None, text: str | None) -> int:
     Raises `Refused` if there is no answer or the command is refused.
     """
     if control is None or text is None:
-        raise Refused("a bench that is served takes: bench simulate --control HOST:PORT 'turn 45 deg'")
+        raise Refused("give a command for the served bench: bench simulate --control HOST:PORT 'turn 45 deg'")
     host, _, port = control.rpartition(":")
     if not host or not port.isascii() or not port.isdecimal() or int(port) > 65535:
         raise Refused(f"--control {control}: expected HOST:PORT as 'bench simulate' shows it")
@@ -213,10 +214,13 @@ def _command(control: str | None, text: str | None) -> int:
         reply = json.loads(answer)
     except OSError as error:
         raise Refused(
-            f"no simulated bench answers at {control} ({error.strerror or error}); see its ready file"
+            f"no simulated bench answers at {control} ({error.strerror or error}); take the address from "
+            "its ready file"
         ) from error
     except ValueError as error:
-        raise Refused(f"{control} is not the control of a simulated bench") from error
+        raise Refused(
+            f"{control} is not the control of a simulated bench; take the address from its ready file"
+        ) from error
     if not isinstance(reply, dict) or not reply.get("ok"):
         raise Refused(str(reply.get("error", answer)) if isinstance(reply, dict) else answer)
     printing.console().out(answer.strip(), highlight=False)

@@ -7,6 +7,7 @@ from dataclasses import replace
 from itertools import count
 from typing import TYPE_CHECKING
 
+from bench.base.languages import message
 from bench.cli import printing
 from bench.cli.options import JsonOption, app, requested
 from bench.services.errors import Refused
@@ -34,7 +35,8 @@ def run(request: RunRequest, json: JsonOption = None) -> int:
     """
     if request.follow and json is not None:
         raise Refused(
-            "--follow makes two runs, and --json is the result of one; the folders of both hold theirs"
+            "--follow makes two runs, but --json holds one result; remove --json (each run's folder holds "
+            "its result)"
         )
     from bench.services.execution import refuse_contradictions
 
@@ -98,9 +100,7 @@ def _results(run: Run, interrupts: Interrupts, json: str | None, out: Console) -
     for line in others:
         out.print(line)
     if found.chart_unwritten:
-        printing.notes_aside(
-            [f"{found.chart_unwritten} is not written; 'bench chart --page FILE' draws the chart"]
-        )
+        printing.notes_aside([f"{found.chart_unwritten} was not written; 'bench chart --page FILE' draws it"])
     printing.write_json([found.to_dict()], json)
     return 0 if found.accepted else 1
 
@@ -139,11 +139,13 @@ def control(request: ControlRun) -> int:
     except ValueError as mistake:
         raise Refused(str(mistake).replace(SIGN, "")) from mistake
     if not is_being_written(found.folder):
-        raise Refused(f"{found.name}: nobody is carrying out this run; 'bench runs' tells how to go on")
+        raise Refused(
+            f"{found.name}: no program is carrying out this run; 'bench runs' shows how to continue"
+        )
     asked = replace(wish, by_person=False, who=at_the_shell("command"))
     leave_wish(found.folder, asked)
-    when = "at once" if asked.wish is Wish.STOP else "before the next step, or at the question that stands"
-    printing.console().print(f"{found.name}: {asked.wish} is asked for; it is heard {when}")
+    when = "at once" if asked.wish is Wish.STOP else "before the next step, or at the open question"
+    printing.console().print(f"{found.name}: {asked.wish} was sent; it takes effect {when}")
     return 0
 
 
@@ -160,10 +162,10 @@ def _follow(run: Run, request: RunRequest) -> int:
     out = printing.console()
     proposal = _diagnosed([run])
     if proposal is None:
-        out.print(f"{run.name}: no procedure would tell more")
+        out.print(f"{run.name}: no procedure would show more")
         return 0
     if not run.simulated and not _agreed(proposal, out):
-        out.print(f"{run.name}: not measured further; later with: bench run {proposal.procedure}")
+        out.print(f"{run.name}: not continued; measure it later with: bench run {proposal.procedure}")
         return 0
     name = next(name for n in count(2) if not run.folder.with_name(name := f"{run.name}-{n}").exists())
     # with another seed, a dry run simulates other errors of the stand for the further mountings
@@ -198,7 +200,7 @@ def _agreed(proposal: Proposal, out: Console) -> bool:
     prompt = Prompt(
         id="follow",
         kind=PromptKind.CONFIRM,
-        text=f"Carry out {proposal.procedure.name} now (about {proposal.minutes:.0f} min)?",
+        text=message(f"Carry out {proposal.procedure.name} now (about {proposal.minutes:.0f} min)?"),
         action={"do": "answer"},
     )
     try:

@@ -10,11 +10,12 @@ from contextvars import ContextVar
 from dataclasses import is_dataclass
 from functools import partial, wraps
 from pathlib import Path
-from typing import Annotated, Any, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Final, get_args, get_origin, get_type_hints
 
 import typer
 from typer.core import TyperOption
 
+from bench.base.languages import LANGUAGES, known_language, speaking
 from bench.base.requests import (
     ESTIMATORS_IN_A_BUDGET,
     ESTIMATORS_TOLD,
@@ -23,8 +24,7 @@ from bench.base.requests import (
     fields_of,
 )
 from bench.cli import completing
-from bench.cli.commands import COMPLETED_BY, Commands
-from bench.cli.helping import MORE, BenchCommand
+from bench.cli.commands import COMPLETED_BY, MORE, BenchCommand, Commands
 from bench.config.devices import FOLDERS
 from bench.services.errors import Refused
 
@@ -41,16 +41,35 @@ def with_own_parts(command: Any) -> Any:
     if takes & {"bench", "model"}:
         words = "File with your own effects, as formulas (default: BENCH_EFFECTS)."
         command.params.append(_folder_or_file("effects", "FILE", words, _use_effects))
+    if command.name in SPEAKING:
+        words = f"Language of page and prompts: {', '.join(LANGUAGES)} (default: BENCH_LANGUAGE, English)."
+        command.params.append(_own_option("language", "CODE", words, _use_language, str | None))
     return command
 
 
+SPEAKING: Final = ("run", "resume", "report", "diagnose")
+"""Commands that ask a person or write a page, in one of several languages."""
+
+
+def _use_language(ctx: typer.Context, name: str | None) -> None:
+    if not ctx.resilient_parsing and name is not None:
+        if not known_language(name):
+            raise typer.BadParameter(f"choose one of {', '.join(LANGUAGES)}")
+        ctx.with_resource(speaking(name))
+
+
 def _folder_or_file(name: str, metavar: str, words: str, use: Callable[..., None]) -> Any:
-    """Return a repeatable option, which the library makes from the parameter of a temporary function."""
+    """Return a repeatable option."""
+    return _own_option(name, metavar, words, use, list[str] | None)
+
+
+def _own_option(name: str, metavar: str, words: str, use: Callable[..., None], of: Any) -> Any:
+    """Return an option of the type `of`, which the library makes from the parameter of a temporary function."""
     told = typer.Option(
         f"--{name}", metavar=metavar, help=words, expose_value=False, callback=use, rich_help_panel=MORE
     )
     kind = inspect.Parameter.KEYWORD_ONLY
-    parameter = inspect.Parameter(name, kind, default=None, annotation=Annotated[list[str] | None, told])
+    parameter = inspect.Parameter(name, kind, default=None, annotation=Annotated[of, told])
 
     def command(**_: Any) -> None:
         pass
@@ -83,7 +102,7 @@ def _use_devices(ctx: typer.Context, folders: list[str] | None) -> None:
     """Search these folders before those in the environment (BENCH_DEVICES) for the duration of the command."""
     for folder in folders or ():
         if not Path(folder).is_dir():
-            raise typer.BadParameter(f"{folder}: there is no such folder")
+            raise typer.BadParameter(f"{folder}: no such folder; create it or name another")
     if folders:
         ctx.with_resource(_devices_of(folders))
 
@@ -141,7 +160,7 @@ class WithEstimators(BenchCommand):
 def _writable(target: str | None) -> str | None:
     """Return the target of `--json`. Raises `Refused`, before anything is computed, if its folder is missing."""
     if target not in {None, "-"} and not Path(str(target)).absolute().parent.is_dir():
-        raise Refused(f"--json {target}: there is no such folder")
+        raise Refused(f"--json {target}: no such folder; create it or name another")
     return target
 
 

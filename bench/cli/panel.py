@@ -59,9 +59,9 @@ def _of_people(request: ServePanel, what: PeopleCommand) -> int:
 
     out, name, runs = printing.console(), request.name or "", runs_folder(request.runs)
     if what in {PeopleCommand.TOKEN, PeopleCommand.REVOKE} and not name:
-        raise Refused(f"say whose: bench panel {what} NAME")
+        raise Refused(f"name the person: bench panel {what} NAME")
     if request.role not in list(Role):
-        raise Refused(f"--role {request.role}: there are {', '.join(Role)}")
+        raise Refused(f"--role {request.role}: choose from {', '.join(Role)}")
     if what is PeopleCommand.LINK:
         out.print(link_of(runs))
         return 0
@@ -74,8 +74,8 @@ def _of_people(request: ServePanel, what: PeopleCommand) -> int:
             out.print(shown if access.tokens() else "nobody has a token")
         case PeopleCommand.REVOKE:
             access.revoke(name)
-            out.print(f"{name}: the token is taken back, and who was signed in with it is signed out")
+            out.print(f"{name}: the token is withdrawn; its sessions are signed out")
         case _:
             token = access.new_token(name, Role(request.role))
-            out.print(f"the token of {name} ({request.role}), told this once: {token}")
+            out.print(f"the token of {name} ({request.role}), shown only now: {token}")
     return 0

@@ -56,7 +56,7 @@ def _offer_dry_run(found: Findings, request: Check) -> None:
         typed = [f"--bench {request.bench}"] if request.bench else []
         typed += [f"--devices {folder}" for folder in devices_given.get()]
         words = " ".join(["bench run", request.procedure, *typed, "--dry-run"])
-        printing.console().print(f"no mistakes found; try it in seconds with: {words}")
+        printing.console().print(f"no mistakes found; try it with: {words}")
 
 
 @app.command(epilog="Example: bench init my-lab")
@@ -74,7 +74,7 @@ def init(request: Init) -> int:
     for path in copied:
         out.print(f"wrote {path}")
     if not copied:
-        out.print(f"{folder}: every shipped file is there already; nothing was written")
+        out.print(f"{folder}: every shipped file exists already; nothing was written")
     return 0
 
 

@@ -112,7 +112,7 @@ def write_beside(path: Path, text: str | bytes, *, asked: bool) -> bool:
     except OSError as error:
         if asked:
             raise
-        notes_aside([f"{os.fspath(path)} is not written ({error.strerror}); use --out DIR"])
+        notes_aside([f"{os.fspath(path)} was not written ({error.strerror}); use --out DIR"])
         return False
     return True
 
@@ -276,9 +276,9 @@ def passphrase(question: str, again: str = "") -> bytes:
     """
     typed = _line(question)
     if not typed:
-        raise Refused("a passphrase is wanted, and none was given")
+        raise Refused("no passphrase given; type it at the prompt")
     if again and _line(again) != typed:
-        raise Refused("the two passphrases are not the same; begin again")
+        raise Refused("the two passphrases differ; start again")
     return typed.encode()
 
 

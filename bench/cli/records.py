@@ -60,13 +60,13 @@ def seal(request: SealRun, json: JsonOption = None) -> int:
     sealed = seal_run(request, lambda: printing.passphrase("Passphrase of the key: "))
     printing.write_json([{"seal": str(sealed.file), **sealed.seal.to_json()}], json)
     if sealed.no_time_stamp:
-        printing.aside(f"bench: {sealed.no_time_stamp}; the seal stands without it")
+        printing.aside(f"bench: {sealed.no_time_stamp}; the seal has no time stamp")
     if json != "-":
         out = printing.console()
         out.print(f"sealed: {sealed.seal.events} events, head {sealed.seal.head}")
         out.print(f"seal: {sealed.file}")
         out.print(
-            "note the head elsewhere: 'bench show RUN --verify --head HEAD' holds the record against it"
+            "keep the head elsewhere: 'bench show RUN --verify --head HEAD' checks the record against it"
         )
     return 1 if sealed.no_time_stamp else 0
 
@@ -87,9 +87,9 @@ def key(request: MakeKey) -> int:
         from bench.certificate.signatory import new_certificate_key
 
         public, fingerprint = new_certificate_key(file, name, cover, utc_now())
-    out.print(f"private key: {file} (keep it; who has it signs in the laboratory's name)")
+    out.print(f"private key: {file} (keep it secret: it signs in the laboratory's name)")
     kind = "public key" if name is None else "certificate"
-    out.print(f"{kind}: {public} (give it to whoever is to check)")
+    out.print(f"{kind}: {public} (give it to those who verify seals)")
     out.print(f"fingerprint: {fingerprint}")
     return 0
 
@@ -114,9 +114,14 @@ def export(request: ExportReadings) -> int:
 @requested
 def import_(request: ImportReadings) -> int:
     """Import a readings file that was measured elsewhere as a run."""
-    from bench.services.conclusion import import_readings
+    from bench.services.conclusion import import_readings, preview_log
 
     out = printing.console()
+    if request.preview:
+        log = preview_log(request)
+        sys.stdout.write(f"{log.preview()}\n")
+        out.print(f"{log.rows} rows, {len(log.skipped)} left out; nothing was imported")
+        return 0
 
     def announce(taken: BenchTaken, notes: Sequence[str]) -> None:
         printing.bench_file(taken.part(), None)

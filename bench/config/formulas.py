@@ -79,7 +79,7 @@ class _DimensionReading:
             return None, self._power(of_left, right)
         if of_left != of_right and not (left[0] == 0.0 or right[0] == 0.0):
             raise ExpressionError(
-                f"{_told(of_left)} and {_told(of_right)} stand on two sides of '{symbol}'{_how(left, right)}"
+                f"{_told(of_left)} and {_told(of_right)} stand on both sides of '{symbol}'{_how(left, right)}"
             )
         if symbol in {"+", "-"}:
             return None, of_left or of_right
@@ -87,11 +87,11 @@ class _DimensionReading:
 
     def _power(self, base: Dimension, exponent: tuple[float | None, Dimension]) -> Dimension:
         if exponent[1]:
-            raise ExpressionError(f"an exponent is a plain number, and this one is in {_told(exponent[1])}")
+            raise ExpressionError(f"an exponent must be a plain number; this one is in {_told(exponent[1])}")
         if not base:
             return ()
         if exponent[0] is None:
-            raise ExpressionError(f"{_told(base)} is raised to a power that is no number as written")
+            raise ExpressionError(f"{_told(base)} is raised to a power; write the exponent as a number")
         return _product((), base, exponent[0])
 
     def call(
@@ -110,10 +110,10 @@ class _DimensionReading:
                 return self.operation("+", arguments[0], arguments[1])
             case _ if name == LAGGED:
                 if arguments[1][1] != unit_of("s")[1] and arguments[1][0] is None:
-                    raise ExpressionError("the second argument of 'lagged' is a time")
+                    raise ExpressionError("state a time as the second argument of 'lagged'")
                 return None, of_first
         if of_first:
-            raise ExpressionError(f"{name} takes a plain number or an angle, and is given {_told(of_first)}")
+            raise ExpressionError(f"{name} needs a plain number or an angle, not {_told(of_first)}")
         return None, ()
 
 
@@ -152,7 +152,7 @@ def _word(text: str) -> str:
 
 def _symbol(text: str) -> str:
     if re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,31}", text) is None:
-        raise ValueError(f"expected a name as a formula has it (letters, digits, _), got '{text}'")
+        raise ValueError(f"expected a name of letters, digits and _, got '{text}'")
     return text
 
 
@@ -191,7 +191,7 @@ class FormulaEntry(FileModel):
         """Return the effect. Raises `ValueError` if parts of the entry contradict each other."""
         taken = set(variables_of(self.stage)).union(known_functions()).intersection(self.parameters)
         if taken:
-            raise ValueError(f"'{min(taken)}' is a word of the formulas; give the parameter another name")
+            raise ValueError(f"'{min(taken)}' is reserved in formulas; rename the parameter")
         parameters = tuple(_parameter(name, stated, self.stage) for name, stated in self.parameters.items())
         made = FormulaEffect(
             name=self.name,
@@ -237,7 +237,7 @@ def formula_mistakes(entries: Any, place: Place) -> Iterator[tuple[Place, str]]:
             yield (*here, "parameters"), str(error)
             continue
         if effect.name in seen:
-            yield (*here, "name"), f"two formulas have the name {effect.name}"
+            yield (*here, "name"), f"rename one of two formulas named {effect.name}"
         seen.setdefault(effect.name, index)
         try:
             with CATALOGUE.also([effect]):
@@ -281,7 +281,9 @@ def effects_in(paths: Iterable[Path | str]) -> tuple[Effect, ...]:
     for path in map(Path, paths):
         for effect in load_effects(path):
             if effects.setdefault(effect.name, effect) != effect:
-                text = f"another file has another formula of the name {effect.name}; give one of them another name"
+                text = (
+                    f"another file has a different formula named {effect.name}; give one of them another name"
+                )
                 raise FileMistakes(path, [FileMistake(0, "formulas", text)])
     return tuple(effects.values())
 
@@ -304,7 +306,7 @@ def _shown_by(entry: FormulaEntry) -> str:
 def _parameter(name: str, stated: FormulaParameter, stage: Stage) -> Parameter:
     """Return the parameter that a file states. Raises `ValueError` with a one-sentence message."""
     if stated.grid and stated.plausible is not None:
-        raise ValueError(f"{name}: a size has a plausible value, a shape a grid; give one of the two")
+        raise ValueError(f"{name}: state 'plausible' (for a size) or 'grid' (for a shape), not both")
     if stated.grid:
         return _shape(name, stated)
     if stated.plausible is None:
@@ -312,13 +314,13 @@ def _parameter(name: str, stated: FormulaParameter, stage: Stage) -> Parameter:
             f"{name}: give its plausible size, such as plausible: 20 arcsec, or a grid of values"
         )
     if stated.default is not None:
-        raise ValueError(f"{name}: 'default' belongs to a shape, which has a grid")
+        raise ValueError(f"{name}: 'default' needs a 'grid'; remove it or add one")
     number, unit = _number(name, stated.plausible)
     channels = stage not in {Stage.STAND, Stage.HEAD_ANGLE}
     if stated.per_channel and not channels:
         raise ValueError(f"{name}: an effect of the stage '{stage}' has no value for each channel")
     if number <= 0.0:
-        raise ValueError(f"{name}: a plausible size is more than nothing, got '{stated.plausible}'")
+        raise ValueError(f"{name}: state a plausible size above 0, not '{stated.plausible}'")
     of_each = stage is Stage.BLOCK_OUTPUT if stated.per_channel is None else stated.per_channel
     si = unit_of(unit)[0]
     return Parameter(name, unit or "1", si, number * si, per_channel=of_each)
@@ -326,20 +328,20 @@ def _parameter(name: str, stated: FormulaParameter, stage: Stage) -> Parameter:
 
 def _shape(name: str, stated: FormulaParameter) -> Parameter:
     if stated.per_channel:
-        raise ValueError(f"{name}: a shape has one value for all channels")
+        raise ValueError(f"{name}: a shape has one value for all channels; remove 'per_channel'")
     numbers = [_number(name, text) for text in stated.grid]
     units = [unit_of(unit) for _, unit in numbers]
     if len({dimension for _, dimension in units}) > 1:
-        raise ValueError(f"{name}: the values of the grid have units of different kinds")
+        raise ValueError(f"{name}: state all values of the grid in units of one kind")
     grid = tuple(number * si for (number, _), (si, _) in zip(numbers, units, strict=True))
     if min(grid) < 0.0:
-        raise ValueError(f"{name}: a shape is not negative")
+        raise ValueError(f"{name}: state a shape of 0 or more")
     default = grid[len(grid) // 2]
     if stated.default is not None:
         number, unit = _number(name, stated.default)
         default = number * unit_of(unit)[0]
     if default not in grid:
-        raise ValueError(f"{name}: the default is not in the grid")
+        raise ValueError(f"{name}: the default is not in the grid; add it there")
     unit, si = numbers[0][1], units[0][0]
     return Parameter(name, unit or "1", si, max(grid), per_channel=False, grid=grid, default=default)
 

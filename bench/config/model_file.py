@@ -185,7 +185,7 @@ def _left_open_mistakes(
             continue
         stages = {CATALOGUE[one["name"]].stage for one in effects if isinstance(one, dict) and "name" in one}
         if len(stages) > 1:
-            yield here, "its effects act at several stages of the model: they cannot be one size"
+            yield here, "its effects act at several stages of the model: state a size for each"
 
 
 def effect_mistakes(
@@ -227,7 +227,7 @@ def effect_mistakes(
         of = channels if any(parameter.per_channel for parameter in effect.parameters) else CHANNELS
         own = {(effect.name, listed, channel, *shapes.values()) for channel in of}
         if own & seen:
-            yield here, f"{effect.name} stands twice for the same channel; put its values into one entry"
+            yield here, f"{effect.name} appears twice for the same channel; merge the entries"
         seen |= own
 
 
@@ -298,21 +298,21 @@ class _Reader:
         else:
             self.problems.append((place, "'value' is missing"))
         if "u" in written and self._parameter.is_shape:
-            text = f"{self._parameter.name} is a shape: a fit holds it as it is, and it has no u"
+            text = f"{self._parameter.name} is a shape, which a fit keeps fixed; remove its u"
             self.problems.append(((*place, "u"), text))
         elif "u" in written:
             self.has_u = True
             u = self._number(written["u"], (*place, "u"))
             self.u[rows] = u
             if u < 0.0:
-                self.problems.append(((*place, "u"), "a standard uncertainty is not negative"))
+                self.problems.append(((*place, "u"), "state a standard uncertainty of 0 or more"))
 
     def _number(self, written: Any, place: Place) -> float:
         parameter = self._parameter
         try:
             number = parse_quantity(written, self._kind)
             if parameter.is_shape and (number < 0.0 or (number == 0.0 and 0.0 not in parameter.grid)):
-                least = "nothing or more" if 0.0 in parameter.grid else "more than nothing"
+                least = "0 or more" if 0.0 in parameter.grid else "above 0"
                 raise ValueError(f"expected {parameter.name} to be {least}, got '{written}'")
             return number * parameter.si_per_unit
         except ValueError as error:
@@ -350,7 +350,7 @@ def write_model_file(
         with path.open("x", encoding="utf-8") as file:
             file.write(text)
     except FileExistsError:
-        problem = "this model file exists and is not overwritten; give another name"
+        problem = "this model file exists and was not overwritten; choose another name"
         raise FileMistakes(path, [FileMistake(0, "", problem)]) from None
 
 
@@ -466,7 +466,7 @@ def accept(effects: Sequence[AppliedEffect], terms: Sequence[str], name: str, se
     """
     known = unnamed_in(effects)
     if not known:
-        raise ValueError("no term without a name is in this model file; 'bench diagnose' writes them")
+        raise ValueError("this model file has no unnamed term; 'bench diagnose' writes them")
     strange = [term for term in terms if term not in known]
     if strange:
         raise ValueError(f"there is no term {', '.join(strange)}; there are {', '.join(known)}")
@@ -475,9 +475,7 @@ def accept(effects: Sequence[AppliedEffect], terms: Sequence[str], name: str, se
     places = {(f.stage, f.adds_to) for f in formulas}
     if len(places) > 1:
         where = "; ".join(f"{f.name} at the {f.stage} {f.adds_to}".rstrip() for f in formulas)
-        raise ValueError(
-            f"these terms act at different places ({where}): give each a name of its own with --term"
-        )
+        raise ValueError(f"these terms act at different places ({where}): name each separately with --term")
     whole = _joined(chosen, formulas, name, sentence)
     first = next(i for i, a in enumerate(effects) if a is chosen[0])
     kept = [a for a in effects if not any(a is one for one in chosen)]

@@ -11,12 +11,14 @@ from typing import Final
 import numpy as np
 
 from bench.base.arrays import CHANNELS, Floats, Ints, Mask
+from bench.base.languages import message
 from bench.config.bench_file.file import BenchFile
 from bench.diagnosis.linear import MODULUS, LinearSystem
 from bench.diagnosis.noise_grid import Whitener
 from bench.diagnosis.residual_dictionary import DictionaryTerm, dictionary
 from bench.model.effects import CATALOGUE, AppliedEffect, Effect, Parameter
 from bench.model.effects.base import pass_label
+from bench.readings.columns import METER_C, ROOM_C, meter_c
 from bench.readings.table import UNORIENTED, VERIFICATION, Readings
 
 Cell = tuple[str, int]
@@ -483,6 +485,11 @@ def _phase(linear: LinearSystem) -> Floats:
     return np.asarray((t - t.min()) / max(float(np.ptp(t)), 1e-300))
 
 
+OF_METER_WARMTH: Final = ("voltmeter_thermal_gain", "voltmeter_thermal_offset")
+NO_METER_C: Final = f"the readings have no column {METER_C} or {ROOM_C}"
+OF_RECORDS: Final = ("voltmeter_move", "reference_supply")
+
+
 @dataclass(frozen=True)
 class KnownBench:
     """Properties of the bench that rule effects out; None where a property is unknown.
@@ -510,15 +517,19 @@ class KnownBench:
 
         The ranges in the record take precedence over the bench file.
         """
-        fixed, said = self.fixed_ranges, "the bench file has fixed ranges"
+        fixed, said = self.fixed_ranges, message("the bench file has fixed ranges")
         recorded = {str(text).strip() for text in readings.extra.get("range_v", ())} - {""}
         if recorded:
             fixed, said = len(recorded) == 1, "all readings were taken on one range"
         why = {
             "range_offset": said if fixed else "",
-            "channel_crosstalk": "each channel has a voltmeter of its own" if self.own_meters else "",
+            "channel_crosstalk": message("each channel has a voltmeter of its own")
+            if self.own_meters
+            else "",
             "meters_exchanged": "one voltmeter reads all channels" if self.own_meters is False else "",
             "backlash": "the head's scale sits on the axis itself" if self.scale_on_axis else "",
+            **dict.fromkeys(OF_METER_WARMTH, "" if meter_c(readings.extra) is not None else NO_METER_C),
+            **dict.fromkeys(OF_RECORDS, "it is looked for in records at a known input"),
         }
         return {name: why[name] for name in CATALOGUE if why.get(name)}
 

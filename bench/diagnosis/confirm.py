@@ -24,6 +24,7 @@ from bench.diagnosis.gap import BY_CHANCE, LEAST_CLOSED, part_closed, rms
 from bench.diagnosis.linear import LinearSystem, make_linear
 from bench.diagnosis.pipeline import diagnose
 from bench.diagnosis.posterior import NoiseSize, posterior, whiten_rows
+from bench.diagnosis.record_diagnosis import RecordDiagnosis
 from bench.diagnosis.result import Diagnosis, EffectValue
 from bench.diagnosis.single_run_search import in_the_noise_of
 from bench.model import AppliedEffect, ForwardModel
@@ -72,14 +73,16 @@ class Confirmation:
     """Result of a confirmation: new readings without and with a model's effects.
 
     `diagnosis` is the diagnosis of the new readings with the model, a `FreeDiagnosis` for free positions
-    alone. `p_after` is the probability of so large a chi-square with the effects in the model.
+    alone, a `RecordDiagnosis` for a record at a known input, whose root mean squares are in V (`unit`).
+    `p_after` is the probability of so large a chi-square with the effects in the model.
     """
 
     before: Model
     after: Model
     p_after: float
     effects: tuple[EffectNow, ...]
-    diagnosis: Diagnosis | FreeDiagnosis
+    diagnosis: Diagnosis | FreeDiagnosis | RecordDiagnosis
+    unit: str = "g"
 
     @property
     def closed(self) -> float | None:

@@ -42,7 +42,7 @@ KNOWN_SIZE: Final = 20.0
 EXCLUDED: Final = -1e9
 """ln of the evidence assigned to a variant with a column that the model already has."""
 
-CHUNK: Final = 200
+CHUNK: Final = 25
 """Data sets scored at once."""
 
 
@@ -246,7 +246,7 @@ class Search:
         return np.asarray(gram - seen.T @ seen)
 
     def along(self, ratio: int, columns: Sequence[int], sizes: Floats) -> Floats:
-        """Return the products (P,) of a weighted sum of columns with all, known ones projected out."""
+        """Return the products (P,) of a weighted sum of columns with all columns, the known ones projected out."""
         chosen = np.array(columns, dtype=np.int64)
         across = sizes @ self.whitened.products.across_at(ratio, chosen)
         return np.asarray(across - (self.half[ratio][:, chosen] @ sizes) @ self.half[ratio])

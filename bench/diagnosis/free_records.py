@@ -211,7 +211,7 @@ def make_rows(
     effect of the model given needs what free positions lack.
     """
     if len({table.unit for table in tables}) > 1:
-        raise CalibrationError("signals in different units cannot be taken together")
+        raise CalibrationError("signals in different units cannot be evaluated together; use one unit")
     # of one sensor no two are side by side, whatever their times
     records = list(range(len(tables))) if one_sensor else _records(tables)
     sensors = _sensors(tables, records, one_sensor)
@@ -231,8 +231,8 @@ def make_rows(
     rows = FreeRows(tuple(whole), *numbers, blocks, np.concatenate(origin), effects)
     if model is not None and not np.all(np.isfinite(make_system(rows).response)):
         raise CalibrationError(
-            f"model {model.name}: an effect in it needs what free positions lack (a head angle, a time or a "
-            "temperature); leave --model out"
+            f"model {model.name}: one effect needs a head angle, a time or a temperature, which free "
+            "positions lack; remove --model"
         )
     return rows
 

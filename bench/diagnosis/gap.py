@@ -12,6 +12,7 @@ from scipy import special
 
 from bench.base.arrays import Floats, Ints, Mask
 from bench.base.computing import tracked
+from bench.base.languages import message
 from bench.diagnosis.candidates import Candidates, replace_columns
 from bench.diagnosis.evidence import Data, Threshold, Whitened
 from bench.diagnosis.linear import MODULUS, LinearSystem, Rows
@@ -34,7 +35,7 @@ LEAST_CLOSED: Final = 0.5
 BY_CHANCE: Final = 0.01
 """Probability of a gap by chance from which on no part of it must close."""
 
-UNDETERMINED: Final = "the rest does not determine the coefficients"
+UNDETERMINED: Final = message("the rest does not determine the coefficients")
 
 
 @dataclass(frozen=True)
@@ -118,7 +119,7 @@ class Gap:
 
     @property
     def after_rms(self) -> float:
-        """The same with what was named."""
+        """Root mean square of measured less predicted with the named effects, unit of the signal."""
         return rms([f.after.error for f in self.folds])
 
     @property
@@ -128,7 +129,7 @@ class Gap:
 
     @property
     def after_rms_g(self) -> float:
-        """The same with what was named."""
+        """Root mean square of measured less predicted with the named effects, g by the scale factors."""
         return rms([f.after.error_g for f in self.folds])
 
     @property
@@ -170,14 +171,14 @@ class Gap:
             return ""
         if not self.folds:
             cannot = f"; without {', '.join(self.undetermined)} {UNDETERMINED}" if self.undetermined else ""
-            return f"nothing can be held out: one pass, and no verification or free position{cannot}"
-        sizes = (
+            return message(f"nothing can be held out: one pass, and no verification or free position{cannot}")
+        sizes = message(
             f"reduced chi-square {self.before:.2f} before, {self.after:.2f} after, root mean square "
             f"{1e6 * self.before_rms_g:.3g} µg before, {1e6 * self.after_rms_g:.3g} µg after"
         )
         if len(set(self.named)) > len(self.unconfirmed) > 0:
-            return f"readings held out do not confirm {', '.join(self.unconfirmed)} ({sizes})"
-        return f"the gap on readings held out does not shrink enough ({sizes})"
+            return message(f"readings held out do not confirm {', '.join(self.unconfirmed)} ({sizes})")
+        return message(f"the gap on readings held out does not shrink enough ({sizes})")
 
 
 def part_closed(before: float, after: float) -> float | None:
@@ -203,7 +204,7 @@ IN_FOLDS: Final = 0.05
 """Probability of a false alarm in the search of a fold, which has fewer readings than all."""
 
 THIRDS: Final = 3
-HELD_OUT: Final = "readings held out in turn"
+HELD_OUT: Final = message("readings held out in turn")
 
 
 def folds_of(linear: LinearSystem) -> Iterator[tuple[str, Mask]]:
@@ -216,7 +217,7 @@ def folds_of(linear: LinearSystem) -> Iterator[tuple[str, Mask]]:
             yield f"pass {number}", oriented & (passes == number)
     modulus = linear.rows.channel == MODULUS
     if modulus.any():
-        yield "verification and free positions", modulus
+        yield message("verification and free positions"), modulus
 
 
 def thirds_of(linear: LinearSystem) -> Iterator[tuple[str, Mask]]:
@@ -233,7 +234,7 @@ def thirds_of(linear: LinearSystem) -> Iterator[tuple[str, Mask]]:
             next_third[key], last = now + 1, i
         third[row] = now
     for number in range(THIRDS):
-        yield f"every third setting, set {number + 1}", third == number
+        yield message(f"every third setting, set {number + 1}"), third == number
 
 
 FoldSearch = Callable[[Whitened, Data, Threshold, int], Naming]
@@ -378,7 +379,7 @@ def _held_out(
 
 
 def restrict(linear: LinearSystem, rows: Mask) -> LinearSystem:
-    """Return the system with some of its rows; settings are numbered anew."""
+    """Return the system with some of its rows; settings are numbered again."""
     setting = linear.setting[rows]
     present = {number: i for i, number in enumerate(dict.fromkeys(setting[setting >= 0].tolist()))}
     return replace(

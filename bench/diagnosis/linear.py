@@ -51,8 +51,7 @@ class Orientation:
         return (
             f"the verification points contradict the bench file: by their signals the block is turned by "
             f"{np.degrees(self.off_rad):.2g}° about ({axis}) of its axes from the orientation that installation V "
-            "states; the signals are believed here; correct 'installations: V' in the bench file, or name the "
-            "right one with --bench"
+            "states; correct 'installations: V', or name another file with --bench"
         )
 
 

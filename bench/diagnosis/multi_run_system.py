@@ -224,7 +224,8 @@ def find_mistakes_in_each(
 ) -> MistakeSearch:
     """Return the mistakes in each run by itself, as `find_mistakes`; `nominal` is (3,) or (blocks, 3).
 
-    A mistake is made in one run. The probability of a false one is shared among the runs, and each p counts all.
+    A mistake is made in one run. The probability of a false alarm is divided among the runs, and each p is
+    multiplied by their number.
     """
     sheets = None if nominal is None else np.atleast_2d(nominal)
     if not readings.run.any():

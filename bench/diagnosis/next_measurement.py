@@ -16,6 +16,7 @@ from scipy import special
 
 from bench.base.arrays import Floats
 from bench.base.computing import tracked
+from bench.base.languages import message
 from bench.config.bench_file.file import BenchFile
 from bench.config.procedure.check import check
 from bench.config.procedure.load import Procedure, load_procedure
@@ -398,7 +399,7 @@ class _Bill:
             return None
         path, minutes, names = min(bills, key=lambda b: (-len(b[2]), b[1]))
         listed = ", ".join(names)
-        why = (
+        why = message(
             f"these readings could hardly or never show {listed}; together with the procedure '{path.stem}' "
             f"(about {minutes:.0f} min) they would, from twice the plausible size on"
         )
@@ -406,7 +407,7 @@ class _Bill:
 
     def _without(self) -> str:
         listed = "; ".join(f"{name} ({why})" for name, why in self.left_out.items())
-        return f". Not possible on this bench: {listed}" if listed else ""
+        return message(f". Not possible on this bench: {listed}") if listed else ""
 
 
 def _looked_for(linear: LinearSystem) -> frozenset[str]:
@@ -434,10 +435,12 @@ def _why_settles(separations: Sequence[Separation], name: str, minutes: float) -
         f"{s.effect} and {s.other} (D {s.before:.1f} before, {s.after:.1f} after)" for s in separations
     )
     settled = _settled(separations)
-    verb = "tells apart" if settled == len(separations) else "tells better, not surely, apart"
+    verb = (
+        message("tells apart") if settled == len(separations) else message("tells better, not surely, apart")
+    )
     if 0 < settled < len(separations):
-        verb = "tells some of these apart"
-    return (
+        verb = message("tells some of these apart")
+    return message(
         f"the procedure '{name}' (about {minutes:.0f} min), taken together with these readings, {verb}: {ties}; "
         f"D of {SEPARATED:g} is four standard deviations"
     )

@@ -18,6 +18,7 @@ import numpy as np
 from scipy import special
 
 from bench.base.arrays import ARCSEC, CHANNELS, Floats, Ints, rms
+from bench.base.languages import message
 from bench.base.numbers import quantity
 from bench.diagnosis.evidence import KNOWN_SIZE
 from bench.diagnosis.linear import LinearSystem, RunSizes
@@ -142,8 +143,11 @@ def _by_place(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Iterat
         "place",
         replace(linear, by_place=relative),
         LOG_PRIOR["place"] + cost,
-        f"channel {place.channel} in {place.where} scatters {place.sd / place.elsewhere:.1f} times as much as the "
-        "rest: its readings weigh less",
+        message(
+            f"channel {place.channel} in {place.where} scatters {place.sd / place.elsewhere:.1f} times as "
+            f"much as the "
+            "rest: its readings weigh less"
+        ),
     )
 
 
@@ -179,8 +183,11 @@ def _with_tails(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Iter
         "tails",
         told,
         LOG_PRIOR["tails"] + odds - more,
-        f"the noise has heavier tails than a normal one: {readings} readings are weighed down, and an outlier is "
-        "named only where it is far beyond them",
+        message(
+            f"the noise has heavier tails than a normal one: {readings} readings are weighed down, and an "
+            f"outlier is "
+            "named only where it is far beyond them"
+        ),
     )
 
 
@@ -237,8 +244,10 @@ def _slow(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Iterator[N
         "slow",
         replace(system, slow_channels=tuple(channel for one in found for channel in one.channels)),
         LOG_PRIOR["slow"] + sum(one.cost for one in found),
-        f"beside the noise of a reading there is slow noise, over the run {told} (root mean square): a drift "
-        "that is no larger stays hidden in it, and the u of the coefficients holds it",
+        message(
+            f"beside the noise of a reading there is slow noise, over the run {told} (root mean square): a drift "
+            "that is no larger stays hidden in it, and the u of the coefficients holds it"
+        ),
     )
 
 
@@ -336,20 +345,27 @@ def noise_kinds(
         most = int(np.argmax(sizes))
         times = f"{sizes[most] / rms(np.delete(sizes, most)):.1f}"
         yield NoiseKind(
-            "channels", f"channel {CHANNELS[most]} is {times} times as noisy as the others: {told}"
+            "channels", message(f"channel {CHANNELS[most]} is {times} times as noisy as the others: {told}")
         )
     if linear.by_run is not None:
         own = ", ".join(
-            f"{quantity(noise.reading * float(size), unit)} in series {', '.join(str(s) for s in series)}"
+            message(
+                f"{quantity(noise.reading * float(size), unit)} in series {', '.join(str(s) for s in series)}"
+            )
             for series, size in zip(_series(linear), linear.by_run.sizes, strict=True)
         )
-        yield NoiseKind("runs", f"the runs have noise of different sizes, and each weighs by its own: {own}")
+        yield NoiseKind(
+            "runs", message(f"the runs have noise of different sizes, and each weighs by its own: {own}")
+        )
     yield from (NoiseKind(what, words) for what, words in chosen.items() if words)
     if is_coarse(digit, noise.reading):
         yield NoiseKind(
             "resolution",
-            f"the signals' last digit is {quantity(digit, unit)}, coarser than their noise: readings of a setting "
-            "are rounded alike, and what is smaller than the digit may stay hidden",
+            message(
+                f"the signals' last digit is {quantity(digit, unit)}, coarser than their noise: readings of "
+                f"a setting "
+                "are rounded alike, and what is smaller than the digit may stay hidden"
+            ),
         )
 
 
@@ -364,8 +380,8 @@ LARGER: Final = 2.0
 SIGNIFICANT: Final = 1e-4
 """Largest probability of that ratio by chance."""
 
-OWN_SCATTER: Final = "the readings' own scatter"
-BENCH_FILE: Final = "the bench file"
+OWN_SCATTER: Final = message("the readings' own scatter")
+BENCH_FILE: Final = message("the bench file")
 
 
 @dataclass(frozen=True)
@@ -388,11 +404,11 @@ class NoiseFinding:
     @property
     def words(self) -> str:
         """A sentence with the kind of noise, its ratio to the stated noise, and the consequence."""
-        of = "a reading" if self.what == "reading" else "a setting of the head"
+        of = "a reading" if self.what == "reading" else message("a setting of the head")
         if self.series:
-            of += f" of series {', '.join(str(number) for number in self.series)}"
+            of += message(f" of series {', '.join(str(number) for number in self.series)}")
         found, stated = (quantity(size, self.unit) for size in (self.found, self.stated))
-        return (
+        return message(
             f"the noise of {of} is {found}, {self.factor:.1f} times the {stated} that {self.source} "
             f"{'say' if self.source == OWN_SCATTER else 'says'}: what the model lacks may hide in it"
         )

@@ -224,7 +224,7 @@ class _Estimated:
 
 
 def _estimated(prepared: Prepared, naming: Naming, setting_rad: float) -> _Estimated:
-    """Estimate the named effects with the coefficients; say where something is left that has no name."""
+    """Estimate the named effects together with the coefficients, and locate residuals that they do not explain."""
     linear, candidates, whitened, data = (
         prepared.linear, prepared.candidates, prepared.whitened, prepared.data,
     )  # fmt: skip
@@ -391,7 +391,7 @@ def _tie_names(candidates: Candidates, found: FoundEffect) -> tuple[str, ...]:
 
 
 def _odds(candidates: Candidates, found: FoundEffect) -> tuple[FamilyOdds, ...]:
-    """Return the odds in the place of a find by the names of results, all unnamed forms together."""
+    """Return the odds instead of a find by the names of results, all unnamed forms together."""
     whole: dict[str, float] = {}
     for one in found.odds:
         called = name_of(candidates, one.name)
@@ -438,7 +438,7 @@ LISTED: Final = 8
 
 @dataclass(frozen=True)
 class Rival:
-    """A family in the place of a find: ln of its evidence, and whether it is tied with the find.
+    """A family instead of a find: ln of its evidence, and whether it is tied with the find.
 
     `shift` (12 of each block,) is the change of the coefficients with this family instead, in units of their u.
     """

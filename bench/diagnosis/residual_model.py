@@ -124,7 +124,7 @@ class FreeForm:
 
     @property
     def predicts(self) -> bool:
-        """Whether the terms predict readings that they have not seen well enough for a model file."""
+        """Whether the terms predict held-out readings well enough to be written to a model file."""
         return bool(self.terms) and self.gap.closed is not None and self.gap.closed >= LEAST_CLOSED
 
     @property

@@ -11,6 +11,7 @@ from typing import Literal
 import numpy as np
 
 from bench.base.arrays import Floats
+from bench.base.languages import message
 from bench.diagnosis import (
     candidates,
     evidence,
@@ -108,17 +109,19 @@ def register(linear: LinearSystem, limit: evidence.Threshold) -> Registration:
 Verdict = Literal["agrees", "mistake", "named", "confounded", "unknown"]
 
 UNNAMED_WORDS: Mapping[str, str] = {
-    "free_by_angle": "something that depends on the angle of the head, the same in every pass",
-    "free_by_pass": "something that differs from pass to pass",
-    "slow_in_time": "something that changes slowly with time",
-    "step": "a step of the signal",
-    "single_reading": "a single reading that stands apart",
-    "single_setting": "the angle of a single setting",
-    "zeros_by_run": "the zeros change from run to run; the readings do not say why",
-    "scale_by_run": "the scale factors change from run to run; the readings do not say why",
-    "unnamed_form": "something without a name",
+    "free_by_angle": message("something that depends on the angle of the head, the same in every pass"),
+    "free_by_pass": message("something that differs from pass to pass"),
+    "slow_in_time": message("something that changes slowly with time"),
+    "step": message("a step of the signal"),
+    "single_reading": message("a single reading that stands apart"),
+    "single_setting": message("the angle of a single setting"),
+    "zeros_by_run": message("the zeros change from run to run; the readings do not say why"),
+    "scale_by_run": message("the scale factors change from run to run; the readings do not say why"),
+    "unnamed_form": message("something without a name"),
     "lack_of_fit": (
-        "the readings differ from the model by more than their repeats, in no pattern that was looked for"
+        message(
+            "the readings differ from the model by more than their repeats, in no pattern that was looked for"
+        )
     ),
 }
 
@@ -239,7 +242,9 @@ def at_reference(found: Iterable[Effect]) -> Iterator[str]:
     """
     names = [effect.name for effect in found if _of_temperature(effect)]
     if names:
-        yield f"the coefficients are those at {REFERENCE_C:g} °C, from which {' and '.join(names)} counts"
+        yield message(
+            f"the coefficients are those at {REFERENCE_C:g} °C, from which {' and '.join(names)} counts"
+        )
 
 
 def _of_temperature(effect: Effect) -> bool:
@@ -255,16 +260,21 @@ def assumed(linear: LinearSystem) -> Iterator[str]:
     times or temperatures, and the effects that are omitted because the signals are not in volts.
     """
     readings = linear.readings
-    yield from (f"not looked for: {trouble}" for trouble in CATALOGUE.troubles)
+    yield from (message(f"not looked for: {trouble}") for trouble in CATALOGUE.troubles)
     if linear.orientation is not None and linear.orientation.contradicts:
         yield linear.orientation.in_words()
     if not np.isfinite(readings.time_s).any():
         yield (
-            f"no times in the readings: {SETTING_S / 60:g} min a setting and {REMOUNT_S / 60:g} min for a remount "
-            "are taken, and every rate and time constant rests on that"
+            message(
+                f"no times in the readings: {SETTING_S / 60:g} min a setting and {REMOUNT_S / 60:g} min for "
+                f"a remount "
+                "are taken, and every rate and time constant rests on that"
+            )
         )
     if not np.isfinite(readings.temperature_c).any():
-        yield f"no temperatures in the readings: {' and '.join(OF_TEMPERATURE)} cannot be looked for"
+        yield message(f"no temperatures in the readings: {' and '.join(OF_TEMPERATURE)} cannot be looked for")
     if readings.unit != "V":
         names = ", ".join(name for name, effect in CATALOGUE.items() if in_volts(effect))
-        yield f"signals in {readings.unit} are not voltages: effects stated in volts are not looked for ({names})"
+        yield message(
+            f"signals in {readings.unit} are not voltages: effects stated in volts are not looked for ({names})"
+        )

@@ -66,7 +66,7 @@ class Prepared:
     def log_evidence(self, naming: Naming) -> float:
         """Return ln of the evidence of this noise with as many finds as `naming` has, up to a constant.
 
-        In the place of each find all families count, by their priors.
+        Instead of each find all families count, by their priors.
         """
         total = Search.beside(self.whitened, ()).log_evidence(self.data) + log_null(self.whitened.grid)
         known: list[int] = []

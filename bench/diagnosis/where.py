@@ -11,6 +11,7 @@ import numpy as np
 from scipy import special
 
 from bench.base.arrays import CHANNELS, Floats, Ints, Mask
+from bench.base.languages import message
 from bench.diagnosis.evidence import KNOWN_SIZE
 from bench.diagnosis.linear import MODULUS, LinearSystem
 from bench.diagnosis.noise_grid import NoiseGrid, make_whitener
@@ -25,10 +26,10 @@ TOLD: Final = 1e-3
 MOST_PLACES: Final = 8
 HARMONICS: Final = (
     "constant",
-    "once per turn",
-    "twice per turn",
-    "three times per turn",
-    "four times per turn",
+    message("once per turn"),
+    message("twice per turn"),
+    message("three times per turn"),
+    message("four times per turn"),
 )
 
 
@@ -149,7 +150,9 @@ def _rows(of: Mask) -> Floats:
 
 def _single(linear: LinearSystem, row: int, channel: str, mount: str) -> _Look:
     readings, reading = linear.readings, linear.rows.reading[row]
-    pattern = f"single reading: pass {readings.pass_number[reading]}, point {readings.point[reading]}"
+    pattern = message(
+        f"single reading: pass {readings.pass_number[reading]}, point {readings.point[reading]}"
+    )
     return _Look(channel, mount, pattern, _rows(np.arange(len(linear)) == row))
 
 
@@ -167,10 +170,10 @@ def _in_mount(linear: LinearSystem, own: Mask, channel: str, mount: str) -> Iter
     if len(numbers) > 1:
         yield from (look(f"pass {number}", _rows(own & (passes == number))) for number in numbers)
     if len(set(direction[own].tolist())) > 1:
-        yield look("direction of approach", np.where(own, direction, 0.0)[:, None])
+        yield look(message("direction of approach"), np.where(own, direction, 0.0)[:, None])
         wave = np.column_stack([np.cos(angle), np.sin(angle)])
         turned = np.where(own[:, None], np.nan_to_num(wave) * direction[:, None], 0.0)
-        yield look("direction of approach, once per turn", turned)
+        yield look(message("direction of approach, once per turn"), turned)
     if not readings.run.any():
         yield from (_single(linear, row, channel, mount) for row in np.flatnonzero(own).tolist())
 
@@ -179,18 +182,21 @@ def _over_run(linear: LinearSystem, own: Mask, channel: str) -> Iterator[_Look]:
     readings, reading = linear.readings, linear.rows.reading
     look = partial(_Look, channel, "all")
     signal = readings.signal[reading, np.minimum(linear.rows.channel, 2)]
-    for pattern, values in (("time", readings.time_s), ("temperature", readings.temperature_c)):
+    for pattern, values in (
+        (message("time"), readings.time_s),
+        (message("temperature"), readings.temperature_c),
+    ):
         at = values[reading]
         if np.all(np.isfinite(at[own])) and np.ptp(at[own]) > 0:
             run = np.where(own, (at - np.mean(at[own])) / np.ptp(at[own]), 0.0)
-            yield look(f"{pattern}, bias", run[:, None])
+            yield look(message(f"{pattern}, bias"), run[:, None])
             scale = run * signal
             scale = scale / max(float(np.max(np.abs(scale))), 1e-300)
-            yield look(f"{pattern}, scale factor", scale[:, None])
+            yield look(message(f"{pattern}, scale factor"), scale[:, None])
     if readings.unit == "V":
         low = own & (np.abs(signal) < LOW_RANGE_V)
         if low.any() and (own & ~low).any():
-            yield look("signals below 1.2 V", _rows(low))
+            yield look(message("signals below 1.2 V"), _rows(low))
 
 
 FAR: Final = 6.0
@@ -215,8 +221,10 @@ class FarReading:
     @property
     def words(self) -> str:
         """The place and the size in words."""
-        of = {"modulus": "|a|", "setting": "the angle"}.get(self.channel, f"channel {self.channel}")
-        return (
+        of = {"modulus": "|a|", "setting": message("the angle")}.get(
+            self.channel, message(f"channel {self.channel}")
+        )
+        return message(
             f"{of} in installation {self.installation}, pass {self.pass_number}, point {self.point} is "
             f"{self.size_u:.0f} u off"
         )

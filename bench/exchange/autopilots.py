@@ -10,6 +10,7 @@ import numpy as np
 import yaml
 
 from bench.base.arrays import CHANNELS, Floats
+from bench.exchange.checks import READ_CHECKS, check_lines, how_to_test, judged, own_test, picture
 from bench.exchange.result import BlockResult
 
 STANDARD_GRAVITY: Final = 9.80665
@@ -143,19 +144,20 @@ def px4_params(result: BlockResult, nominal: Floats | None = None) -> str:
         "# Onboard parameters for Vehicle 1",
         "#",
         *_head(result, sensor, px4_notes(result, nominal)),
+        *_tested(result, sensor, _px4_values(sensor), _PX4_READ, "CAL_ACC0_{}OFF", "CAL_ACC0_{}SCALE"),
         "# a = (z - CAL_ACC0_iOFF) * CAL_ACC0_iSCALE; PX4 takes them for the sensor whose id is in CAL_ACC0_ID,",
         "# which this file leaves as it is; its axes are the sensor's, turned to the board's by SENS_BOARD_ROT",
         "#",
         "# Vehicle-Id Component-Id Name Value Type",
     ]
-    lines += [f"1\t1\tCAL_ACC0_{name}\t{value:.9g}\t{REAL32}" for name, value in _px4_values(sensor)]
+    lines += [f"1\t1\t{name}\t{value:.9g}\t{REAL32}" for name, value in _px4_values(sensor)]
     return "\n".join(lines) + "\n"
 
 
 def _px4_values(sensor: Sensor) -> list[tuple[str, float]]:
     form = diagonal(sensor)
-    offsets = [(f"{axis}OFF", value) for axis, value in axis_rows(form.offset)]
-    return sorted(offsets + [(f"{axis}SCALE", value) for axis, value in axis_rows(form.scale)])
+    offsets = [(f"CAL_ACC0_{axis}OFF", value) for axis, value in axis_rows(form.offset)]
+    return sorted(offsets + [(f"CAL_ACC0_{axis}SCALE", value) for axis, value in axis_rows(form.scale)])
 
 
 def px4_notes(result: BlockResult, nominal: Floats | None = None) -> list[str]:
@@ -168,15 +170,50 @@ def px4_notes(result: BlockResult, nominal: Floats | None = None) -> list[str]:
 def ardupilot_param(result: BlockResult, nominal: Floats | None = None) -> str:
     """Return a .param file for the first accelerometer of ArduPilot, as MAVProxy and Mission Planner load it."""
     sensor = sensor_of(result, nominal)
-    form = diagonal(sensor)
+    values = _ardupilot_values(sensor)
     lines = [
         *_head(result, sensor, ardupilot_notes(result, nominal)),
+        *_tested(result, sensor, values, _ARDUPILOT_READ, "INS_ACCOFFS_{}", "INS_ACCSCAL_{}"),
         "# a = (z - INS_ACCOFFS_i) * INS_ACCSCAL_i; ArduPilot takes them for the sensor whose id is in INS_ACC_ID,",
         "# which this file leaves as it is; its axes are the sensor's, turned to the board's by AHRS_ORIENTATION",
     ]
-    lines += [f"INS_ACCOFFS_{axis},{value:.9g}" for axis, value in axis_rows(form.offset)]
-    lines += [f"INS_ACCSCAL_{axis},{value:.9g}" for axis, value in axis_rows(form.scale)]
+    lines += [f"{name},{value:.9g}" for name, value in values]
     return "\n".join(lines) + "\n"
+
+
+def _ardupilot_values(sensor: Sensor) -> list[tuple[str, float]]:
+    form = diagonal(sensor)
+    offsets = [(f"INS_ACCOFFS_{axis}", value) for axis, value in axis_rows(form.offset)]
+    return offsets + [(f"INS_ACCSCAL_{axis}", value) for axis, value in axis_rows(form.scale)]
+
+
+_PX4_READ: Final = "{r[2]: float(r[3]) for r in (l.split() for l in open(sys.argv[1]) if l[0] != '#')}"
+_ARDUPILOT_READ: Final = "{k: float(v) for k, v in (l.split(',') for l in open(sys.argv[1]) if l[0] != '#')}"
+
+
+def _tested(
+    result: BlockResult, sensor: Sensor, values: list[tuple[str, float]], read: str, offset: str, scale: str
+) -> list[str]:
+    """Return comment lines with the picture of signs, the check vectors, and the test of the file.
+
+    The accelerations are those of the form as it is written, in double precision: without cross-axis terms.
+    """
+    written = {name: float(f"{value:.9g}") for name, value in values}
+    off, by = (np.array([written[name.format(axis)] for axis in "XYZ"]) for name in (offset, scale))
+    raw = result.check[0]
+    test = (
+        f"import sys; n = {read}; {READ_CHECKS}; S = {sensor.nominal.tolist()!r}",
+        f"def a(u): return [({STANDARD_GRAVITY} * u[k] / S[k] - n['{offset}'.format(i)]) * n['{scale}'.format(i)] "
+        "for k, i in enumerate('XYZ')]",
+        judged(repr(STANDARD_GRAVITY)),
+    )
+    lines = [
+        *picture(result.unit),
+        *check_lines(raw, (sensor.signal(raw) - off) * by, "U, then a as this form gives it", "m/s^2"),
+        how_to_test("FILE"),
+        *own_test(test),
+    ]
+    return [f"# {line}" for line in lines]
 
 
 def ardupilot_notes(result: BlockResult, nominal: Floats | None = None) -> list[str]:
@@ -191,7 +228,7 @@ def _outside(name: str, values: Floats, low: float, high: float, program: str) -
     """Return comment lines on the values outside the range that `program` allows for a parameter."""
     return [
         f"{name.format(axis)} = {value:.4g} is outside {low:g} to {high:g}, which {program} allows: "
-        "take out more before it, by the electronics or by other scale factors (--nominal)"
+        "remove more before it, in the electronics or with other scale factors (--nominal)"
         for axis, value in axis_rows(values)
         if not low <= value <= high
     ]
@@ -216,12 +253,25 @@ def kalibr_yaml(result: BlockResult, nominal: Floats | None = None) -> str:
     """Return the file: chain `imu0`, with the model and M, and `bias` and `C_accel_block`, which Kalibr ignores."""
     sensor = sensor_of(result, nominal)
     form = lower_triangular(sensor)
+    raw = result.check[0]
+    corrected = np.linalg.solve(form.M, (sensor.signal(raw) - form.b).T).T @ form.R
+    test = (
+        "import sys, yaml, numpy as np; d = yaml.safe_load(open(sys.argv[1]))['imu0']['accelerometers']; "
+        f"n = {{k: np.array(v) for k, v in d.items()}}; {READ_CHECKS}; S = np.array({sensor.nominal.tolist()!r})",
+        f"def a(u): return n['C_accel_block'].T @ np.linalg.solve(n['M'], {STANDARD_GRAVITY} * np.array(u) / S - "
+        "n['bias'])",
+        judged(repr(STANDARD_GRAVITY)),
+    )
     lines = [
         *result.head(),
         *sensor.told(),
         "z = M C a + b in m/s^2, a the specific force on the block's axes: a = C^T M^-1 (z - b)",
         *kalibr_notes(result, nominal),
         "gyroscopes, noise densities, rostopic and update_rate are not known to this bench: add your own",
+        *picture(result.unit),
+        *check_lines(raw, corrected, "U, then a = C^T M^-1 (z - b)", "m/s^2"),
+        how_to_test("FILE.yaml") + " (needs numpy, PyYAML)",
+        *own_test(test),
     ]
     accelerometers = {"M": form.M.tolist(), "bias": form.b.tolist(), "C_accel_block": form.R.tolist()}
     content = {"imu0": {"model": "scale-misalignment", "accelerometers": accelerometers}}
@@ -234,7 +284,7 @@ def kalibr_notes(result: BlockResult, nominal: Floats | None = None) -> list[str
     form = lower_triangular(sensor_of(result, nominal))
     arcsec = math.degrees(form.turn_rad) * 3600
     return [
-        "Kalibr reads M alone, six of the twelve: the bias is left to its own estimate, and a comes on other axes,",
+        "Kalibr reads M alone, six of the twelve: it estimates the bias itself, and a comes on other axes,",
         f"turned against the block's mounting axes by {arcsec:.4g} arcsec: a vector of 1 g is off by up to "
         f"{2e3 * float(np.sin(form.turn_rad / 2)):.3g} mg, |a| by nothing.",
         "bias (m/s^2) and C_accel_block (the turn) stand in the file; a reader that takes them loses nothing",

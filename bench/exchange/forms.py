@@ -26,7 +26,8 @@ from bench.exchange.autopilots import (
     px4_notes,
     px4_params,
 )
-from bench.exchange.result import CONVENTION, BlockResult, ReportedNumber
+from bench.exchange.checks import TOLERANCE, c_self_test, how_to_test, judged, own_test, picture
+from bench.exchange.result import CONVENTION, NINE, BlockResult, ReportedNumber
 from bench.model.geometry import COEFFICIENTS
 
 if TYPE_CHECKING:
@@ -50,23 +51,37 @@ def csv_text(result: BlockResult) -> str:
     def told(*lines: str) -> None:
         out.writelines(f"# {line}\r\n" for line in lines)
 
-    told(*result.head(), "U = K a + U0; a = N (U - U0)", CONVENTION)
+    told(*result.head(), "U = K a + U0; a = N (U - U0)", CONVENTION, NINE, *picture(result.unit))
+    told(how_to_test("FILE.csv"), *own_test(_CSV_TEST))
     writer.writerow(["name", "value", "u", "U", "unit"])
     inverse = result.inverse_rows[:9]
-    for row in (*result.coefficient_rows, *inverse, *result.misalignment_rows):
+    for row in (*result.coefficient_rows, *inverse, *result.misalignment_rows, *result.intrinsic_rows):
         writer.writerow([row.name, repr(row.value), repr(row.u), repr(row.U), row.unit])
     own = Derived(COEFFICIENTS, result.block.vector, result.covariance)
     for of, title in (
         (own, "covariance of the coefficients"),
         (result.inverse, "covariance of N and U0"),
         (result.misalignments, "covariance of the misalignment angles, rad^2"),
+        (result.intrinsic, "covariance of the nine, in their units"),
     ):
         told(title)
         writer.writerow(["covariance", *of.names])
         writer.writerows(
             [name, *map(repr, row)] for name, row in zip(of.names, of.covariance.tolist(), strict=True)
         )
+    told("check vectors: signals, and the accelerations N (U - U0) in g that must follow")
+    writer.writerow(["check", "Ux", "Uy", "Uz", "ax", "ay", "az"])
+    rows = np.hstack(result.check).tolist()
+    writer.writerows([str(number), *map(repr, row)] for number, row in enumerate(rows, 1))
     return out.getvalue()
+
+
+_CSV_TEST: Final = (
+    "import csv, sys; rows = [r for r in csv.reader(open(sys.argv[1], newline='')) if r[0][:1] != '#']; "
+    "n = {r[0]: float(r[1]) for r in rows[1:37]}; c = [[float(x) for x in r[1:]] for r in rows if r[0].isdigit()]",
+    "def a(u): return [sum(n['N' + i + j] * (u[k] - n['U0' + j]) for k, j in enumerate('xyz')) for i in 'xyz']",
+    judged(),
+)
 
 
 def c_header(result: BlockResult) -> str:
@@ -78,8 +93,13 @@ def c_header(result: BlockResult) -> str:
         [
             *result.head(),
             f"a = N (U - U0): a in local g, U in {result.unit}.",
+            *picture(result.unit),
+            "coefficients_self_test() returns 0 when this file is as it was written.",
             "U of the coefficients: " + ", ".join(f"{row.name} {row.U:.2g}" for row in result.inverse_rows),
         ]
+    )
+    tested = c_self_test(
+        "coefficients", np.hstack(result.check), "coefficients_specific_force(row, a);", "double a[3];"
     )
     return f"""/*
 {head}
@@ -139,6 +159,7 @@ static inline void coefficients_force_covariance(const double u[3], double c[3][
         }}
 }}
 
+{tested}
 #endif
 """
 
@@ -158,19 +179,25 @@ def workbook(result: BlockResult) -> bytes:
     about = book.active
     about.title = "about"
     _write(about, [[name, text] for name, text in result.facts().items()])
-    _write(about, [["model", "U = K a + U0; a = N (U - U0)"], ["misalignments", CONVENTION]])
+    _write(
+        about, [["model", "U = K a + U0; a = N (U - U0)"], ["misalignments", CONVENTION], ["intrinsic", NINE]]
+    )
+    _write(about, [["signs" if not k else "", line] for k, line in enumerate(picture(result.unit))])
     about.column_dimensions["A"].width, about.column_dimensions["B"].width = 18, 110
     _numbers(book.create_sheet("coefficients"), result.coefficient_rows)
     _numbers(book.create_sheet("inverse"), result.inverse_rows)
     _numbers(book.create_sheet("misalignments"), result.misalignment_rows)
+    _numbers(book.create_sheet("intrinsic"), result.intrinsic_rows)
     for title, names, covariance in (
         ("covariance K U0", [row.name for row in result.coefficient_rows], result.covariance),
         ("covariance N U0", result.inverse.names, result.inverse.covariance),
         ("covariance alpha", result.misalignments.names, result.misalignments.covariance),
+        ("covariance intrinsic", result.intrinsic.names, result.intrinsic.covariance),
     ):
         rows = [[name, *row] for name, row in zip(names, covariance.tolist(), strict=True)]
         _write(book.create_sheet(title), [["", *names], *rows])
     _conversion(book.create_sheet("a from U"), result)
+    _checks(book.create_sheet("check"), result)
     if result.simulated:
         for sheet in book.worksheets:
             sheet.oddHeader.center.text = "SIMULATED"
@@ -244,6 +271,27 @@ def _conversion(sheet: Worksheet, result: BlockResult) -> None:
     sheet.column_dimensions["A"].width = 44
 
 
+def _checks(sheet: Worksheet, result: BlockResult) -> None:
+    """Fill in the check vectors, formulas that compute them from the sheet "inverse", and the verdict in B1."""
+    _write(
+        sheet,
+        [
+            ["this file is"],
+            ["check", "Ux", "Uy", "Uz", "ax", "ay", "az", "ax here", "ay here", "az here", "off"],
+        ],
+    )
+    for row, values in enumerate(np.hstack(result.check).tolist(), 3):
+        _write(sheet, [[row - 2, *values]])
+        for i, column in enumerate("HIJ"):
+            terms = [
+                f"inverse!$B${2 + 3 * i + j}*({u}{row}-inverse!$B${11 + j})" for j, u in enumerate("BCD")
+            ]
+            sheet[f"{column}{row}"] = "=" + "+".join(terms)
+        off = [f"ABS({here}{row}-{told}{row})" for here, told in zip("HIJ", "EFG", strict=True)]
+        sheet[f"K{row}"] = f"=MAX({','.join(off)})"
+    sheet["B1"] = f'=IF(MAX(K3:K22)<={TOLERANCE:g},"as it was written","NOT AS IT WAS WRITTEN")'
+
+
 # --- for a person -------------------------------------------------------------------------------------
 
 
@@ -255,6 +303,8 @@ def print_coefficients(result: BlockResult, on: Console) -> None:
     on.print(_table(result.inverse_rows, result.k))
     on.print("misalignment angles of the input axes, K_ij = (-1)^n K_ii alpha_ji, n = 2 where j follows i")
     on.print(_table(result.misalignment_rows, result.k, 1.0 / ARCSEC, "arcsec"))
+    on.print(NINE)
+    on.print(_table(result.intrinsic_rows, result.k))
 
 
 def _table(rows: Iterable[ReportedNumber], k: float, times: float = 1.0, unit: str = "") -> Table:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from pydantic import Field
@@ -13,11 +13,14 @@ from pydantic import Field
 from bench.base.arrays import Floats, u_of
 from bench.base.result_model import Matrix, ResultModel
 from bench.base.text import one_line
+from bench.calibration.intrinsic import intrinsic, intrinsic_unit
 from bench.calibration.result import Derived, inverse, misalignments
+from bench.exchange.checks import POSITIONS, TOLERANCE, judged, picture
 from bench.model.geometry import COEFFICIENTS, Block
 
 SIMULATED = "SIMULATED: found on simulated instruments, of no real block"
 CONVENTION = "K_ij = (-1)^n K_ii alpha_ji, n = 2 where j follows i in x -> y -> z -> x, else 1"
+NINE = "S_i = |row i of K|, cos theta_ij = row_i row_j / (S_i S_j), b_i = U0_i / S_i: free of the mounting"
 COMBINED = "combined: the stand, the noise of the readings, and every other source that the bench has"
 OF_READINGS = "the stand and the noise of these readings alone; gain and offset of the meters are not in it"
 
@@ -62,6 +65,22 @@ class MisalignmentsPart(DerivedPart):
     convention: str
 
 
+class IntrinsicNumbersPart(DerivedPart):
+    """The nine numbers that do not depend on the mounting."""
+
+    definition: str
+
+
+class CheckPart(ResultModel):
+    """Check vectors, and the test of this file by them: signals, and the accelerations that must follow."""
+
+    signs: list[str] = Field(description="a picture of axes, signs, order and units")
+    tolerance: float = Field(description="largest difference from `corrected`, g")
+    raw: Matrix = Field(description="signals at 20 positions")
+    corrected: Matrix = Field(description="N (U − U0), g")
+    python: list[str] = Field(description="three lines of Python that test the file named as their argument")
+
+
 class BlockPart(ResultModel):
     """The block, where it is stated."""
 
@@ -96,6 +115,20 @@ class CoefficientsResult(ResultModel):
     )
     inverse: InversePart
     misalignments: MisalignmentsPart
+    intrinsic: IntrinsicNumbersPart
+    temperature: str | None = Field(
+        description="which effects of temperature these numbers leave out, as asked; null for none"
+    )
+    check: CheckPart
+
+
+_JSON_TEST: Final = (
+    "import json, sys; d = json.load(open(sys.argv[1])); v = d['inverse']['values']; "
+    "n = {k: v[k]['value'] for k in v}; "
+    "c = [u + v for u, v in zip(d['check']['raw'], d['check']['corrected'])]",
+    "def a(u): return [sum(n['N' + i + j] * (u[k] - n['U0' + j]) for k, j in enumerate('xyz')) for i in 'xyz']",
+    judged(),
+)
 
 
 @dataclass(frozen=True)
@@ -107,7 +140,8 @@ class BlockResult:
     uncertainties U in the result; for all other numbers U is `k` times u. `gravity_u` is the relative standard
     uncertainty of `g_m_s2`, 0 if the result does not contain it; numbers per g do not include it. `bench` is
     the result's description of its bench file, `certificates` describe those of its instruments. `block_type`,
-    `serial` and `made_at` are empty if unknown.
+    `serial` and `made_at` are empty if unknown. `temperature` says which effects of temperature the calibration
+    took out, which these numbers hold no more; empty for none.
     """
 
     block: Block
@@ -125,6 +159,13 @@ class BlockResult:
     covariance_readings: Floats | None = None
     gravity_u: float = 0.0
     certificates: tuple[str, ...] = ()
+    temperature: str = ""
+
+    @cached_property
+    def check(self) -> tuple[Floats, Floats]:
+        """The check vectors: signals at `POSITIONS` and N (U - U0) in g, (20, 3) each."""
+        raw, numbers = self.block.output(POSITIONS), self.inverse.values
+        return raw, np.asarray((raw - numbers[9:]) @ numbers[:9].reshape(3, 3).T)
 
     @cached_property
     def combined(self) -> bool:
@@ -141,6 +182,11 @@ class BlockResult:
     def misalignments(self) -> Derived:
         """The six angles of the input axes, rad."""
         return misalignments(self.block, self.covariance)
+
+    @cached_property
+    def intrinsic(self) -> Derived:
+        """The nine numbers that do not depend on the mounting."""
+        return intrinsic(self.block, self.covariance)
 
     @property
     def coefficient_rows(self) -> list[ReportedNumber]:
@@ -159,6 +205,11 @@ class BlockResult:
     def misalignment_rows(self) -> list[ReportedNumber]:
         """The six angles."""
         return self._rows(self.misalignments, lambda _: "rad")
+
+    @property
+    def intrinsic_rows(self) -> list[ReportedNumber]:
+        """The nine."""
+        return self._rows(self.intrinsic, lambda name: intrinsic_unit(name, self.unit))
 
     @property
     def inverse_unit(self) -> str:
@@ -187,6 +238,8 @@ class BlockResult:
             "local gravity": f"g = {self.g_m_s2!r} m/s^2{self._of_gravity()}: accelerations are in this g",
             "uncertainty": f"u standard, U = k u with k = {self.k:g}; {COMBINED if self.combined else OF_READINGS}",
         }
+        if self.temperature:
+            told["temperature"] = f"WITHOUT TEMPERATURE, as asked: {self.temperature}"
         return {name: one_line(text) for name, text in told.items()}
 
     def _of_gravity(self) -> str:
@@ -208,6 +261,15 @@ class BlockResult:
             order=list(COEFFICIENTS),
             inverse=_derived(self.inverse, self.inverse_rows, model="a = N (U - U0), a in g"),
             misalignments=_derived(self.misalignments, self.misalignment_rows, convention=CONVENTION),
+            temperature=self.facts().get("temperature"),
+            check=CheckPart(
+                signs=picture(self.unit),
+                tolerance=TOLERANCE,
+                raw=self.check[0],
+                corrected=self.check[1],
+                python=list(_JSON_TEST),
+            ),
+            intrinsic=_derived(self.intrinsic, self.intrinsic_rows, definition=NINE),
         ).to_dict()
 
 

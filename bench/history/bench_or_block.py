@@ -173,15 +173,18 @@ class BenchOrBlock:
     def answer(self) -> str:
         """The sentence that attributes differences between calibrations to benches, blocks or both."""
         if all(len(one) == 1 for one in self.connected):
-            return "bench or block cannot be told: no unit was measured on two benches; measure some on each"
+            return (
+                "bench and block cannot be separated: no unit was measured on two benches; measure some "
+                "units on each"
+            )
         shown = [name for name, s in zip(COEFFICIENTS, self.sizes, strict=True) if s.bench.shown]
         apart = list(dict.fromkeys(one.name for one in self.benches_apart))
         if not shown and not apart:
-            return "the block: no difference between benches is shown beyond the stated uncertainties"
+            return "the block: benches do not differ beyond the stated uncertainties"
         named = f"; {', '.join(apart)} stands out" if len(apart) == 1 else ""
         named = f"; {', '.join(apart)} stand out" if len(apart) > 1 else named
         if not shown:
-            return f"the block for the most part{named}"
+            return f"mostly the block{named}"
         whole = [
             name for name, s in zip(COEFFICIENTS, self.sizes, strict=True) if s.bench.value > s.unit.value
         ]
@@ -200,11 +203,12 @@ def bench_or_block(measured: ComparedCalibrations) -> BenchOrBlock:
     crossing = Crossing(unit, bench, kind)
     if len(benches) < 2:
         raise CalibrationError(
-            f"all calibrations were made on one bench ({benches[0]}); there is nothing to compare"
+            f"all calibrations were made on one bench ({benches[0]}); measure units on a second bench"
         )
     if not crossing.repeated:
         raise CalibrationError(
-            f"none of {len(units)} units was calibrated twice: units, benches and scatter cannot be told apart"
+            f"none of {len(units)} units was calibrated twice: units, benches and scatter cannot be "
+            "separated; calibrate some units again"
         )
     columns = [
         _Column(crossing, np.ascontiguousarray(y), np.ascontiguousarray(v))
@@ -344,24 +348,21 @@ def _notes(crossing: Crossing, benches: Labels, sizes: tuple[Sizes, ...]) -> tup
     if len(alone):
         listed = ", ".join(benches[alone].tolist())
         notes.append(
-            f"no unit measured on {listed} was measured on another bench: its effect is not known, only the spread "
-            "of its units"
+            f"no unit measured on {listed} was measured on another bench: its effect is unknown, only the "
+            "spread of its units"
         )
     joined = np.bincount(crossing.component)
     if np.sum(joined > 1) > 1:
-        notes.append(
-            "benches fall into sets that no unit joins: effects are about the mean of each set, and sets are not "
-            "compared"
-        )
+        notes.append("no unit connects some sets of benches; effects are relative to the mean of each set")
     for words, names in (
         (
-            "units did not come to benches by chance (differences within units and between their means disagree), "
-            "so that effects of benches are from units measured on several benches alone",
+            "units were not assigned to benches at random, so effects come only from units measured on "
+            "several benches",
             [n for n, s in zip(COEFFICIENTS, sizes, strict=True) if not s.by_chance],
         ),
         (
-            "repeated calibrations scatter less than their stated uncertainty: parts of it are common to those of "
-            "a bench, and a difference between benches of that size is stated already",
+            "repeated calibrations scatter less than their stated uncertainty: a part is common to a "
+            "bench, and the stated uncertainty already covers such differences between benches",
             [
                 n
                 for n, s in zip(COEFFICIENTS, sizes, strict=True)

@@ -120,24 +120,25 @@ def _notes(found: tuple[CalibrationSpread, ...], of: Histories, *, several: bool
     notes = []
     if few == len(runs):
         notes.append(
-            f"no unit has {LEAST_RUNS} runs: what units drift by cannot be told, and is in the scatter over time"
+            f"no unit has {LEAST_RUNS} runs: the drift of units cannot be estimated and is part of the "
+            "scatter over time"
         )
     else:
         drifting = [name for name, one in zip(COEFFICIENTS, found, strict=True) if one.shown]
         out = f"is taken out in {', '.join(drifting)}" if drifting else "is not shown in any coefficient"
-        notes.append(f"a drift of units {out}; elsewhere what may be a drift is in the scatter over time")
+        notes.append(f"a drift of units {out}; elsewhere a possible drift is part of the scatter over time")
         if few:
             notes.append(
-                f"{few} of {len(runs)} units have fewer than {LEAST_RUNS} runs, too few to tell a drift of their "
-                "own: it is taken to be as large as that of the others"
+                f"{few} of {len(runs)} units have fewer than {LEAST_RUNS} runs, too few to estimate their "
+                "own drift; it is assumed as large as for the others"
             )
     if many := int(np.sum(runs > of.longest)):
         notes.append(
-            f"of {many} units with more than {of.longest} runs so many, evenly over the time, tell scatter and "
-            "drift"
+            f"of {many} units with more than {of.longest} runs so many, evenly over the time, show "
+            "scatter and drift"
         )
     if not several:
-        notes.append("one bench alone: what another would differ by is not in it")
+        notes.append("one bench alone: differences between benches are not included")
     return tuple(notes)
 
 
@@ -157,8 +158,8 @@ def _refuse_short(crossing: Crossing, days: int, *, several: bool) -> None:
     if days < LEAST_DAYS:
         lacks.append(f"{days} days between the first and the last ({LEAST_DAYS} are needed)")
     if several and len(crossing.alone()):
-        lacks.append(
-            "benches that share no unit with another (each is to have measured one that another has, too)"
-        )
+        lacks.append("benches that share no unit with another (measure a unit of another bench on each)")
     if lacks:
-        raise CalibrationError(f"the history is too short for a statement of capability: {'; '.join(lacks)}")
+        raise CalibrationError(
+            f"the history is too short for a statement of capability; more is needed: {'; '.join(lacks)}"
+        )

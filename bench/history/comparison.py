@@ -1,4 +1,8 @@
-"""Comparison of calibrations of one block: E_n numbers, joint chi-square tests, shared errors."""
+"""Comparison of calibrations of one block: E_n numbers, joint chi-square tests, shared errors.
+
+Calibrations are compared in the nine numbers that do not depend on the mounting, whose joint test decides; the
+twelve coefficients stand beside them. What compares calibrations takes snapshots of either.
+"""
 
 from __future__ import annotations
 
@@ -13,14 +17,14 @@ from scipy import special
 
 from bench.base.arrays import Floats, Ints, Mask, u_of
 from bench.calibration.conformity import COVERAGE_FACTOR
+from bench.calibration.intrinsic import INTRINSIC, intrinsic, through
 from bench.calibration.noise import METERS_DRIFT, drifted
 from bench.calibration.result import CalibrationError
-from bench.model.geometry import COEFFICIENTS
+from bench.model.geometry import COEFFICIENTS, Block
 from bench.stats import holm
 
 CHANGED_P: Final = 0.05
-"""Significance level of a change in a coefficient, for all coefficients and calibrations together."""
-JOINT_P: Final = 0.01
+"""Significance level of a change: of the nine jointly, and of single numbers after Holm's correction."""
 LEAST_FOR_DRIFT: Final = 3
 LEAST_SPAN: Final = timedelta(days=1)
 """Calibrations within a shorter time show scatter, not drift."""
@@ -38,7 +42,8 @@ class Snapshot:
     covariance without the part that cancels if the same meters measure again, None if there is no such part;
     `meters` are the meters' identities, empty if unknown. Each column of `block_terms` (12, q) is the error due to
     one u of K2 or K3 of the block, which is the same in each of its calibrations. `wander` (3,) is the rms wander
-    of each bias about its mean in the run.
+    of each bias about its mean in the run. `dof` is the least of the effective degrees of freedom of the nine. A
+    snapshot in the nine has nine in place of twelve, biases last, too.
     """
 
     name: str
@@ -53,6 +58,7 @@ class Snapshot:
     meters: tuple[str, ...] = ()
     block_terms: Floats | None = None
     wander: Floats | None = None
+    dof: float = np.inf
 
     def per(self, g_m_s2: float) -> Snapshot:
         """Return the snapshot with scale factors converted to another local g; per m/s² they stay the same."""
@@ -68,6 +74,25 @@ class Snapshot:
             block_terms=None if self.block_terms is None else self.block_terms * factor[:, None],
         )
 
+    def in_nine(self) -> Snapshot:
+        """Return the snapshot in the nine numbers that do not depend on the mounting, linearised at its own K.
+
+        Raises `CalibrationError` for a block without nine, such as one with a dead channel.
+        """
+        try:
+            own = intrinsic(Block.from_vector(self.vector), self.covariance)
+        except np.linalg.LinAlgError as error:
+            raise CalibrationError(f"{self.name}: {error}, so that its K describes no block") from error
+        J = own.jacobian
+        return replace(
+            self,
+            vector=own.values,
+            covariance=own.covariance,
+            same_meters=None if self.same_meters is None else through(J, self.same_meters),
+            block_terms=None if self.block_terms is None else J @ self.block_terms,
+            wander=None if self.wander is None else np.diag(J[6:, 9:]) * self.wander,
+        )
+
     @property
     def without_meters(self) -> Floats:
         """The covariance without the part that cancels if the same meters measure again, (12, 12)."""
@@ -79,9 +104,9 @@ class Snapshot:
 
         For a random walk with rms s about its mean over a run, this change has the standard deviation sqrt(2) s.
         """
-        between = np.zeros(len(COEFFICIENTS))
+        between = np.zeros(len(self.vector))
         if self.wander is not None:
-            between[9:] = 2.0 * self.wander**2
+            between[-3:] = 2.0 * self.wander**2
         return np.diag(between)
 
     def against(self, first: Snapshot) -> Snapshot:
@@ -92,7 +117,7 @@ class Snapshot:
         their limits. Errors of different or unidentified meters never cancel. K2 and K3 of the same block cancel
         where their effects are equal.
         """
-        theirs = _of_block(first.block_terms)
+        theirs = _of_block(first.block_terms, len(self.vector))
         own = self.without_meters + self._gone_on
         if self is first:
             return replace(self, covariance=own - theirs)
@@ -101,21 +126,21 @@ class Snapshot:
         block = theirs
         mine, other = self.block_terms, first.block_terms
         if mine is not None and other is not None and (self.block, mine.shape) == (first.block, other.shape):
-            block = _of_block(mine - other) - _of_block(mine)
+            block = _of_block(mine - other, len(mine)) - _of_block(mine, len(mine))
         return replace(self, covariance=own + part * meters + block)
 
 
-def _of_block(terms: Floats | None) -> Floats:
-    """Return the covariance (12, 12) due to the columns of `block_terms` (12, q); zero for None."""
-    return np.zeros((len(COEFFICIENTS),) * 2) if terms is None else np.asarray(terms @ terms.T)
+def _of_block(terms: Floats | None, size: int) -> Floats:
+    """Return the covariance (size, size) due to the columns of `block_terms` (size, q); zero for None."""
+    return np.zeros((size, size)) if terms is None else np.asarray(terms @ terms.T)
 
 
 @dataclass(frozen=True)
 class Changes:
-    """The changes of a later calibration relative to the first: `difference`, `u` and `en`, (12,) each.
+    """The changes of a later calibration relative to the first in m numbers: `difference`, `u` and `en`, (m,) each.
 
-    `p_all_looks` (12,) are two-sided p-values after Holm's correction for all coefficients and calibrations
-    compared. `chi2` with twelve degrees of freedom and its `p` test all coefficients jointly.
+    `p_all_looks` (m,) are two-sided p-values after Holm's correction for all numbers and calibrations compared.
+    `chi2` with m degrees of freedom and its `p` test all numbers jointly.
     """
 
     later: Snapshot
@@ -128,7 +153,7 @@ class Changes:
 
     @property
     def changed(self) -> Mask:
-        """Which coefficients changed significantly, (12,)."""
+        """Which numbers changed significantly, (m,)."""
         return self.p_all_looks < CHANGED_P
 
 
@@ -154,47 +179,77 @@ class DriftLines:
 
 
 @dataclass(frozen=True)
-class Comparison:
-    """The comparison of all later calibrations with the first, and tests of all of them together.
+class InNumbers:
+    """The comparison of all later calibrations with the first in the numbers `names`, the nine or the twelve.
 
-    `p_constant` is the p-value of the hypothesis that no coefficient changed in any calibration. `drift` is None if
+    `p_constant` is the p-value of the hypothesis that none of them changed in any calibration. `drift` is None if
     dates are missing, the calibrations are too few, or their time span is too short.
     """
 
+    names: tuple[str, ...]
     first: Snapshot
     changes: tuple[Changes, ...]
     p_constant: float
     drift: DriftLines | None
+
+    @property
+    def shown(self) -> tuple[str, ...]:
+        """The names of the numbers that changed in any calibration, by themselves."""
+        some = np.any([one.changed for one in self.changes], axis=0)
+        return tuple(np.array(self.names)[some].tolist())
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A comparison in the `nine`, whose joint test decides, and in the `twelve`.
+
+    `twelve` is None if a calibration comes from free positions alone, which leave the block's orientation open.
+    """
+
+    nine: InNumbers
+    twelve: InNumbers | None
     notes: tuple[str, ...]
 
     @property
     def changed(self) -> bool:
-        """Whether any single coefficient, or the set of all coefficients, changed significantly."""
-        return self.p_constant < JOINT_P or any(bool(np.any(c.changed)) for c in self.changes)
+        """Whether the nine together changed significantly."""
+        return self.nine.p_constant < CHANGED_P
 
 
 def compare(snapshots: Sequence[Snapshot]) -> Comparison:
     """Compare calibrations of one block; the reference is the earliest, or the first if any date is missing.
 
     Scale factors are converted to the local gravity of the reference. Raises `CalibrationError` if there are fewer
-    than two calibrations, their units differ, or a covariance is singular.
+    than two calibrations, their units differ, or a covariance is singular other than by the convention of free
+    positions.
     """
     if len(snapshots) < 2:
-        raise CalibrationError("a comparison needs two calibrations or more; name another run or result")
+        raise CalibrationError("a comparison needs two or more calibrations; name another run or result")
     units = sorted({snapshot.unit for snapshot in snapshots})
     if len(units) > 1:
         listed = ", ".join(f"{snapshot.name} in {snapshot.unit}" for snapshot in snapshots)
-        raise CalibrationError(f"coefficients in different units cannot be compared ({listed})")
+        raise CalibrationError(f"use coefficients in one unit to compare ({listed})")
+    free = [snapshot.name for snapshot in snapshots if _of_free_positions(snapshot)]
     for snapshot in snapshots:
-        _require_regular(snapshot)
+        if snapshot.name not in free:
+            _require_regular(snapshot)
     dates = [snapshot.when for snapshot in snapshots if snapshot.when is not None]
     dated = len(dates) == len(snapshots)
     ordered = list(snapshots)
     if dated:
         ordered = [snapshots[k] for k in np.argsort([d.timestamp() for d in dates], kind="stable")]
     notes = _notes(ordered, dated=dated)
-    g = ordered[0].g_m_s2
-    there = [snapshot.per(g) for snapshot in ordered]
+    if free:
+        notes = (f"{', '.join(free)}: from free positions alone, so that only the nine are compared", *notes)
+    there = [snapshot.per(ordered[0].g_m_s2) for snapshot in ordered]
+    drifts = dated and len(dates) >= LEAST_FOR_DRIFT and max(dates) - min(dates) >= LEAST_SPAN
+    when = dates if drifts else []
+    nine = _compared(INTRINSIC, [snapshot.in_nine() for snapshot in there], when)
+    return Comparison(nine, None if free else _compared(COEFFICIENTS, there, when), notes)
+
+
+def _compared(names: tuple[str, ...], there: Sequence[Snapshot], dates: Sequence[datetime]) -> InNumbers:
+    """Compare ordered snapshots in the numbers `names`; `dates` are empty if there is no drift to compute."""
     alike = [snapshot.against(there[0]) for snapshot in there]
     differences = [later.vector - alike[0].vector for later in alike[1:]]
     u = [np.sqrt(np.diag(alike[0].covariance) + np.diag(later.covariance)) for later in alike[1:]]
@@ -205,16 +260,32 @@ def compare(snapshots: Sequence[Snapshot]) -> Comparison:
     )
     changes = tuple(
         _changes(alike[0], later, d, s, own)
-        for later, d, s, own in zip(alike[1:], differences, u, p.reshape(-1, len(COEFFICIENTS)), strict=True)
+        for later, d, s, own in zip(alike[1:], differences, u, p.reshape(-1, len(names)), strict=True)
     )
-    drifts = dated and len(dates) >= LEAST_FOR_DRIFT and max(dates) - min(dates) >= LEAST_SPAN
-    return Comparison(alike[0], changes, _constant(alike), _drift(alike, dates) if drifts else None, notes)
+    return InNumbers(names, alike[0], changes, _constant(alike), _drift(alike, dates) if dates else None)
+
+
+def _of_free_positions(snapshot: Snapshot) -> bool:
+    """Return whether K is upper triangular by convention, as from free positions alone."""
+    below = [COEFFICIENTS.index(name) for name in ("Kyx", "Kzx", "Kzy")]
+    return not np.any(snapshot.vector[below]) and not np.any(np.diag(snapshot.covariance)[below])
 
 
 def _changes(first: Snapshot, later: Snapshot, difference: Floats, u: Floats, p: Floats) -> Changes:
     en = np.abs(difference) / (COVERAGE_FACTOR * u)
     chi2 = _chi2(difference, first.covariance + later.covariance)
-    return Changes(later, difference, u, en, p, chi2, float(special.chdtrc(len(difference), chi2)))
+    joint = _p_of(chi2, len(difference), min(first.dof, later.dof))
+    return Changes(later, difference, u, en, p, chi2, joint)
+
+
+def _p_of(chi2: float, count: int, dof: float) -> float:
+    """Return the p-value of a chi-square of `count` numbers whose u has `dof` degrees of freedom.
+
+    chi2/count is then F distributed, as the joint coverage factor sqrt(p F) has it.
+    """
+    if np.isinf(dof):
+        return float(special.chdtrc(count, chi2))
+    return float(special.fdtrc(count, dof, chi2 / count))
 
 
 def _require_regular(snapshot: Snapshot) -> None:
@@ -223,12 +294,12 @@ def _require_regular(snapshot: Snapshot) -> None:
     if not np.all(u > 0) or np.linalg.cond(snapshot.covariance / np.outer(u, u)) > MOST_CONDITION:
         raise CalibrationError(
             f"{snapshot.name}: its covariance is singular, so not all twelve coefficients were found from "
-            "readings; calibrate from installations of known orientation"
+            "readings; calibrate in installations of known orientation"
         )
 
 
 def _chi2(difference: Floats, covariance: Floats) -> float:
-    """Return the chi-square of a difference (12,), computed from correlations to be independent of units."""
+    """Return the chi-square of a difference (m,), computed from correlations to be independent of units."""
     u = u_of(covariance)
     scaled = difference / u
     return float(scaled @ np.linalg.solve(covariance / np.outer(u, u), scaled))
@@ -239,14 +310,14 @@ def _constant(snapshots: Sequence[Snapshot]) -> float:
     weights = [np.linalg.inv(snapshot.covariance) for snapshot in snapshots]
     mean = np.linalg.solve(sum(weights), sum(w @ s.vector for w, s in zip(weights, snapshots, strict=True)))
     chi2 = sum(_chi2(s.vector - mean, s.covariance) for s in snapshots)
-    return float(special.chdtrc(len(mean) * (len(snapshots) - 1), chi2))
+    return _p_of(chi2, len(mean) * (len(snapshots) - 1), min(s.dof for s in snapshots))
 
 
 def _drift(snapshots: Sequence[Snapshot], dates: Sequence[datetime]) -> DriftLines:
-    """Return straight lines fitted by generalised least squares to all coefficients with their covariances."""
+    """Return straight lines fitted by generalised least squares to all numbers with their covariances."""
     seconds = np.sort([date.timestamp() for date in dates])
     years = (seconds - seconds[0]) / SECONDS_PER_YEAR
-    count = len(COEFFICIENTS)
+    count = len(snapshots[0].vector)
     normal, right = np.zeros((2 * count, 2 * count)), np.zeros(2 * count)
     designs = [np.kron([1.0, year - years.mean()], np.eye(count)) for year in years]
     for design, snapshot in zip(designs, snapshots, strict=True):
@@ -270,17 +341,15 @@ def _notes(snapshots: Sequence[Snapshot], *, dated: bool) -> tuple[str, ...]:
     if len(blocks) > 1:
         notes.append(f"THESE ARE DIFFERENT BLOCKS, as recorded: {', '.join(blocks)}")
     elif any(not snapshot.block for snapshot in snapshots):
-        notes.append(
-            "not every result says which block it is of; that it is the same one is taken for granted"
-        )
+        notes.append("not every result names its block; they are assumed to be of one block")
     if not dated:
         notes.append(
-            "not every calibration has a date: the first named is the reference; no drift is computed"
+            "not every calibration has a date: the first one is the reference, and no drift is computed"
         )
     if any(_one_and_the_same(a, b) for a, b in combinations(snapshots, 2)):
         notes.append(
-            "two of these agree to a hundredth of their uncertainty in everything: do they come from the same "
-            "readings?"
+            "two of these agree within a hundredth of their uncertainty; check whether they come from the "
+            "same readings"
         )
     if len({snapshot.simulated for snapshot in snapshots}) > 1:
         notes.append("some of these were found on simulated instruments, some on real ones")
@@ -288,8 +357,8 @@ def _notes(snapshots: Sequence[Snapshot], *, dated: bool) -> tuple[str, ...]:
     if others:
         listed = ", ".join(f"{g:.6g}" for g in others)
         notes.append(
-            f"local gravity differs ({snapshots[0].g_m_s2:.6g} m/s² here, {listed} elsewhere): scale factors are "
-            "converted to the gravity of the first, so that they are compared per m/s²"
+            f"local gravity differs ({snapshots[0].g_m_s2:.6g} m/s² here, {listed} elsewhere): scale "
+            "factors are converted to the first one's gravity"
         )
     notes.append(_on_meters(snapshots))
     return tuple(notes)
@@ -299,21 +368,21 @@ def _on_meters(snapshots: Sequence[Snapshot]) -> str:
     bare = [snapshot.name for snapshot in snapshots if snapshot.same_meters is None]
     if bare:
         return (
-            f"{', '.join(bare)}: no errors of the meters in its uncertainty; with the same meters they cancel, "
-            "with other ones they pass for a change"
+            f"{', '.join(bare)}: its uncertainty excludes errors of the meters; with other meters, these "
+            "appear as a change"
         )
     parts = [_drifted(snapshots[0], later) for later in snapshots[1:]]
     if max(parts) == 0.0:
         return (
-            "the same meters, by identity and address, on the same day: their gain and offset cancel and are in no "
-            "uncertainty here"
+            "the same meters, by identity and address, on the same day: their gain and offset cancel and "
+            "are not in the uncertainty"
         )
     if all(snapshot.meters == snapshots[0].meters != () for snapshot in snapshots):
         return (
-            "the same meters, by identity and address: their gain and offset count as far as they may have drifted "
-            f"({METERS_DRIFT.days} days: all)"
+            "the same meters, by identity and address: the uncertainty includes the drift of their gain "
+            "and offset ({METERS_DRIFT.days} days: all)"
         )
-    return "not known to be the same meters: their gain and offset are in every uncertainty"
+    return "perhaps other meters: every uncertainty includes their gain and offset"
 
 
 def _drifted(first: Snapshot, later: Snapshot) -> float:
@@ -330,16 +399,14 @@ SECONDS_PER_DAY: Final = 86400.0
 
 
 def joint_covariances(snapshots: Sequence[Snapshot]) -> Floats:
-    """Return, for each coefficient, the covariance between n calibrations, (12, n, n).
+    """Return, for each of m numbers, the covariance between n calibrations, (m, n, n).
 
     Calibrations share the gains and offsets of the same meters (less as time passes, and none from `METERS_DRIFT`
     on), and the K2 and K3 of the same block. All scale factors must be per the same g.
     """
     n = len(snapshots)
-    found = np.zeros((len(COEFFICIENTS), n, n))
-    meters = np.sqrt(
-        np.maximum([np.diag(s.covariance - s.without_meters) for s in snapshots], 0.0)
-    )  # (n, 12)
+    found = np.zeros((len(snapshots[0].vector), n, n))
+    meters = np.sqrt(np.maximum([np.diag(s.covariance - s.without_meters) for s in snapshots], 0.0))  # (n, m)
     for i, first in enumerate(snapshots):
         found[:, i, i] = np.diag(first.covariance)
         for j in range(i):
@@ -351,7 +418,7 @@ def joint_covariances(snapshots: Sequence[Snapshot]) -> Floats:
 
 @dataclass(frozen=True)
 class Joint:
-    """The joint covariance of all twelve coefficients of n calibrations, in parts.
+    """The joint covariance of all twelve coefficients of n calibrations, or of the nine, in parts.
 
     `own` (n, 12, 12) is the independent part of each. `meters` (n, 12, 12) are square roots of the covariances due
     to the meters, which `alike` (n, n) correlates between calibrations. `terms` (n, 12, q) are the errors due to K2
@@ -380,7 +447,7 @@ class Joint:
 
 def joint_of(snapshots: Sequence[Snapshot]) -> Joint:
     """Return the joint covariance of n calibrations over all twelve coefficients; see `joint_covariances`."""
-    size = len(COEFFICIENTS)
+    size = len(snapshots[0].vector)
     meters = np.array([s.covariance - s.without_meters for s in snapshots])
     level, along = np.linalg.eigh(meters)
     roots = (along * np.sqrt(np.maximum(level, 0.0))[:, None, :]) @ along.swapaxes(1, 2)
@@ -413,5 +480,5 @@ def _day(when: datetime) -> float:
 def _shared_block_terms(first: Snapshot, other: Snapshot) -> Floats:
     mine, theirs = first.block_terms, other.block_terms
     if mine is None or theirs is None or (first.block, mine.shape) != (other.block, theirs.shape):
-        return np.zeros(len(COEFFICIENTS))
+        return np.zeros(len(first.vector))
     return np.asarray(np.sum(mine * theirs, axis=1))

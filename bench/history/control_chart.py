@@ -1,4 +1,7 @@
-"""The control chart of a check block: runs judged against a baseline, with reasons and notes in words."""
+"""The control chart of a check block: runs judged against a baseline, with reasons and notes in words.
+
+A chart is of the nine numbers that do not depend on the mounting, or of the twelve coefficients, as its runs are.
+"""
 
 from __future__ import annotations
 
@@ -12,8 +15,9 @@ import numpy as np
 from bench.base.arrays import Floats
 from bench.base.numbers import MINUS, probability
 from bench.base.text import listed
-from bench.calibration.result import CalibrationError
-from bench.model.geometry import COEFFICIENTS
+from bench.calibration.intrinsic import INTRINSIC, intrinsic, through
+from bench.calibration.result import CalibrationError, Derived
+from bench.model.geometry import COEFFICIENTS, Block
 from bench.stats.control_charts import (
     ALIKE_P,
     Centre,
@@ -40,10 +44,10 @@ def reasons_of(chart: ControlChart, row: int) -> tuple[str, ...]:
     reasons = []
     shewhart, ewma, short = chart.shewhart, chart.ewma, chart.short
     if shewhart.t2[row] > chart.limit_t2:
-        which = _which(shewhart.z[row], chart.limit_single)
+        which = _which(chart, shewhart.z[row], chart.limit_single)
         reasons.append(f"T² = {shewhart.t2[row]:.1f} is beyond {chart.limit_t2:.1f} ({which})")
     if ewma.t2[row] > chart.limit_ewma:
-        which = _which(ewma.z[row], chart.limit_single_ewma)
+        which = _which(chart, ewma.z[row], chart.limit_single_ewma)
         reasons.append(f"T² of the EWMA = {ewma.t2[row]:.1f} is beyond {chart.limit_ewma:.1f} ({which})")
     if short is not None and short.p[row] < chart.design.alpha:
         reasons.append(
@@ -53,12 +57,12 @@ def reasons_of(chart: ControlChart, row: int) -> tuple[str, ...]:
     return tuple(reasons)
 
 
-def _which(z: Floats, limit: float) -> str:
-    """Return the coefficients beyond their own limit, farthest first; if there are none, the farthest of all."""
+def _which(chart: ControlChart, z: Floats, limit: float) -> str:
+    """Return the numbers beyond their own limit, farthest first; if there are none, the farthest of all."""
     order = np.argsort(-np.abs(z))
     beyond = [k for k in order if abs(z[k]) > limit]
-    named = [f"{COEFFICIENTS[k]} {z[k]:+.1f} u".replace("-", MINUS) for k in order]
-    return ", ".join(named[: len(beyond)]) if beyond else f"no coefficient alone; the farthest is {named[0]}"
+    named = [f"{chart.names[k]} {z[k]:+.1f} u".replace("-", MINUS) for k in order]
+    return ", ".join(named[: len(beyond)]) if beyond else f"no number alone; the farthest is {named[0]}"
 
 
 def notes_of(chart: ControlChart) -> tuple[str, ...]:
@@ -71,21 +75,20 @@ def _on_baseline(chart: ControlChart) -> list[str]:
     runs = len(chart.baseline)
     if chart.reference is not None:
         notes.append(
-            f"judged by the reference {chart.reference.name}: what lasts in the u of this bench (limits of its "
-            "meters, temperature) is in every limit, so that only large changes show; a baseline of the bench's "
-            "own runs sees smaller ones"
+            f"judged by the reference {chart.reference.name}: constant parts of u (meters, temperature) "
+            "widen every limit; a baseline of the bench's own runs shows smaller changes"
         )
     elif runs < FEW_RUNS:
         notes.append(
-            f"the baseline has {runs} run{'s' * (runs > 1)}: the limits are as wide as so few make them; they "
-            "come closer with more"
+            f"the baseline has {runs} run{'s' * (runs > 1)}: the limits are wide for so few runs and "
+            "narrow with more"
         )
     if chart.alone is not None:
         worst = int(np.argmin(chart.alone))
         if runs * chart.alone[worst] < ALIKE_P:
             notes.append(
-                f"{chart.baseline[worst].name} stands apart from the other runs of the baseline "
-                f"({probability(min(1.0, runs * float(chart.alone[worst])))}): find out why, or leave it out"
+                f"{chart.baseline[worst].name} differs from the other runs of the baseline "
+                f"({probability(min(1.0, runs * float(chart.alone[worst])))}): find the cause, or leave it out"
             )
     return notes
 
@@ -95,25 +98,23 @@ def _on_components(chart: ControlChart) -> list[str]:
     if found is None:
         return []
     notes = []
-    more = [name for name, p in zip(COEFFICIENTS, found.more_than_stated, strict=True) if p < ALIKE_P]
+    more = [name for name, p in zip(chart.names, found.more_than_stated, strict=True) if p < ALIKE_P]
     if more:
         notes.append(
             f"between the runs of the baseline {listed(more)} scatter{'s' * (len(more) == 1)} more than stated u: "
-            "something comes anew with each run that the bench file does not state so large"
+            "something differs from run to run by more than the bench file states"
         )
     if found.birge_p < ALIKE_P:
-        taken = (
-            "believe stated u all the same" if chart.design.basis == "stated" else "are as the scatter shows"
-        )
+        taken = "still use stated u" if chart.design.basis == "stated" else "follow the scatter"
         notes.append(
             f"the baseline scatters {np.sqrt(found.birge2):.2f} times as much as stated u "
             f"({probability(found.birge_p)}); the limits {taken}"
         )
     if chart.design.basis != "scatter" and found.alike_p < ALIKE_P:
         notes.append(
-            f"stated u is not as right for every coefficient ({probability(found.alike_p)}): false alarms are more "
-            "frequent than stated; name under 'between_runs' what comes anew with each run, or take limits from "
-            "scatter (14 runs or more)"
+            f"stated u does not fit every coefficient equally ({probability(found.alike_p)}): false "
+            "alarms are more frequent than stated; name under 'between_runs' what changes with each run, or take "
+            "limits from scatter (11 runs or more)"
         )
     return notes
 
@@ -124,20 +125,20 @@ def _on_meters(chart: ControlChart) -> list[str]:
     if not other:
         return []
     return [
-        f"not known to be measured with the meters of the baseline: {listed(other)}; the limits of both meters "
-        "are in u there; take a new baseline with the new meters"
+        f"not known to be measured with the meters of the baseline: {listed(other)}; u then includes the "
+        "limits of both; measure a new baseline with the new meters"
     ]
 
 
 def _on_drift(chart: ControlChart) -> list[str]:
     if chart.drift is None:
         return []
-    names = [name for name, p in zip(COEFFICIENTS, chart.drift.p, strict=True) if p < ALIKE_P]
+    names = [name for name, p in zip(chart.names, chart.drift.p, strict=True) if p < ALIKE_P]
     if not names:
         return []
     return [
-        f"{listed(names)} of the check block drift{'s' * (len(names) == 1)} beyond what is stated: if it is the "
-        "block and not the bench, add it under 'drift' with its u"
+        f"{listed(names)} of the check block drift{'s' * (len(names) == 1)} more than stated; if the "
+        "block drifts, not the bench, add it under 'drift' with its u"
     ]
 
 
@@ -169,6 +170,26 @@ class CheckRun:
     of_meters: Floats
     lasting: Floats
 
+    def in_nine(self) -> CheckRun:
+        """Return the run in the nine numbers. Raises `CalibrationError` for a K that describes no block."""
+        own = _nine(self.name, self.value, self.covariance)
+        J = own.jacobian
+        return replace(
+            self,
+            value=own.values,
+            covariance=own.covariance,
+            noise=np.sqrt(J**2 @ self.noise**2),
+            of_meters=through(J, self.of_meters),
+            lasting=through(J, self.lasting),
+        )
+
+
+def _nine(name: str, value: Floats, covariance: Floats) -> Derived:
+    try:
+        return intrinsic(Block.from_vector(value), covariance)
+    except np.linalg.LinAlgError as error:
+        raise CalibrationError(f"{name}: {error}, so that its K describes no block") from error
+
 
 @dataclass(frozen=True)
 class Reference:
@@ -179,6 +200,11 @@ class Reference:
     value: Floats
     covariance: Floats
 
+    def in_nine(self) -> Reference:
+        """Return the reference in the nine numbers. Raises as `CheckRun.in_nine`."""
+        own = _nine(self.name, self.value, self.covariance)
+        return replace(self, value=own.values, covariance=own.covariance)
+
 
 @dataclass(frozen=True)
 class KnownDrift:
@@ -186,6 +212,11 @@ class KnownDrift:
 
     per_year: Floats
     u: Floats
+
+    def in_nine(self, value: Floats) -> KnownDrift:
+        """Return the drift in the nine numbers of a block with the coefficients `value` (12,)."""
+        J = _nine("the check block", value, np.eye(len(value))).jacobian
+        return KnownDrift(J @ self.per_year, np.sqrt(J**2 @ self.u**2))
 
 
 @dataclass(frozen=True)
@@ -226,6 +257,11 @@ class ControlChart:
     notes: tuple[str, ...]
 
     @property
+    def names(self) -> tuple[str, ...]:
+        """The names of the numbers of the chart, the nine or the twelve."""
+        return INTRINSIC if self.centre.dimensions == len(INTRINSIC) else COEFFICIENTS
+
+    @property
     def in_control(self) -> bool:
         """Whether the last run is accepted; true without later runs."""
         return not self.verdicts or self.verdicts[-1].accepted
@@ -262,7 +298,7 @@ def control_chart(
 ) -> ControlChart:
     """Judge `later` runs of a check block against its `baseline` runs, or against a `reference` calibration.
 
-    `drift` is the known drift of the block. `restarted` is the time of a repair, at which the EWMA starts anew.
+    `drift` is the known drift of the block. `restarted` is the time of a repair, at which the EWMA starts again.
     Raises `CalibrationError` if the baseline has too few runs for limits.
     """
     baseline = tuple(sorted(baseline, key=lambda run: run.when))
@@ -311,7 +347,7 @@ class _Pooled:
 
     def of(self, runs: Sequence[CheckRun]) -> Floats:
         """Return the pooled covariance of each run, (n, 12, 12)."""
-        p = len(COEFFICIENTS)
+        p = len(next(iter(self._by_design.values()), COEFFICIENTS))
         return np.array([self._by_design[run.design] for run in runs]).reshape(-1, p, p)
 
 
@@ -327,19 +363,18 @@ class _Lines:
 
     def without(self, runs: Sequence[CheckRun]) -> Floats:
         """Return the values (n, 12) minus the known drift."""
-        values = np.array([run.value for run in runs]).reshape(-1, len(COEFFICIENTS))
+        values = np.array([run.value for run in runs])
         if self._drift is None:
             return values
         return values - self.years(runs)[:, None] * self._drift.per_year
 
     def error(self, runs: Sequence[CheckRun]) -> Floats:
         """Return the effect on the values of a drift error of one u, by coefficient, (n, 12, 12)."""
-        return self.years(runs)[:, None, None] * np.diag(self.u)
+        return self.years(runs)[:, None, None] * np.diag(self.u(len(runs[0].value)))
 
-    @property
-    def u(self) -> Floats:
-        """The standard uncertainty of the known drift in a year, (12,)."""
-        return np.zeros(len(COEFFICIENTS)) if self._drift is None else self._drift.u
+    def u(self, size: int) -> Floats:
+        """Return the standard uncertainty of the known drift in a year, (size,)."""
+        return np.zeros(size) if self._drift is None else self._drift.u
 
 
 @dataclass(frozen=True)
@@ -356,10 +391,10 @@ class _Judging:
     def ewma(
         self, runs: Sequence[CheckRun], shewhart: JudgedDeviations, restarted: datetime | None
     ) -> JudgedDeviations:
-        """Return the EWMA of the runs that T² does not reject; it starts anew at `restarted`."""
+        """Return the EWMA of the runs that T² does not reject; it starts again at `restarted`."""
         kept = shewhart.p_joint >= self.design.alpha
         after = np.array([restarted is not None and run.when >= restarted for run in runs], dtype=bool)
-        p = len(COEFFICIENTS)
+        p = self.centre.dimensions
         columns = [np.full((len(runs), p), np.nan) for _ in range(4)]
         joint = [np.full(len(runs), np.nan) for _ in range(2)]
         for part in (kept & ~after, kept & after):
@@ -371,7 +406,7 @@ class _Judging:
         return JudgedDeviations(*columns, *joint)
 
     def _judged(self, runs: Sequence[CheckRun], smoothing: float) -> JudgedDeviations:
-        p = len(COEFFICIENTS)
+        p = self.centre.dimensions
         if not runs:
             rows = np.zeros((0, p))
             return JudgedDeviations(rows, rows, rows, rows, np.zeros(0), np.zeros(0))
@@ -414,7 +449,8 @@ def _short_term(later: Sequence[CheckRun], baseline: Sequence[CheckRun]) -> Shor
 
 
 def _components(baseline: Sequence[CheckRun], pooled: _Pooled, lines: _Lines) -> Components | None:
-    if len(baseline) < least_runs("scaled", len(COEFFICIENTS)) or len({run.design for run in baseline}) > 1:
+    size = len(baseline[0].value) if baseline else 0
+    if not size or len(baseline) < least_runs("scaled", size) or len({run.design for run in baseline}) > 1:
         return None
     noise = np.sqrt(np.mean([run.noise**2 for run in baseline], axis=0))
     return components_of(lines.without(baseline), pooled.of(baseline)[0], noise)
@@ -444,7 +480,7 @@ def _drift(
         u = np.sqrt(np.diag(centre.scatter))
     else:
         u = np.sqrt(float(centre.scale) * np.mean([np.diag(c) for c in pooled.of(runs)], axis=0))
-    return drift_of(years, lines.without(runs), u, centre.dof, lines.u)
+    return drift_of(years, lines.without(runs), u, centre.dof, lines.u(centre.dimensions))
 
 
 def _concluded(chart: ControlChart) -> ControlChart:

@@ -37,13 +37,13 @@ PRODUCTS: Final = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
 @dataclass(frozen=True)
 class UnitDrift:
-    """The drift of one block from n calibrations; arrays are (12,), in the order of `COEFFICIENTS`.
+    """The drift of one block from n calibrations; arrays are (12,), in the order of `COEFFICIENTS`, or (9,).
 
     `rate` with standard uncertainty `u_rate` is per year. `between` is the scatter between calibrations beyond
     their stated u, `walk` the random walk in a year (1 σ each, restricted maximum likelihood, 0 if not detected);
     `…_most` are their upper 95 % limits. `first` and `last` are the dates of the first and last calibration,
-    `count` is their number. `p_all_looks` is the p-value of the rate with Bonferroni's correction for twelve
-    coefficients. `states` serve to predict; `common` is the u of errors that all calibrations share.
+    `count` is their number. `p_all_looks` is the p-value of the rate with Bonferroni's correction for all
+    of them. `states` serve to predict; `common` is the u of errors that all calibrations share.
     """
 
     rate: Floats
@@ -74,7 +74,7 @@ class UnitDrift:
         years = (days - self.first.astype("datetime64[s]")).astype(float).ravel() / SECONDS_PER_YEAR
         if not np.all(years >= self.states.last_year - 1e-9):
             raise CalibrationError(
-                f"a history foretells what comes after its last calibration ({self.last.astype('datetime64[D]')}); "
+                f"a history predicts only times after its last calibration ({self.last.astype('datetime64[D]')}); "
                 f"asked for {days.min().astype('datetime64[D]')}"
             )
         value, variance = self.states.predicted(years)
@@ -137,12 +137,13 @@ class States:
 
 @dataclass(frozen=True)
 class OfUnit:
-    """The drift of a unit, with notes on other effects that may look like drift."""
+    """The drift of a unit in the `nine` and in the twelve, with notes on other effects that may look like drift."""
 
     unit: str
     signal: str
     simulated: bool
     drift: UnitDrift
+    nine: UnitDrift
     notes: tuple[str, ...]
 
 
@@ -151,16 +152,19 @@ def drift_of_unit(measured: ComparedCalibrations) -> OfUnit:
     units, benches = (sorted(set(labels.tolist())) for labels in (measured.unit, measured.bench))
     if len(units) > 1:
         raise CalibrationError(
-            f"a drift is of one unit; the question names {len(units)}: add unit=…, such as unit='{units[0]}'"
+            f"a drift is of one unit, not {len(units)}: add unit=…, such as unit='{units[0]}'"
         )
     notes: tuple[str, ...] = ()
     if len(benches) > 1:
-        notes = (
-            f"measured on {', '.join(benches)}: differences between benches pass for a drift or scatter",
+        notes = (f"measured on {', '.join(benches)}: differences between benches appear as drift or scatter",)
+    twelve, nine = (
+        unit_drift(
+            of.when, of.vector, of.covariance,
+            np.sqrt(np.min(of.meters**2, axis=0)) if len(benches) == 1 else None,
         )
-    alike = np.sqrt(np.min(measured.meters**2, axis=0)) if len(benches) == 1 else None
-    found = unit_drift(measured.when, measured.vector, measured.covariance, alike)
-    return OfUnit(units[0], measured.signal, measured.simulated, found, notes)
+        for of in (measured, measured.in_nine())
+    )  # fmt: skip
+    return OfUnit(units[0], measured.signal, measured.simulated, twelve, nine, notes)
 
 
 def day_of(text: str) -> np.datetime64:
@@ -368,7 +372,7 @@ def due(
     `CalibrationError` if there is no calibration, or if K of the last one is singular.
     """
     if len(when) == 0:
-        raise CalibrationError("no calibration with a date tells when it is due")
+        raise CalibrationError("no calibration has a date, so no due date is known; add dates to the runs")
     order = np.argsort(when, kind="stable")
     dates, values, known = when[order], vector[order], covariance[order]
     last = dates[-1]
@@ -379,20 +383,20 @@ def due(
     try:
         drift = history_drift(dates, errors, np.einsum("dj,njk,dk->nd", seen, known, seen), common)
     except CalibrationError as error:
-        why = f"{error}: the interval of {interval_days:g} days counts"
+        why = f"{error}: the interval of {interval_days:g} days applies"
         return Due(by_interval, "interval", why, last, len(dates), limit_g, simulated=simulated)
     now = float(_expanded(drift, np.array([last]))[0])
     if now >= limit_g:
         why = (
             f"the last calibration leaves an error of {now:.2g} g (k = {COVERAGE_FACTOR:g}), more than the "
-            f"{limit_g:.2g} g allowed: no interval keeps it"
+            f"{limit_g:.2g} g allowed: no interval is short enough"
         )
         return Due(last, "drift", why, last, len(dates), limit_g, now, now, simulated)
     day, error_g = _first_day(drift, last.astype("datetime64[D]"), limit_g)
     why = (
         f"the error expected reaches {limit_g:.2g} g then (k = {COVERAGE_FACTOR:g})"
         if error_g >= limit_g
-        else f"{MOST_YEARS:g} years on the error expected is still {error_g:.2g} g: no history foretells further"
+        else f"{MOST_YEARS:g} years on the error expected is still {error_g:.2g} g: the history predicts no further"
     )
     return Due(day, "drift", why, last, len(dates), limit_g, now, error_g, simulated)
 
@@ -417,7 +421,7 @@ def sensitivities(vector: Floats) -> Floats:
     try:
         weights = along @ np.linalg.inv(vector[:9].reshape(3, 3))
     except np.linalg.LinAlgError:
-        raise CalibrationError("the last calibration has a K without inverse") from None
+        raise CalibrationError("the last calibration has a singular K; calibrate again") from None
     of_k = np.einsum("da,db->dab", weights, along).reshape(len(along), 9)
     return np.concatenate([of_k, weights], axis=1)
 

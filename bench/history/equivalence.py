@@ -1,4 +1,4 @@
-"""Degrees of equivalence of benches that measured the same units, by coefficient and for all twelve jointly."""
+"""Degrees of equivalence of benches that measured the same units, by number and for all numbers jointly."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from scipy import linalg, optimize, special
 
 from bench.base.arrays import Floats, Ints, u_of
 from bench.calibration.conformity import COVERAGE_FACTOR
+from bench.calibration.intrinsic import INTRINSIC
 from bench.calibration.result import CalibrationError
 from bench.history.comparison import Joint, Snapshot, joint_covariances, joint_of
 from bench.history.measured import ComparedCalibrations, coded
@@ -124,9 +125,7 @@ def equivalence(of: Participants, method: str | None = None) -> Equivalence:
     Raises `CalibrationError` if no unit was measured on two benches.
     """
     if not of.between_dof:
-        raise CalibrationError(
-            "no unit was measured on two benches, so that no bench is held against another"
-        )
+        raise CalibrationError("no unit was measured on two benches; measure one on both to compare them")
     plain = _by(of, 0.0, WEIGHTED_MEAN)
     if method == WEIGHTED_MEAN or (method is None and plain.consistent):
         return plain
@@ -245,10 +244,10 @@ class JointDifference:
 def together(
     differences: Floats, u: Floats, errors: Floats, of_errors: Floats
 ) -> tuple[JointDifference, ...]:
-    """Return the chi-square tests of m vectors of differences (m, 12) with standard uncertainties `u` (m, 12).
+    """Return the chi-square tests of m vectors of differences (m, p) with standard uncertainties `u` (m, p).
 
-    `errors` (m, 12, 12) are covariances due to calibration errors; only their correlations between coefficients are
-    used. `of_errors` (m, 12) is the part of u due to these errors. The rest of u, such as the dark uncertainty, is
+    `errors` (m, p, p) are covariances due to calibration errors; only their correlations between numbers are
+    used. `of_errors` (m, p) is the part of u due to these errors. The rest of u, such as the dark uncertainty, is
     uncorrelated between coefficients.
     """
     chi2 = []
@@ -264,36 +263,46 @@ def together(
 
 
 @dataclass(frozen=True)
-class BenchComparison:
-    """The comparison of benches with one another, for each of the twelve coefficients.
+class BenchesIn:
+    """The comparison of benches in m numbers `names`: the nine, or the twelve coefficients.
 
-    `benches` and `units` are the participants; `alone` are benches that share no unit with another. `found` has the
-    degrees of equivalence and `pairs` the differences between benches, by coefficient. `together` tests the degrees
-    of equivalence of each bench in all twelve coefficients jointly, `pairs_together` the differences of each pair.
+    `found` has the degrees of equivalence and `pairs` the differences between benches, by number. `together` tests
+    the degrees of equivalence of each bench in all numbers jointly, `pairs_together` the differences of each pair.
+    """
+
+    names: tuple[str, ...]
+    found: tuple[Equivalence, ...]
+    pairs: tuple[tuple[Pair, ...], ...]
+    together: tuple[JointDifference, ...]
+    pairs_together: tuple[JointDifference, ...]
+
+    def apart(self, benches: tuple[str, ...]) -> tuple[tuple[str, str, float], ...]:
+        """Return bench, number and E_n of each degree of equivalence with E_n > 1, the largest first."""
+        rows = [
+            (bench, name, float(en))
+            for name, one in zip(self.names, self.found, strict=True)
+            for bench, en in zip(benches, one.en, strict=True)
+            if en > 1.0
+        ]
+        return tuple(sorted(rows, key=lambda row: -row[2]))
+
+
+@dataclass(frozen=True)
+class BenchComparison:
+    """The comparison of benches with one another, in the `nine` and in the `twelve`.
+
+    `benches` and `units` are the participants; `alone` are benches that share no unit with another.
     """
 
     benches: tuple[str, ...]
     units: tuple[str, ...]
     alone: tuple[str, ...]
-    found: tuple[Equivalence, ...]
-    pairs: tuple[tuple[Pair, ...], ...]
-    together: tuple[JointDifference, ...]
-    pairs_together: tuple[JointDifference, ...]
+    nine: BenchesIn
+    twelve: BenchesIn
     calibrations: int
     signal: str
     simulated: bool
     notes: tuple[str, ...]
-
-    @property
-    def apart(self) -> tuple[tuple[str, str, float], ...]:
-        """Bench, coefficient and E_n of each degree of equivalence with E_n > 1, the largest first."""
-        rows = [
-            (bench, name, float(en))
-            for name, one in zip(COEFFICIENTS, self.found, strict=True)
-            for bench, en in zip(self.benches, one.en, strict=True)
-            if en > 1.0
-        ]
-        return tuple(sorted(rows, key=lambda row: -row[2]))
 
 
 def compare_benches(
@@ -305,28 +314,32 @@ def compare_benches(
     calibrations share (of the meters, and K2 and K3 of a block). Raises `CalibrationError` if no common unit links
     the benches.
     """
-    covariances, joint = joint_covariances(there), joint_of(there)
     (units, unit), (benches, bench) = coded(measured.unit), coded(measured.bench)
-    values = np.array([one.vector for one in there])
-    taking = [Participants(values[:, k], covariances[k], unit, bench) for k in range(len(COEFFICIENTS))]
-    found = tuple(equivalence(one, method) for one in taking)
-    by_pair = tuple(pairs(one) for one in taking)
     days = int((measured.when.max() - measured.when.min()) / np.timedelta64(1, "D"))
-    drifted = (
-        f"over {days} days: what a unit changed by between its calibrations counts as a difference of benches"
-    )
+    drifted = f"over {days} days: changes of a unit between its calibrations appear as differences of benches"
     return BenchComparison(
         benches=tuple(benches.tolist()),
         units=tuple(units.tolist()),
         alone=(),
-        found=found,
-        pairs=by_pair,
-        together=_benches_together(taking, found, joint),
-        pairs_together=_pairs_together(by_pair, joint),
+        nine=_compared(INTRINSIC, [one.in_nine() for one in there], unit, bench, method),
+        twelve=_compared(COEFFICIENTS, there, unit, bench, method),
         calibrations=len(measured),
         signal=measured.signal,
         simulated=measured.simulated,
         notes=(drifted,) if days else (),
+    )
+
+
+def _compared(
+    names: tuple[str, ...], there: Sequence[Snapshot], unit: Ints, bench: Ints, method: str | None
+) -> BenchesIn:
+    covariances, joint = joint_covariances(there), joint_of(there)
+    values = np.array([one.vector for one in there])
+    taking = [Participants(values[:, k], covariances[k], unit, bench) for k in range(len(names))]
+    found = tuple(equivalence(one, method) for one in taking)
+    by_pair = tuple(pairs(one) for one in taking)
+    return BenchesIn(
+        names, found, by_pair, _benches_together(taking, found, joint), _pairs_together(by_pair, joint)
     )
 
 

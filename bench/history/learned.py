@@ -26,7 +26,7 @@ WAVE_NAMES: Final = (
 )  # fmt: skip
 NEVER: Final = (
     "absolute gain of the voltmeters: 1 ppm of it is 1 ppm of every coefficient of every block",
-    "absolute zero of the voltmeters: it goes whole into the biases of every block",
+    "absolute zero of the voltmeters: it adds fully to the biases of every block",
 )
 
 
@@ -92,7 +92,7 @@ class Contradiction:
     @property
     def sentence(self) -> str:
         """The contradiction as a sentence."""
-        return f"{self.run} contradicts the others: {self.what} is {self.size:.3g} times what they lead to expect"
+        return f"{self.run} contradicts the others: {self.what} is {self.size:.3g} times the expected size"
 
 
 @dataclass(frozen=True)
@@ -168,11 +168,11 @@ class Learned:
     def not_identified(self) -> list[str]:
         """Return a sentence for each quantity that these runs do not determine, with the reason."""
         told = [
-            f"{name}.remount: {why}; it keeps its prior, a part of the stated limit that nobody knows"
+            f"{name}.remount: {why}; it keeps its prior, an unknown part of the stated limit"
             for name, why in self.not_told.items()
         ]
         told += [
-            f"{size.name}: the runs leave it as the bench file states it; it keeps its prior"
+            f"{size.name}: the runs do not improve the bench file's value; it keeps its prior"
             for size in self.sizes()
             if not size.told and size.name.endswith(".mean")
         ]
@@ -191,14 +191,13 @@ def _u(size: float, dof: float) -> float:
 LEAST_FREEDOM: Final = 2
 """Least degrees of freedom to separate a block's variation between runs from differences of meters."""
 NOT_EXCHANGED: Final = (
-    "differences between the voltmeters: no block was measured with voltmeters exchanged between its channels, "
-    "so that a difference passes for the block's; three runs of one block (two of two blocks), each voltmeter "
-    "on another channel, or a check block before and after a voltmeter was replaced tell them"
+    "differences between the voltmeters: unknown, as no block was measured with exchanged voltmeters; "
+    "measure three runs of one block (two of two blocks), each voltmeter on another channel"
 )
-ONE_METER: Final = "differences between the voltmeters: one reads all channels, so that there are none"
+ONE_METER: Final = "differences between the voltmeters: none: one voltmeter reads all channels"
 TOO_FEW: Final = (
-    "differences between the voltmeters: the runs with voltmeters exchanged are too few to tell them from what the "
-    "block does from run to run; one more run of that block, each voltmeter on another channel, tells both"
+    "differences between the voltmeters: too few runs with exchanged voltmeters; measure one more run of "
+    "that block, each voltmeter on another channel"
 )
 _PPM, _MICROVOLT = 1e-6, 1e-6
 
@@ -316,8 +315,8 @@ class MeterDifferences:
                 for group in dict.fromkeys(self.group)
             ]
             yield (
-                f"differences between voltmeters {', '.join(groups)}: no channel of a block met them both; a run "
-                "of one block with them exchanged tells these, too"
+                f"differences between voltmeters {', '.join(groups)}: no channel was read by both; "
+                "measure a block with these voltmeters exchanged"
             )
 
 

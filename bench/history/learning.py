@@ -210,9 +210,9 @@ def _angles(body: RunSums, theta: Floats, beliefs: Beliefs) -> list[Contradictio
         if p < LOOKED_AT_P:
             # a contradicting run inflates the variances and so hides itself: estimate them without it
             others = body.without([r])
-            anew = fitted(others, beliefs, theta)
+            refit = fitted(others, beliefs, theta)
             size, p = _angle_test(
-                body, r, anew, *Weighed.of(others, anew, len(beliefs.precision)).means(beliefs)
+                body, r, refit, *Weighed.of(others, refit, len(beliefs.precision)).means(beliefs)
             )
         if np.isfinite(size):
             found.append(Contradiction(name, ANGLES, size, p))
@@ -348,9 +348,9 @@ def learn(
     estimated. Raises `CalibrationError` if there are too few runs or repeats, or signals in different units.
     """
     if len(runs) < LEAST_RUNS:
-        raise CalibrationError(f"{len(runs)} run tells nothing of what runs share; give {LEAST_RUNS} or more")
+        raise CalibrationError(f"{len(runs)} run does not show what runs share; give {LEAST_RUNS} or more")
     if len({run.unit for run in runs}) > 1:
-        raise CalibrationError("these runs have signals in different units; learn from those of one unit")
+        raise CalibrationError("these runs have signals in different units; use runs in one unit")
     kept = list(runs)
     layout = Layout.of(kept, stand_u, by_installation=by_installation, waves=waves)
     noise = pooled_noise(kept, min(run.floor for run in kept))

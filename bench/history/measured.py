@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bench.base.arrays import Floats, Ints, Labels, Mask
+from bench.calibration.intrinsic import intrinsic
 from bench.calibration.result import CalibrationError
-from bench.model.geometry import COEFFICIENTS
+from bench.model.geometry import COEFFICIENTS, Block
 
 STANDARD_GRAVITY: Final = 9.80665
 """The g (m/s²) to which scale factors from different places are converted for comparison."""
@@ -44,7 +45,9 @@ class ComparedCalibrations:
     def __post_init__(self) -> None:
         """Refuse an empty table."""
         if not len(self.unit):
-            raise CalibrationError("no calibration with a unit, a bench and all twelve coefficients is left")
+            raise CalibrationError(
+                "no calibration with unit, bench and all twelve coefficients is left; widen the question"
+            )
 
     def __len__(self) -> int:
         """Return the number of calibrations."""
@@ -56,6 +59,27 @@ class ComparedCalibrations:
             self.unit[kept], self.kind[kept], self.bench[kept], self.when[kept], self.vector[kept],
             self.covariance[kept], self.meters[kept], self.signal, self.simulated,
         )  # fmt: skip
+
+    def in_nine(self) -> ComparedCalibrations:
+        """Return the table with the nine numbers free of the mounting, each array (n, 9) or (n, 9, 9).
+
+        Raises `CalibrationError` for a K that describes no block.
+        """
+        try:
+            own = [
+                intrinsic(Block.from_vector(v), c) for v, c in zip(self.vector, self.covariance, strict=True)
+            ]
+        except np.linalg.LinAlgError as error:
+            raise CalibrationError(
+                f"a calibration of {', '.join(sorted(set(self.unit)))}: {error}"
+            ) from error
+        variance = [one.jacobian**2 @ m**2 for one, m in zip(own, self.meters, strict=True)]
+        return replace(
+            self,
+            vector=np.array([one.values for one in own]),
+            covariance=np.array([one.covariance for one in own]),
+            meters=np.sqrt(np.minimum(variance, [np.diag(one.covariance) for one in own])),
+        )
 
     @property
     def variance(self) -> Floats:

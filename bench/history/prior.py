@@ -73,7 +73,7 @@ def prior_of(measured: ComparedCalibrations) -> Prior:
     kinds, _ = coded(measured.kind)
     units, unit = coded(measured.unit)
     if len(kinds) > 1:
-        raise CalibrationError(f"a prior is of one type of unit; there are {', '.join(kinds.tolist())}")
+        raise CalibrationError(f"a prior is for one type of unit; name one of {', '.join(kinds.tolist())}")
     if len(units) < LEAST_UNITS:
         raise CalibrationError(
             f"{len(units)} units of type {kinds[0]}: a prior needs {LEAST_UNITS} or more, each calibrated"
@@ -113,8 +113,8 @@ def _own(measured: ComparedCalibrations, unit: Ints) -> tuple[Floats, tuple[str,
     dof = int(np.sum(count - 1))
     if dof < LEAST_REPEATS:
         note = (
-            f"{dof} repeated calibrations do not show which part of u is a calibration's own: all that units "
-            "differ by is taken as theirs"
+            f"{dof} repeated calibrations do not show which part of u belongs to a calibration; all "
+            "differences count as the units'"
         )
         return np.zeros_like(measured.covariance), (note,)
     w = 1.0 / measured.variance

@@ -302,7 +302,7 @@ def pooled_noise(runs: Sequence[RunFit], floor: float) -> Floats:
     told = [run.scatter for run in runs if run.scatter.settings]
     if sum(scatter.settings for scatter in told) < LEAST_SETTINGS:
         raise CalibrationError(
-            "these runs hold too few repeats to tell their noise; take runs of a procedure with passes"
+            "these runs have too few repeats to show their noise; use runs of a procedure with passes"
         )
     matrix = np.concatenate([scatter.matrix for scatter in told])
     freedom = np.concatenate([scatter.freedom for scatter in told])

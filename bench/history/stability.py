@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -62,7 +63,7 @@ def read_static(path: Path) -> StaticRecord:
     suffixes = [s for s in UNITS if any(f"u{axis}_{s}" in header for axis in "xyz")]
     if len(suffixes) > 1:
         raise ReadingsError(
-            f"{path}, line 1: signal columns in different units ({', '.join(suffixes)}); all three must be alike"
+            f"{path}, line 1: signal columns in different units ({', '.join(suffixes)}); use one unit for all three"
         )
     suffix = suffixes[0] if suffixes else "v"
     names = ["time_s", *(f"u{axis}_{suffix}" for axis in "xyz")]
@@ -78,7 +79,7 @@ def read_static(path: Path) -> StaticRecord:
     if bad:
         more = [f"… and {len(bad) - LISTED_AT_ONCE} more"] if len(bad) > LISTED_AT_ONCE else []
         raise ReadingsError(
-            "\n".join([*bad[:LISTED_AT_ONCE], *more, "nothing was used; a record has no holes: cut it there"])
+            "\n".join([*bad[:LISTED_AT_ONCE], *more, "nothing was used; cut the record at the gap"])
         )
     table = np.array(rows, dtype=np.float64).reshape(-1, 4)
     return from_columns(str(path), UNITS[suffix], table[:, 0], table[:, 1:])
@@ -93,8 +94,8 @@ def from_columns(source: str, unit: str, time_s: Floats, signal: Floats) -> Stat
     """
     if len(time_s) < LEAST_SAMPLES:
         raise CalibrationError(
-            f"{source}: {len(time_s)} samples; an Allan deviation needs {LEAST_SAMPLES} or more, and tells "
-            "something of averaging over a quarter of the record at most"
+            f"{source}: {len(time_s)} samples; an Allan deviation needs {LEAST_SAMPLES} or more, and "
+            "covers averaging up to a quarter of the record"
         )
     whole = np.isfinite(time_s) & np.isfinite(signal).all(axis=1)
     if not np.all(whole):
@@ -107,20 +108,20 @@ def from_columns(source: str, unit: str, time_s: Floats, signal: Floats) -> Stat
         i = int(np.argmin(steps))
         raise CalibrationError(
             f"{source}: time_s does not rise after sample {i + 1} ({time_s[i]:g} s, then {time_s[i + 1]:g} s); "
-            "a record is one stretch in order"
+            "sort the rows, or cut the record there"
         )
     odd = np.abs(steps - usual) > 0.5 * usual
     if np.any(odd):
         i = int(np.argmax(odd))
         raise CalibrationError(
             f"{source}: time_s is not uniform: {steps[i]:g} s after sample {i + 1} (at {time_s[i]:g} s), "
-            f"{usual:g} s elsewhere; cut the record there, or sample it anew at a steady rate"
+            f"{usual:g} s elsewhere; cut the record there, or sample it again at a steady rate"
         )
     rates = np.array([part.mean() for part in np.array_split(steps, 10)]) / steps.mean() - 1.0
     if np.max(np.abs(rates)) > STEADY:
         raise CalibrationError(
             f"{source}: the sampling interval changes by {100 * float(np.ptp(rates)):.1f} % along the record; "
-            "sample it anew at a steady rate"
+            "sample it again at a steady rate"
         )
     return StaticRecord(source, unit, float(steps.mean()), np.asarray(signal, dtype=np.float64))
 
@@ -189,14 +190,14 @@ def averaging(curve: AllanCurve, terms: NoiseTerms, wanted: float | None = None)
             k = int(np.argmax(enough))
             return Averaging(float(curve.tau_s[k]), float(curve.deviation[k]), "the size asked for")
         k = int(np.argmin(high))
-        why = f"the size asked for is not reached; here it is least, at most {high[k]:.2g}"
+        why = f"the size asked for is not reached; the minimum, at most {high[k]:.2g}"
         return Averaging(float(curve.tau_s[k]), float(curve.deviation[k]), why, reached=False)
     fine = np.geomspace(curve.tau_s[0], curve.tau_s[-1], 400)
     flat = terms.slope(fine) >= FLAT
     if flat[0]:
         tau, why = float(curve.tau_s[0]), "the deviation does not fall from the first sample on"
     elif np.any(flat):
-        tau, why = float(fine[int(np.argmax(flat))]), "from here on longer averages gain little"
+        tau, why = float(fine[int(np.argmax(flat))]), "longer averages gain little from here"
     else:
         tau, why = float(curve.tau_s[-1]), "the deviation still falls; the record is too short to show more"
     return Averaging(tau, float(np.interp(tau, curve.tau_s, curve.deviation)), why)
@@ -213,16 +214,44 @@ def reading_advice(
     cycles = tau_s * line_frequency_hz
     usable = sorted(n for n in nplc if n >= REJECTS_LINE)
     if not usable:
-        raise CalibrationError("the voltmeters have no integration time of a whole power-line cycle")
+        raise CalibrationError("the voltmeters cannot integrate over a whole power-line cycle; use others")
     fitting = [n for n in usable if n * LEAST_OF_A_READING <= cycles] or usable[:1]
     each = fitting[-1]
     samples = max(LEAST_OF_A_READING, int(np.ceil(cycles / each - 1e-9)))
     if samples > most_samples:
         raise CalibrationError(
             f"an averaging time of {tau_s:.3g} s takes {samples} samples of {each:g} power-line cycles, but a "
-            f"reading has {most_samples} at most; ask for a larger size with --size"
+            f"reading has {most_samples} at most; give a larger size with --size"
         )
     return ReadingAdvice(samples, each, samples * each / line_frequency_hz)
+
+
+LONGEST_SEGMENT: Final = 4096
+SEGMENTS: Final = 8
+"""A record is cut into about twice so many segments, which overlap by half, none longer than `LONGEST_SEGMENT`."""
+
+
+@dataclass(frozen=True)
+class Spectrum:
+    """The one-sided power spectral density of the channels, `density` (m, 3) in unit²/Hz, at frequencies (m,), Hz.
+
+    White noise of the Allan term N has the density 2 N². `segments` is the number of segments averaged.
+    """
+
+    frequency_hz: Floats
+    density: Floats
+    segments: int
+
+
+def spectrum_of(record: StaticRecord) -> Spectrum:
+    """Return the spectrum by Welch's method, Hann windows, a straight line removed from each (IEEE Std 1554)."""
+    from scipy.signal import welch  # slow to import
+
+    n = len(record.signal)
+    length = min(max(n // SEGMENTS, 8), LONGEST_SEGMENT, n)
+    trend: Any = "linear"  # which the stubs of scipy lack
+    frequency, density = welch(record.signal, 1.0 / record.interval_s, nperseg=length, detrend=trend, axis=0)
+    return Spectrum(frequency[1:], density[1:], max(1, (n - length) // (length - length // 2) + 1))
 
 
 @dataclass(frozen=True)
@@ -240,6 +269,11 @@ class Stability:
     averages: tuple[Averaging, ...]
     advice: ReadingAdvice | None
     no_advice: str = ""
+
+    @cached_property
+    def spectrum(self) -> Spectrum:
+        """The power spectral density of the channels."""
+        return spectrum_of(self.record)
 
     @property
     def longest_s(self) -> float:

@@ -15,6 +15,9 @@ from bench.model.geometry import within_half_turn
 REFERENCE_C: Final = 20.0
 """Default reference temperature for the effects of temperature, °C."""
 
+METER_REFERENCE_C: Final = 23.0
+"""Reference temperature of the voltmeters, °C: that of their specifications (34401A User's Guide, chapter 8)."""
+
 SETTING_S: Final = 120.0
 """Assumed time from one setting to the next in a run without recorded times, s."""
 
@@ -88,9 +91,10 @@ class Conditions:
     `block_from_platform` of each mounting, NaN for an unknown installation; the forward model fills it in for
     effects with `needs_path`. If the rows come from several runs, `began_s` (n,) is the start of each row's run on
     the clock of `time_s`, and warm-up restarts in each run. `on_s` (n,) is the time since the unit was switched
-    on, `supply_v` (n, rails) the voltage of each supply rail minus its nominal voltage; both are NaN where unknown
-    and None if never recorded. `level_rad` (n, 4) holds the level readings of the row's mounting: alpha1, alpha2
-    and their standard uncertainties, NaN if none were taken.
+    on, `supply_v` (n, rails) the voltage of each supply rail minus its nominal voltage, `meter_c` (n,) the
+    temperature of the voltmeters; they are NaN where unknown and None if never recorded. `level_rad` (n, 4) holds
+    the level readings of the row's mounting: alpha1, alpha2 and their standard uncertainties, NaN if none were
+    taken.
     """
 
     mounts: tuple[Mounting, ...]
@@ -108,6 +112,7 @@ class Conditions:
     on_s: Floats | None = None
     level_rad: Floats | None = None
     supply_v: Floats | None = None
+    meter_c: Floats | None = None
 
     def __len__(self) -> int:
         return len(self.angle_rad)
@@ -166,6 +171,13 @@ class Conditions:
         Rows without a temperature are interpolated in time.
         """
         return self._between_known(self.temperature_c - self.reference_c)
+
+    @cached_property
+    def meter_warmth_k(self) -> Floats:
+        """Temperature of the voltmeters minus `METER_REFERENCE_C`, K, shape (n,); zero if never recorded."""
+        if self.meter_c is None:
+            return np.zeros(len(self))
+        return self._between_known(self.meter_c - METER_REFERENCE_C)
 
     @cached_property
     def above_nominal_v(self) -> Floats:
@@ -238,6 +250,7 @@ class Conditions:
         on_s: Floats | None = None,
         level_rad: Floats | None = None,
         supply_v: Floats | None = None,
+        meter_c: Floats | None = None,
     ) -> Conditions:
         """Build from columns of equal length.
 
@@ -263,6 +276,7 @@ class Conditions:
             on_s=on_s,
             level_rad=level_rad,
             supply_v=supply_v,
+            meter_c=meter_c,
         )
 
 

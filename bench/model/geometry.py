@@ -52,7 +52,7 @@ def frame_rotation(axis: str, angle_rad: float) -> Floats:
         case "z":
             rows = [[c, s, 0], [-s, c, 0], [0, 0, 1]]
         case _:
-            raise ValueError(f"an axis is x, y or z, not {axis!r}")
+            raise ValueError(f"state an axis x, y or z, not {axis!r}")
     return np.array(rows, dtype=np.float64)
 
 
@@ -88,11 +88,11 @@ def axes_matrix(axes: Sequence[str]) -> Floats:
     unit = {sign + "xyz"[i]: float(sign + "1") * identity[i] for sign in ("", "+", "-") for i in range(3)}
     for name in axes:
         if name not in unit:
-            raise ValueError(f"an axis is x, y, z, -x, -y or -z, not {name!r}")
+            raise ValueError(f"state an axis x, y, z, -x, -y or -z, not {name!r}")
     matrix = np.array([unit[name] for name in axes], dtype=np.float64)
     if matrix.shape != (3, 3) or not np.isclose(np.linalg.det(matrix), 1.0):
         raise ValueError(
-            f"the axes {list(axes)} are not three different ones in a right-handed order "
+            f"the axes {list(axes)} are not three different axes in right-handed order "
             "(installation 1 is [x, y, z], installation 2 is [-x, z, y])"
         )
     return matrix
@@ -135,7 +135,7 @@ def normal_gravity_m_s2(latitude_rad: float, height_m: float = 0.0) -> float:
     poles.
     """
     if not abs(latitude_rad) <= math.pi / 2 + 1e-9:
-        raise ValueError(f"a latitude lies between -90° and 90°, not at {math.degrees(latitude_rad):g}°")
+        raise ValueError(f"state a latitude between -90° and 90°, not {math.degrees(latitude_rad):g}°")
     s2 = math.sin(latitude_rad) ** 2
     on_ellipsoid = _EQUATOR_M_S2 * (1 + _SOMIGLIANA_K * s2) / math.sqrt(1 - _ECCENTRICITY_SQUARED * s2)
     h = height_m / _SEMI_MAJOR_M

@@ -24,6 +24,7 @@ from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from bench.base.files import from_text, read_regular, to_text, write_whole
+from bench.base.languages import known_language, message, speaking
 from bench.base.text import visible
 from bench.run.events import RecordError
 from drivers.clock import utc_now
@@ -114,7 +115,7 @@ class Person:
     def require(self, least: Role) -> None:
         """Raise `Refusal` (403) if the person's role is below `least`."""
         if not self.role.includes(least):
-            raise Refusal(403, f"{self.name} is signed in as {self.role}; this takes the role {least}")
+            raise Refusal(403, f"{self.name} is signed in as {self.role}; this needs the role {least}")
 
 
 class Refusal(Exception):
@@ -167,24 +168,36 @@ class Gate:
             await self._refuse(Request(scope), refusal)(scope, receive, with_headers)
             return
         taken = counted(receive) if scope["method"] == "POST" else without_body(receive)
-        await self._app(scope, taken, with_headers)
+        with speaking(_language_of(Request(scope))):
+            await self._app(scope, taken, with_headers)
 
     def _refused(self, scope: Scope) -> Refusal | None:
         """Return the refusal of a request by its headers; None if it may pass."""
         headers = Headers(scope=scope)
         host = headers.get("host", "")
         if len(headers.getlist("host")) > 1 or not self._settings.allows_host(host):
-            return Refusal(403, f"this panel is at {self._settings.url}")
+            return Refusal(403, message(f"this panel is at {self._settings.url}"))
         if scope["method"] not in METHODS:
-            return Refusal(405, "the panel knows GET and POST")
+            return Refusal(405, "the panel accepts GET and POST only; use its pages")
         if scope["method"] == "POST" and not self._settings.allows_origin(headers.get("origin", ""), host):
-            return Refusal(403, "this change was asked for by a page that is not the panel's")
+            return Refusal(403, "another web page asked for this change; use the panel itself")
         length = headers.get("content-length", "0")
         if "content-length" in headers and "transfer-encoding" in headers:
-            return Refusal(400, "a request has Content-Length or Transfer-Encoding, not both")
+            return Refusal(400, "the request has both Content-Length and Transfer-Encoding; send one")
         if not length.isascii() or not length.isdecimal() or len(length) > 9 or int(length) > LARGEST_BODY:
-            return Refusal(413, f"at most {LARGEST_BODY} bytes are taken")
+            return Refusal(413, f"at most {LARGEST_BODY} bytes are accepted; send less")
         return None
+
+
+LANGUAGE: Final = "bench-language"
+"""The cookie with the language that a person chose; without it the browser's languages count."""
+
+
+def _language_of(request: Request) -> str | None:
+    """Return the first known language of the cookie and of Accept-Language; None leaves that of the program."""
+    accepted = request.headers.get("accept-language", "")[:200].split(",")
+    wanted = [request.cookies.get(LANGUAGE, ""), *(one.partition(";")[0] for one in accepted)]
+    return next(filter(None, map(known_language, wanted)), None)
 
 
 def counted(receive: Receive) -> Receive:
@@ -193,11 +206,11 @@ def counted(receive: Receive) -> Receive:
 
     async def bounded() -> Message:
         nonlocal taken
-        message = await receive()
-        taken += len(message.get("body", b""))
+        received = await receive()
+        taken += len(received.get("body", b""))
         if taken > LARGEST_BODY:
-            raise Refusal(413, f"at most {LARGEST_BODY} bytes are taken")
-        return message
+            raise Refusal(413, message(f"at most {LARGEST_BODY} bytes are accepted; send less"))
+        return received
 
     return bounded
 
@@ -209,8 +222,8 @@ def without_body(receive: Receive) -> Receive:
     """
 
     async def dropped() -> Message:
-        message = await receive()
-        return {**message, "body": b""} if message["type"] == "http.request" else message
+        got = await receive()
+        return {**got, "body": b""} if got["type"] == "http.request" else got
 
     return dropped
 
@@ -221,21 +234,24 @@ def private_folder(folder: Path) -> Path:
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
         found = folder.lstat()
         if not stat.S_ISDIR(found.st_mode):
-            raise RecordError(f"{folder}: is a link, and the panel keeps its secrets in a folder; remove it")
+            raise RecordError(f"{folder}: is a link where the panel needs a folder; remove it")
         if os.name == "posix" and stat.S_IMODE(found.st_mode) & 0o077:
             folder.chmod(0o700)
     except OSError as error:
         raise RecordError(
-            f"{folder}: cannot be used ({error.strerror}); choose another folder of runs"
+            message(f"{folder}: cannot be used ({error.strerror}); choose another folder of runs")
         ) from error
     return folder
 
 
 class KeptList:
-    """A list of JSON objects in a file with a lock, so that several programs can change it."""
+    """A list of JSON objects in a file with a lock, so that several programs can change it.
 
-    def __init__(self, folder: Path, name: str) -> None:
-        self._path = folder / name
+    `remedy` tells what to do about a damaged file for which there is no copy.
+    """
+
+    def __init__(self, folder: Path, name: str, remedy: str = "remove it and make new tokens") -> None:
+        self._path, self._remedy = folder / name, remedy
         self._lock = FileLock(folder / f"{name}.lock", mode=0o600)
         self._stamp: tuple[int, int, int] | None = None
         self._rows: list[dict[str, Any]] = []
@@ -254,9 +270,17 @@ class KeptList:
             self._rows, self._stamp = [], None
         except (OSError, ValueError) as error:
             raise RecordError(
-                f"{self._path}: cannot be read; put a copy in its place, or remove it and make new tokens"
+                f"{self._path}: cannot be read; put a copy in its place, or {self._remedy}"
             ) from error
         return list(self._rows)
+
+    def put_aside(self, now: datetime, check: Callable[[list[dict[str, Any]]], object]) -> None:
+        """Rename the file if it is damaged: if reading it or `check` raises `RecordError`. Raises `OSError`."""
+        with self._lock:
+            try:
+                check(self.rows())
+            except RecordError:
+                self._path.rename(f"{self._path}.damaged-{now:%Y%m%d-%H%M%S}")
 
     @contextmanager
     def changed(self) -> Iterator[list[dict[str, Any]]]:
@@ -270,7 +294,9 @@ class KeptList:
                     write_whole(self._path, to_text(rows))
                     self._path.chmod(0o600)
         except OSError as error:
-            raise RecordError(f"{self._path}: cannot be written ({error.strerror}); free the disk") from error
+            raise RecordError(
+                f"{self._path}: cannot be written ({error.strerror}); free disk space"
+            ) from error
 
 
 TOKENS: Final = "tokens.json"
@@ -302,7 +328,7 @@ class Access:
         token = secrets.token_urlsafe(32)
         with self._tokens.changed() as rows:
             if any(row["name"] == name for row in rows):
-                raise RecordError(f"{name}: has a token already; 'bench panel revoke {name}' first")
+                raise RecordError(f"{name}: already has a token; use 'bench panel revoke {name}' first")
             rows.append(
                 {"name": name, "role": role.value, "sha256": _hash(token), "made": self._now().isoformat()}
             )
@@ -318,7 +344,7 @@ class Access:
             kept = [row for row in rows if row["name"] != name]
             if len(kept) == len(rows):
                 there = ", ".join(str(row["name"]) for row in rows) or "none"
-                raise RecordError(f"{name}: has no token; there are tokens of: {there}")
+                raise RecordError(message(f"{name}: has no token; there are tokens of: {there}"))
             rows[:] = kept
 
     # --- one-time links -----------------------------------------------------------------------------
@@ -403,9 +429,7 @@ def checked_person(name: str) -> str:
     """Return a person's name, stripped. Raises `RecordError` if it is empty, too long or not printable."""
     name = name.strip()
     if not name or len(name) > LONGEST_NAME or not name.isprintable() or visible(name) != name:
-        raise RecordError(
-            f"{visible(name)!r}: a name is text that can be printed, of 1 to {LONGEST_NAME} characters"
-        )
+        raise RecordError(f"{visible(name)!r}: give a name of 1 to {LONGEST_NAME} characters")
     return name
 
 

@@ -31,7 +31,7 @@ from bench.config.shipped import find_bench
 from bench.panel.access import PORT, STATE, Access, Gate, Refusal, Settings, is_loopback, private_folder
 from bench.panel.launching import Started, wait_until
 from bench.panel.launching import start as start_program
-from bench.panel.pages import bench, catalogue, plots, run, runs, sign_in, start, verdict
+from bench.panel.pages import bench, catalogue, plots, procedure, queue, run, runs, sign_in, start, verdict
 from bench.panel.shared import Panel, by_framework, by_record, by_refusal, load, refused, send_asset
 from bench.readings.csv import ReadingsError
 from bench.run.events import RecordError
@@ -47,11 +47,18 @@ ROUTES = [
     Route("/sign-in", sign_in.sign_in, methods=["GET"]),
     Route("/sign-in", sign_in.signed_in, methods=["POST"]),
     Route("/sign-out", sign_in.sign_out, methods=["POST"]),
+    Route("/language/{name}", sign_in.choose_language),
     Route("/static/{hash}/{name}", send_asset),
     Route("/start", start.form, methods=["GET"]),
     Route("/start", start.check, methods=["POST"]),
     Route("/start/{wish}", start.found),
     Route("/start/{wish}/go", start.go, methods=["POST"]),
+    Route("/queue", queue.queue, methods=["GET"]),
+    Route("/queue", queue.changed, methods=["POST"]),
+    Route("/queue/{item}", queue.item_changed, methods=["POST"]),
+    Route("/procedures", procedure.procedures),
+    Route("/procedures/form", procedure.form, methods=["GET"]),
+    Route("/procedures/form", procedure.sent, methods=["POST"]),
     Route("/bench", bench.benches),
     Route("/bench/form", bench.form, methods=["GET"]),
     Route("/bench/form", bench.sent, methods=["POST"]),
@@ -115,6 +122,7 @@ LATE: Final = (
     "bench.services.check_block",
     "bench.services.execution",
     "bench.services.source",
+    "bench.services.until",
     "bench.results.control_chart",
     "bench.results.verification",
     "bench.results.residuals",
@@ -228,8 +236,8 @@ OUTPUT: Final = "server.log"
 LOOKS_S: Final = 2.0
 
 OPEN_WIRE: Final = (
-    "this is plain HTTP: what goes over the network can be read and changed on the way, tokens too; put a "
-    "proxy with TLS before it and say --address https://… (documentation, 'The panel: TLS')"
+    "this is plain HTTP: others on the network can read and change everything, tokens too; put a proxy "
+    "with TLS before it and give --address https://… (documentation, 'The panel: TLS')"
 )
 
 
@@ -247,7 +255,7 @@ def serve(settings: Settings, tell: Callable[[str], None]) -> None:
         lock.acquire(timeout=LOOKS_S)  # `is_serving` in another program may hold it for a moment
     except Timeout:
         raise RecordError(
-            f"{settings.runs}: a panel serves this folder already at {url_of(settings.runs)}; "
+            f"{settings.runs}: a panel already serves this folder at {url_of(settings.runs)}; "
             "'bench panel link' makes a one-time link to it"
         ) from None
     with lock, _listening(settings) as listener:
@@ -289,11 +297,11 @@ def check(settings: Settings) -> None:
     address = urlsplit(settings.address)
     if settings.address and (address.scheme not in {"http", "https"} or not address.netloc or address.path):
         raise RecordError(
-            f"--address {settings.address}: give what a browser types, such as https://bench.lab"
+            f"--address {settings.address}: give the address as typed in a browser, such as https://bench.lab"
         )
     if not settings.loopback and not Access(settings.runs / STATE).tokens():
         raise RecordError(
-            "beyond this computer only who has a token comes in, and nobody has one: make one with "
+            "access from other computers needs a token, and there is none; make one with "
             "'bench panel token NAME --role operator'"
         )
 
@@ -344,9 +352,7 @@ def is_serving(runs: Path) -> bool:
 def link_of(runs: Path) -> str:
     """Return a one-time link to the panel that serves a folder. Raises `Refused` if none does."""
     if not is_serving(runs):
-        raise Refused(
-            f"{runs}: no panel serves this folder now; 'bench panel' begins one, and prints its link"
-        )
+        raise Refused(f"{runs}: no panel serves this folder; 'bench panel' starts one and prints its link")
     return new_link(runs)
 
 
@@ -375,7 +381,7 @@ def begin_panel(runs: Path, ports: Sequence[int] = (PORT, 0)) -> Started:
                 return started
         except Refusal as refusal:
             trouble = refusal.text
-    raise RecordError(f"{runs}: no panel begins there: {trouble or 'it takes too long'}")
+    raise RecordError(f"{runs}: no panel started there: {trouble or 'it takes too long'}")
 
 
 def new_link(runs: Path, after: str = "/") -> str:
@@ -386,7 +392,7 @@ def new_link(runs: Path, after: str = "/") -> str:
     url = url_of(runs)
     if not is_loopback((urlsplit(url).hostname or "").strip("[]")):
         raise RecordError(
-            f"links sign in on the bench's computer alone, and this panel is at {url or 'no address'}"
+            f"links work on the bench's computer only, but this panel is at {url or 'no address'}"
         )
     secret = Access(runs / STATE).new_link(login_name())
     return f"{url}/sign-in?link={secret}" + (f"&next={quote(after)}" if after != "/" else "")

@@ -15,6 +15,7 @@ from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
 from bench.base.arrays import CHANNELS
+from bench.base.languages import message
 from bench.base.units import QuantityKind, quantity_of, written_quantity
 from bench.base.yaml_files import FileMistake, Place, dotted
 from bench.config.bench_file.file import BenchFile
@@ -50,6 +51,8 @@ class BenchField:
     shows: bool = False
     found: bool = False
     """Whether the field takes a resource, for which those found are offered."""
+    many: bool = False
+    """Whether the field holds a list, written with commas between its members."""
 
 
 @dataclass(frozen=True)
@@ -87,8 +90,8 @@ def groups_of(values: Values) -> list[Group]:
 def _gravity(values: Values) -> Group:
     forms = _forms_of_gravity()
     chosen = values.get(GRAVITY_FORM, "")
-    words = (("", "not stated"), *((tag, tag) for tag in forms))
-    choice = BenchField(GRAVITY_FORM, GRAVITY, "Gravity is stated as", choices=words, shows=True)
+    words = (("", message("not stated")), *((tag, tag) for tag in forms))
+    choice = BenchField(GRAVITY_FORM, GRAVITY, message("Gravity is stated as"), choices=words, shows=True)
     told = ""
     inner: tuple[BenchField, ...] = ()
     if chosen in forms:
@@ -100,7 +103,7 @@ def _gravity(values: Values) -> Group:
             inner = (
                 BenchField("gravity", GRAVITY, "Gravity", _words(annotation, metadata) or "", required=True),
             )
-    return Group("Local gravity", GRAVITY, told, (choice, *inner))
+    return Group(message("Local gravity"), GRAVITY, told, (choice, *inner))
 
 
 def _forms_of_gravity() -> dict[str, tuple[Any, tuple[Any, ...]]]:
@@ -123,9 +126,9 @@ def _forms_of_gravity() -> dict[str, tuple[Any, tuple[Any, ...]]]:
 
 def _voltmeters(values: Values) -> Iterator[Group]:
     words = (
-        ("3", "three, one for each signal"), ("2", "two"), ("1", "one, which scans all signals"),
+        ("3", message("three, one for each signal")), ("2", "two"), ("1", message("one, which scans all signals")),
     )  # fmt: skip
-    choice = BenchField(METERS, METERS_PLACE, "Number of voltmeters", choices=words, shows=True)
+    choice = BenchField(METERS, METERS_PLACE, message("Number of voltmeters"), choices=words, shows=True)
     yield Group("Voltmeters", METERS_PLACE, "", (choice,))
     for index in range(number_of_meters(values)):
         group = _instrument(
@@ -133,7 +136,7 @@ def _voltmeters(values: Values) -> Iterator[Group]:
         )
         signal = values.get(f"{group.place}.channels", "")
         reads_one = any(one.at[-1] == "channels" for one in group.fields)
-        yield replace(group, title=f"Voltmeter of {signal}") if signal and reads_one else group
+        yield replace(group, title=message(f"Voltmeter of {signal}")) if signal and reads_one else group
 
 
 def number_of_meters(values: Values) -> int:
@@ -201,13 +204,18 @@ def _fields_of_key(key: str, info: FieldInfo, at: Place, default: Any) -> Iterat
     elif key == "inputs":
         for signal in CHANNELS:
             inside = (*place, signal)
-            yield BenchField(dotted(inside), inside, f"Input of {signal}", "the channel of the multiplexer")
+            yield BenchField(
+                dotted(inside),
+                inside,
+                message(f"Input of {signal}"),
+                message("the channel of the multiplexer"),
+            )
     elif (words := _words(info.annotation, info.metadata)) is not None:
         left_out = _left_out(info, default)
-        told = ". ".join(filter(None, (words, f"Left out: {left_out}" if left_out else "")))
+        told = ". ".join(filter(None, (words, message(f"Left out: {left_out}") if left_out else "")))
         choices = _choices(info.annotation)
         if choices and not required:
-            choices = (("", f"left out: {left_out}" if left_out else "left out"), *choices)
+            choices = (("", message(f"left out: {left_out}") if left_out else message("left out")), *choices)
         yield replace(one, help="" if choices else told, choices=choices)
 
 
@@ -223,7 +231,7 @@ def _label(key: str, at: Place) -> str:
 
 
 _PLAIN: Final[Mapping[Any, str]] = {
-    str: "", int: "a whole number", float: "a number", datetime.date: "a date such as 2026-03-02",
+    str: "", int: message("a whole number"), float: "a number", datetime.date: message("a date such as 2026-03-02"),
 }  # fmt: skip
 
 
@@ -232,25 +240,24 @@ def _words(annotation: Any, metadata: Iterable[Any]) -> str | None:
     kind = quantity_of(annotation, tuple(metadata))
     if kind is not None:
         return f"{kind.called} such as {kind.example}"
-    bare = _bare(annotation)
-    return "" if _choices(annotation) else _PLAIN.get(bare)
+    return "" if _choices(annotation) else _PLAIN.get(bare(annotation))
 
 
-def _bare(annotation: Any) -> Any:
+def bare(annotation: Any) -> Any:
     """Return the type of an annotation without metadata and without None; a union of several types as it is."""
     if get_origin(annotation) is Annotated:
-        return _bare(get_args(annotation)[0])
+        return bare(get_args(annotation)[0])
     if get_origin(annotation) in {Union, types.UnionType}:
         parts = [part for part in get_args(annotation) if part is not type(None)]
-        return _bare(parts[0]) if len(parts) == 1 else annotation
+        return bare(parts[0]) if len(parts) == 1 else annotation
     return annotation
 
 
 def _choices(annotation: Any) -> tuple[tuple[str, str], ...]:
-    bare = _bare(annotation)
-    if bare is bool:
+    inner = bare(annotation)
+    if inner is bool:
         return (("yes", "yes"), ("no", "no"))
-    return tuple((str(word), str(word)) for word in get_args(bare)) if get_origin(bare) is Literal else ()
+    return tuple((str(word), str(word)) for word in get_args(inner)) if get_origin(inner) is Literal else ()
 
 
 def _left_out(info: FieldInfo, default: Any) -> str:
@@ -300,10 +307,18 @@ def values_of(data: Any) -> dict[str, str]:
     return values
 
 
+def listed(values: Values, name: str) -> str:
+    """Return the members of a list with commas between them, as its field shows them."""
+    members: list[str] = []
+    while (inside := f"{name}[{len(members) + 1}]") in values:
+        members.append(values[inside])
+    return ", ".join(members)
+
+
 FORMS_OF_GRAVITY: Final = {
-    "value": "value of gravity",
-    "place": "location of gravity",
-    "source": "gravity with its source",
+    "value": message("value of gravity"),
+    "place": message("location of gravity"),
+    "source": message("gravity with its source"),
 }
 """The ways to state gravity, as the models of `bench.config.bench_file.stand` call them."""
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from bench.base.files import open_regular, read_json
+from bench.base.languages import message
 from bench.certificate.laboratory import load_laboratory
 from bench.certificate.register import Register
 from bench.panel.access import Refusal
@@ -38,15 +39,16 @@ class RunsFolder:
                 names = [one.name for one in found if one.is_dir(follow_symlinks=False)]
         except OSError:
             return []
-        return [Run(self.path / name) for name in names if self._holds(name)]
+        return [Run(self.path / name) for name in names if self.holds(name)]
 
     def run(self, name: str) -> Run:
         """Return the run with this name. Raises `Refusal` (404) if there is none."""
-        if not self._holds(name):
-            raise Refusal(404, "there is no run of that name")
+        if not self.holds(name):
+            raise Refusal(404, "no run has that name; see the list of runs")
         return Run(self.path / name)
 
-    def _holds(self, name: str) -> bool:
+    def holds(self, name: str) -> bool:
+        """Whether there is a run with this name."""
         if not name or name.startswith(".") or "/" in name or "\\" in name:
             return False
         try:
@@ -114,7 +116,7 @@ class Certificates:
         """Return a file of a run's certificate. Raises `Refusal` (404), `Refused` if it was tampered with."""
         register = self._read()
         if register is None or not any(name in one.files for one in self.of(run)):
-            raise Refusal(404, f"{run.name} has no such certificate")
+            raise Refusal(404, f"{run.name} has no such certificate; see its page")
         return register.file(name)
 
     def _read(self) -> Register | None:
@@ -125,7 +127,9 @@ class Certificates:
             try:
                 register.read_lines()
             except OSError as error:
-                raise Refused(f"{self._folder}: cannot be read ({error.strerror})") from error
+                raise Refused(
+                    f"{self._folder}: cannot be read ({error.strerror}); check name and permissions"
+                ) from error
             self._register = register
             return register
 
@@ -138,7 +142,7 @@ def _head_of(run: Run) -> str:
         return ""
 
 
-UNREAD: Final = "not read yet"
+UNREAD: Final = message("not read yet")
 LONGEST_LOOK_S: Final = 0.1
 """Longest time (s) that a page spends on reading runs; rows of the others show only their manifests."""
 TAIL: Final = 65_536

@@ -17,6 +17,7 @@ from typing import Any, Final
 
 from filelock import FileLock
 
+from bench.base.languages import message
 from bench.base.text import in_json
 from bench.panel.access import Person, Refusal, Role
 from drivers.clock import utc_now
@@ -138,7 +139,7 @@ def change(
     allowed, `OSError` if the journal cannot be written.
     """
     if word not in WORDS:
-        raise Refusal(400, f"ask for one of {', '.join(WORDS)}")
+        raise Refusal(400, message(f"ask for one of {', '.join(WORDS)}"))
     path = folder / JOURNAL
     with FileLock(folder / f".{JOURNAL}.lock", mode=0o600):
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o644)
@@ -147,7 +148,7 @@ def change(
             before = _told(text)
             to = _checked(before, word, person, to)
             if len(text) > LARGEST and word in {"ask", "deny"}:
-                raise Refusal(429, "this was asked too often")
+                raise Refusal(429, "too many requests; wait a minute")
             line = {"did": WORDS[word].value, "who": person.name, "role": person.role.value}
             line |= {"to": to} if to else {}
             line["at"] = now().isoformat()
@@ -166,24 +167,25 @@ def _checked(holding: Holding, word: str, person: Person, to: str) -> str:
     holds = holding.holder == person.name
     match word:
         case "take" | "ask" | "force" if holds:
-            raise Refusal(409, f"{person.name} is in control already")
+            raise Refusal(409, f"{person.name} is already in control; ask for control")
         case "take" if holding.holder:
-            raise Refusal(409, f"{holding.holder} is in control; ask for it")
+            raise Refusal(409, message(f"{holding.holder} is in control; ask for it"))
         case "ask" if not holding.holder:
-            raise Refusal(409, "nobody is in control; take it")
+            raise Refusal(409, "nobody is in control; take control first")
         case "ask" if len(holding.asking) >= MOST_ASKING:
-            raise Refusal(429, "too many ask for it already")
+            raise Refusal(429, "too many ask already; wait")
         case "ask" if person.name in holding.asking:
-            raise Refusal(409, f"{person.name} has asked already")
+            raise Refusal(409, f"{person.name} has already asked; wait")
         case "grant" | "deny" | "release" if not holds:
-            raise Refusal(
-                403, f"only who is in control may do that, and that is {holding.holder or 'nobody'}"
-            )
+            raise Refusal(403, f"only the person in control may do that: {holding.holder or 'nobody'}")
         case "grant" | "deny":
             to = to or next(iter(holding.asking), "")
             if to not in holding.asking:
                 raise Refusal(
-                    409, f"{to or 'nobody'} has not asked for it" if to else "nobody has asked for it"
+                    409,
+                    f"{to or 'nobody'} did not ask for control"
+                    if to
+                    else "nobody asked for control; keep it or let go",
                 )
             return to
     return ""
@@ -194,4 +196,6 @@ def require_holder(folder: Path, person: Person) -> None:
     person.require(Role.OPERATOR)
     holder = read_holding(folder).holder
     if holder != person.name:
-        raise Refusal(403, f"{holder or 'nobody'} is in control; {'ask for' if holder else 'take'} it first")
+        raise Refusal(
+            403, message(f"{holder or 'nobody'} is in control; {'ask for' if holder else 'take'} it first")
+        )

@@ -17,6 +17,7 @@ from typing import Any, Final
 from filelock import FileLock, Timeout
 
 from bench.base.files import from_text, open_regular, read_regular, to_text, write_whole
+from bench.base.languages import message
 from bench.base.requests import fields_of
 from bench.base.text import visible
 from bench.base.yaml_files import FileMistakes
@@ -82,7 +83,7 @@ def wait_until(begun: Callable[[], bool], started: Started, clock: Clock | None 
         if (status := started.status) is not None:
             if begun():
                 return True
-            raise Refusal(409, f"it did not begin (exit status {status}): {started.last_words()}")
+            raise Refusal(409, f"it did not start (exit status {status}): {started.last_words()}")
         if clock.now_s() > until_s:
             return False
         clock.sleep(NAP_S)
@@ -112,11 +113,12 @@ class WantedRun:
     """A requested run: the fields of `RunRequest` from the form, and the hashes of its files when checked.
 
     Procedure and bench are absolute paths; `sha256` has the hash of each. A dry run is for practice: a person
-    answers its prompts.
+    answers its prompts. `queued` is the id of the item of the queue that it is for, empty for none.
     """
 
     fields: Mapping[str, str | bool]
     sha256: Mapping[str, str] = field(default_factory=dict)
+    queued: str = ""
 
     @property
     def request(self) -> RunRequest:
@@ -138,7 +140,9 @@ class WantedRun:
                 for path in (str(self.request.procedure), str(self.request.bench))
             }
         except OSError as error:
-            raise Refusal(409, f"{error.filename}: cannot be read ({error.strerror})") from error
+            raise Refusal(
+                409, f"{error.filename}: cannot be read ({error.strerror}); check name and permissions"
+            ) from error
 
 
 @dataclass(frozen=True)
@@ -208,7 +212,7 @@ class WishFolder:
             with (self.path / STARTED).open("x", encoding="utf-8") as file:
                 file.write(name)
         except FileExistsError:
-            raise Refusal(409, f"this was started already, as {self.started()}") from None
+            raise Refusal(409, f"this was already started; see the run {self.started()}") from None
 
     def unmark_started(self) -> None:
         """Delete the mark of `mark_started`, because the run did not begin."""
@@ -227,7 +231,7 @@ class WishFolder:
         except (OSError, ValueError):
             told = None
         if not isinstance(told, dict):
-            raise Refusal(404, "this is not there any more; begin again")
+            raise Refusal(404, "this no longer exists; start again")
         return told
 
 
@@ -244,7 +248,7 @@ class Wishes:
         before.sort(key=lambda one: one.stat().st_mtime)
         idle = [one for one in before if not WishFolder(one).at_work()]
         if len(before) - len(idle) >= MOST_AT_ONCE:
-            raise Refusal(429, "two runs are being tried already; wait until one is done")
+            raise Refusal(429, message("two runs are being tried already; wait until one is done"))
         for old in idle[: max(len(before) - MOST_KEPT + 1, 0)]:
             shutil.rmtree(old, ignore_errors=True)
         wish = WishFolder(self._folder / secrets.token_hex(6))
@@ -256,7 +260,7 @@ class Wishes:
     def of(self, wish_id: str) -> WishFolder:
         """Return the folder of the wish with this id. Raises `Refusal` (404) if there is none."""
         if re.fullmatch(r"[0-9a-f]{12}", wish_id) is None or not (self._folder / wish_id / WISH).is_file():
-            raise Refusal(404, "this is not there any more; begin again")
+            raise Refusal(404, "this no longer exists; start again")
         return WishFolder(self._folder / wish_id)
 
 
@@ -287,16 +291,18 @@ def name_of(wanted: WantedRun, runs: RunsFolder) -> str:
     except RecordError as mistake:
         raise Refusal(400, str(mistake)) from mistake
     if (runs.path / name).exists():
-        raise Refusal(409, f"there is a run {name} already; choose another name")
+        raise Refusal(409, f"the run {name} exists; choose another name")
     return name
 
 
-def start_run(wish: WishFolder, runs: RunsFolder) -> Run:
-    """Start a requested run in a separate process; return the run once its record exists. Raises `Refusal`."""
+def start_run(wish: WishFolder, name: str, runs: RunsFolder) -> Run:
+    """Start a requested run in a separate process; return the run once its record exists. Raises `Refusal`.
+
+    `name` is its name, from `name_of`.
+    """
     wanted = wish.wanted()
     if wanted.changed():
-        raise Refusal(409, "procedure or bench file was changed since they were checked; check them again")
-    name = name_of(wanted, runs)
+        raise Refusal(409, "procedure or bench file changed after the check; check them again")
     wish.mark_started(name)
     asked = replace(wanted.request, name=name, runs=runs.path.absolute(), answers=ANSWERS)
     arguments = ["run", *arguments_of(asked)]
@@ -308,7 +314,7 @@ def start_run(wish: WishFolder, runs: RunsFolder) -> Run:
         wish.unmark_started()
         raise
     if not begun:
-        raise Refusal(409, "it takes long to begin; look among the runs in a moment")
+        raise Refusal(409, "starting takes long; look at the list of runs in a moment")
     return runs.run(name)
 
 
@@ -318,7 +324,7 @@ def resume_run(run: Run) -> None:
     Raises `Refusal` if a program is carrying out the run, or if the process ends before it has begun.
     """
     if is_being_written(run.folder):
-        raise Refusal(409, "a program is carrying out this run now")
+        raise Refusal(409, message("a program is carrying out this run now"))
     started = start(
         ["resume", str(run.folder.absolute()), f"--runs={_runs(run)}", f"--answers={ANSWERS}"], _output(run)
     )
@@ -378,7 +384,7 @@ def chosen_procedure(name: str, runs: RunsFolder) -> Path:
         run = runs.run(name.removeprefix(OF_RUN))
         file = run.folder / NEXT
         if file.is_symlink() or not file.is_file():
-            raise Refusal(404, f"{run.name}: its diagnosis proposes no measurement")
+            raise Refusal(404, f"{run.name}: its diagnosis proposes no measurement; choose a procedure")
         return file
     return _chosen(PROCEDURES, name, "procedure")
 
@@ -390,14 +396,14 @@ def chosen_bench(name: str, runs: RunsFolder) -> Path:
         original = Path(str(run.manifest.get("bench", "")))
         if original in choices(CONFIG).values() or original.name in choices(CONFIG):
             return original
-        raise Refusal(404, f"{run.name}: its bench file is not at hand any more; choose one")
+        raise Refusal(404, f"{run.name}: its bench file is no longer here; choose one")
     return _chosen(CONFIG, name, "bench file")
 
 
 def _chosen(kind: str, name: str, called: str) -> Path:
     found = choices(kind).get(name)
     if found is None:
-        raise Refusal(400, f"there is no {called} of that name to choose")
+        raise Refusal(400, f"there is no {called} of that name; choose from the list")
     return found
 
 

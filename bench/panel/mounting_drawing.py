@@ -16,6 +16,7 @@ from typing import Final
 import numpy as np
 
 from bench.base.arrays import CHANNELS, Floats
+from bench.base.languages import message
 from bench.model import Installation
 from drivers.angles import format_dms
 
@@ -114,26 +115,30 @@ def turn(installation: Installation | None, from_rad: float | None, to_rad: floa
     if installation is not None:
         _block(sheet, installation, to_rad)
     _way(sheet, from_rad, to_rad, direction)
-    sense = "against the clock (angle rising)" if direction > 0 else "with the clock (angle falling)"
-    words = f"turn to {format_dms(to_rad % math.tau)}, arriving {sense}"
+    sense = (
+        message("against the clock (angle rising)")
+        if direction > 0
+        else message("with the clock (angle falling)")
+    )
+    words = message(f"turn to {format_dms(to_rad % math.tau)}, arriving {sense}")
     if installation is not None:
-        words += f"; then {in_words(installation, to_rad)}"
+        words += "; " + message(f"then {in_words(installation, to_rad)}")
     return sheet.svg(words)
 
 
 def in_words(installation: Installation, angle_rad: float) -> str:
     """Return where each axis of the block points: "x points right, y points away from you along the shaft, …"."""
     said = [
-        f"{channel} points {_where(axis)}"
+        message(f"{channel} points {_where(axis)}")
         for channel, axis in zip(CHANNELS, block_axes(installation, angle_rad), strict=True)
     ]
     return ", ".join(said)
 
 
 _WAYS: Final = (
-    ("right", "left"),
-    ("away from you along the shaft", "towards you along the shaft"),
-    ("up", "down"),
+    (message("right"), message("left")),
+    (message("away from you along the shaft"), message("towards you along the shaft")),
+    (message("up"), message("down")),
 )
 
 
@@ -160,7 +165,7 @@ def _circle(
 def _bench(sheet: Sheet, angle_rad: float) -> None:
     """Draw the shaft, the platform as a graduated disc across it, and a line for the horizontal ("level")."""
     sheet.line("shaft", on_sheet(np.array([0.0, 0.3, 0.0])), on_sheet(np.array([0.0, SHAFT, 0.0])))
-    sheet.words("quiet", on_sheet(np.array([0.0, SHAFT, 0.0])) + np.array([6.0, -18.0]), "shaft")
+    sheet.words("quiet", on_sheet(np.array([0.0, SHAFT, 0.0])) + np.array([6.0, -18.0]), message("shaft"))
     sheet.path("disc back", _circle(DISC, CUBE + DEPTH), closed=True)
     sheet.path("disc", _circle(DISC, CUBE), closed=True)
     for degrees in range(0, 360, 15):
@@ -223,4 +228,4 @@ def _way(sheet: Sheet, from_rad: float | None, to_rad: float, direction: int) ->
         span = min(span, ahead) if ahead > math.radians(12.0) else math.radians(24.0)
     sheet.arrow("way", _circle(DISC + 0.17, CUBE, to_rad - direction * span, to_rad, 24), 15.0,
                 more=f' data-direction="{direction}"')  # fmt: skip
-    sheet.words("target", FOOT, f"to {format_dms(to_rad % math.tau)}")
+    sheet.words("target", FOOT, message(f"to {format_dms(to_rad % math.tau)}"))

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-from bench.base.numbers import probability, rounded, scale_for, uncertainty
+from bench.base.languages import message
+from bench.base.numbers import probability, rounded, uncertainty
 from bench.panel.folder import RunsFolder
 from bench.panel.results import CALIBRATE, Results, VerdictTold, is_plain, results_of
 from bench.run.events import RecordError
@@ -85,9 +86,9 @@ def outcome_of(run: Run, runs: RunsFolder, *, alive: bool, finished: bool) -> Ou
 def _misfit(found: Results) -> str:
     """Return the reason to diagnose a run: readings that the model does not fit, or a verdict that is no pass."""
     if found.calibration is not None and not found.calibration.fits:
-        return "The model does not fit the readings. The diagnosis looks for the missing effect."
+        return message("The model does not fit the readings. The diagnosis looks for the missing effect.")
     if found.verdict is not None and not found.verdict.passed:
-        return "The block did not pass. The diagnosis looks for the cause."
+        return message("The block did not pass. The diagnosis looks for the cause.")
     return ""
 
 
@@ -105,27 +106,28 @@ def _change(run: Run, runs: RunsFolder) -> Change | None:
         files = tuple(str(one.folder / CALIBRATE) for one in (previous, run))
         found = compare_result(compared(Compare(files)).found, ())
     except (Refused, ValueError, KeyError, OSError) as error:
-        return Change(previous.name, f"The two calibrations cannot be compared: {error}", changed=False)
+        return Change(
+            previous.name, message(f"The two calibrations cannot be compared: {error}"), changed=False
+        )
     (later,) = found.compared
-    rows = sorted(later.coefficients.items(), key=lambda one: one[1].p_all_looks)
+    rows = sorted(later.intrinsic.values.items(), key=lambda one: one[1].p_all_looks)
     listed = tuple(_row(name, one.difference, 2 * one.u, found.unit) for name, one in rows if one.changed)
-    if listed:
-        sentence = f"Changed beyond the uncertainty: {len(listed)} of {len(rows)} coefficients."
+    if found.changed and listed:
+        sentence = f"Changed beyond the uncertainty: {len(listed)} of the nine numbers free of the mounting."
     elif found.changed:
-        sentence = "No single coefficient changed, but all of them together did."
+        sentence = "No single number changed, but all of them together did."
     else:
-        sentence = "No coefficient changed beyond its uncertainty."
-    sentence += f" All {len(rows)} together: {probability(later.p)}."
-    return Change(previous.name, sentence, found.changed, listed[:MOST_CHANGES])
+        sentence = "Nothing changed beyond its uncertainty."
+    sentence += f" All {len(rows)} together: {probability(later.intrinsic.p)}."
+    return Change(previous.name, sentence, found.changed, listed[:MOST_CHANGES] if found.changed else ())
 
 
 def _row(name: str, difference: float, expanded: float, unit: str) -> str:
-    scale = scale_for(abs(difference), unit)
-    per = "" if name.startswith("U0") else "/g"
-    return (
-        f"{name}: {rounded(difference / scale.size, expanded / scale.size, sign=True)} "
-        f"± {uncertainty(expanded / scale.size)} {scale.unit}{per}"
-    )
+    from bench.results.intrinsic import small_unit
+
+    size, shown = small_unit(name, abs(difference), unit)
+    sizes = rounded(difference / size, expanded / size, sign=True), uncertainty(expanded / size)
+    return f"{name}: {sizes[0]} ± {sizes[1]} {shown}"
 
 
 def previous_calibration(run: Run, runs: RunsFolder) -> Run | None:
@@ -190,6 +192,8 @@ def picture_of(verdict: VerdictTold) -> Picture:
             )
             for i, row in enumerate(verdict.rows)
         ),
-        label=f"Δg ± U at {len(verdict.rows)} verification points, with the limits ±{verdict.limit} "
-        f"{verdict.unit}; worst |Δg| {verdict.worst} ± {verdict.expanded} {verdict.unit}",
+        label=message(
+            f"Δg ± U at {len(verdict.rows)} verification points, with the limits ±{verdict.limit} "
+            f"{verdict.unit}; worst |Δg| {verdict.worst} ± {verdict.expanded} {verdict.unit}"
+        ),
     )

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from bench.base.files import from_text
+from bench.base.languages import message
 from bench.base.numbers import without_infinity
 from bench.base.text import visible
 from bench.base.yaml_files import FileMistakes
@@ -73,9 +74,9 @@ def _measured(run: Run, trouble: list[str]) -> Numbers:
         try:
             fitted = _fitted(run)
         except (Refused, RecordError, FileMistakes, ReadingsError, OSError, ValueError) as error:
-            trouble.append(f"{run.name}: its residuals cannot be computed: {error}")
+            trouble.append(message(f"{run.name}: its residuals cannot be computed: {error}"))
     else:
-        trouble.append(f"{run.name} has no calibration yet.")
+        trouble.append(message(f"{run.name} has no calibration yet."))
     times = {} if fitted is None else fitted.times
     return {
         "residuals": fitted and {"unit": fitted.unit, "points": list(fitted.points)},
@@ -213,7 +214,7 @@ def table_of(plots: Numbers, name: str) -> Rows:
     """Return a plot's numbers as a table with a head. Raises `Refusal` (404) for a plot that is not there."""
     found = list(_rows(plots, name))
     if len(found) < 2:  # a head alone
-        raise Refusal(404, "there is no such table")
+        raise Refusal(404, "no such table; choose one of the page")
     return found
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Final, TypeVar
 
 from bench.base.files import from_text
+from bench.base.languages import message
 from bench.base.numbers import rounded, scale_for, uncertainty
 from bench.panel.access import Refusal
 from bench.panel.folder import read_page
@@ -23,11 +24,11 @@ DIAGNOSIS: Final = "diagnose.html"
 UNREADABLE: Final = "{}: cannot be read; 'bench report {}' makes it again"
 
 FIGURES: Final = {
-    "residuals": b"Residuals of channels x, y, z against head angle",
-    "residuals-in-time": b"Residuals of channels x, y, z against ",
-    "verification": b"\xce\x94g at ",
+    "residuals": b"residuals-angle",
+    "residuals-in-time": b"residuals-order",
+    "verification": b"verification",
 }
-"""The figures of the report, each with the beginning of the `aria-label` by which it is found."""
+"""The figures of the report, each with the beginning of the identifiers in it, by which it is found."""
 
 _STATES: Final = {
     "pass": "passed",
@@ -41,7 +42,7 @@ _MARKS: Final = {"passed": "✓", "failed": "✗"}
 
 MISFIT: Final = 0.01
 """Significance level of the lack of fit."""
-NO_MISFIT: Final = "no lack of fit is shown at 1 %"
+NO_MISFIT: Final = message("no lack of fit is shown at 1 %")
 
 Told = TypeVar("Told")
 
@@ -185,7 +186,7 @@ def _point(one: Mapping[str, Any], size: float, limit: float, rule: str) -> Poin
     risk = one.get("p_false_accept")
     return PointRow(
         where=f"{float(one['angle_deg']):.4f}°"
-        + (f" (pass {one['pass']}, point {one['point']})" if "pass" in one else ""),
+        + (message(f" (pass {one['pass']}, point {one['point']})") if "pass" in one else ""),
         delta=rounded(float(one["delta_g"]) / size, expanded, sign=True),
         expanded=uncertainty(expanded),
         false_accept=_in_words(risk),
@@ -212,9 +213,12 @@ def _expanded(one: Mapping[str, Any]) -> float:
 
 
 def _risk(told: Mapping[str, Any]) -> str:
-    for key, words in (("p_false_accept", "a false acceptance"), ("p_false_reject", "a false rejection")):
+    for key, words in (
+        ("p_false_accept", message("a false acceptance")),
+        ("p_false_reject", message("a false rejection")),
+    ):
         if told.get(key) is not None:
-            return f"probability of {words}: {_in_words(told[key])}"
+            return message(f"probability of {words}: {_in_words(told[key])}")
     return ""
 
 
@@ -235,7 +239,7 @@ def _calibration(told: Mapping[str, Any]) -> CalibrationTold:
     residual = told.get("residual") or {}
     p = residual.get("p")
     fits = p is None or float(p) >= MISFIT
-    fit = "the model does not fit the readings" if not fits else "" if p is None else NO_MISFIT
+    fit = message("the model does not fit the readings") if not fits else "" if p is None else NO_MISFIT
     return CalibrationTold(
         tuple(rows),
         tuple(map(str, told.get("not_observable", ()))),
@@ -249,8 +253,8 @@ _WORDS: Final = {
     "agrees": "model and readings agree",
     "mistake": "a mistake in procedure or wiring",
     "named": "an effect that the model lacks, named",
-    "confounded": "something is missing, and several explain it equally",
-    "unknown": "something is missing that nothing known explains",
+    "confounded": "an effect is missing, and several explain it equally",
+    "unknown": "no known effect explains the readings",
 }
 
 
@@ -262,7 +266,7 @@ def _diagnosis(told: Mapping[str, Any]) -> DiagnosisTold:
         if one.get("channels"):
             text += f" (channels {', '.join(map(str, one['channels']))})"
         if one.get("cannot_tell_from"):
-            text += ", not to be told from " + ", ".join(
+            text += ", indistinguishable from " + ", ".join(
                 str(o).replace("_", " ") for o in one["cannot_tell_from"]
             )
         effects.append(text)
@@ -281,7 +285,7 @@ def figure_of(run: Run, name: str) -> bytes:
                 end = page.find(b"</svg>", found.end())
                 if end > 0:
                     return _as_file(page[found.start() : end + len(b"</svg>")])
-    raise Refusal(404, f"the report of {run.name} has no such figure")
+    raise Refusal(404, f"the report of {run.name} has no such figure; choose one of the page")
 
 
 def _as_file(svg: bytes) -> bytes:

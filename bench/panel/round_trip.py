@@ -1,10 +1,10 @@
-"""Changes of a bench file that keep its comments, its order and its style (`ruamel.yaml`)."""
+"""Changes of bench files and procedures that keep their comments, order and style (`ruamel.yaml`)."""
 
 from __future__ import annotations
 
 import io
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from datetime import datetime
 from typing import TYPE_CHECKING, Any, Final
 
@@ -14,8 +14,10 @@ from bench.panel.bench_fields import (
     GRAVITY,
     GRAVITY_FORM,
     ONE_ROLE,
+    BenchField,
     Group,
     Values,
+    listed,
     number_of_meters,
     values_of,
 )
@@ -34,20 +36,40 @@ def changed_text(text: str, values: Values, groups: Iterable[Group]) -> str:
     `groups` are those of the form; keys without a field stay as they are. Raises `yaml.YAMLError` if the text is
     no YAML, `ImportError` without `ruamel.yaml`.
     """
+    groups = list(groups)
+
+    def arrange(tree: Any, before: Values) -> None:
+        _arrange(tree, values, before, groups)
+
+    return edited_text(text, values, [one for group in groups for one in group.fields], arrange)
+
+
+def edited_text(
+    text: str,
+    values: Values,
+    fields: Iterable[BenchField],
+    arrange: Callable[[Any, Values], None] = lambda tree, before: None,
+) -> str:
+    """Return a text with the values of its fields, the text itself where they say the same.
+
+    A field left empty has no key in the file. `arrange(tree, values before)` first changes the sections. Raises
+    as `changed_text`.
+    """
     yaml = _yaml()
     tree = yaml.load(text)
     before = values_of(read_yaml(text).data)
-    groups = list(groups)
-    _arrange(tree, values, before, groups)
+    arrange(tree, before)
     before = {**before, **_emptied(tree, before)}
-    for group in groups:
-        for one in group.fields:
-            wanted = values.get(one.name, "").strip()
-            if not one.name.startswith("form:") and wanted != before.get(one.name, ""):
-                _put(tree, one.at, wanted)
+    for one in fields:
+        wanted = values.get(one.name, "").strip()
+        if not one.name.startswith("form:") and wanted != (
+            listed(before, one.name) if one.many else before.get(one.name, "")
+        ):
+            _put(tree, one, wanted)
     out = io.StringIO()
     yaml.dump(tree, out)
-    return with_comments(text, out.getvalue())
+    made = with_comments(text, out.getvalue())
+    return text if read_yaml(made).data == read_yaml(text).data else made
 
 
 def signed(text: str, name: str, now: datetime) -> str:
@@ -62,17 +84,18 @@ def _yaml() -> YAML:
     from ruamel.yaml.resolver import VersionedResolver
 
     class Plain(VersionedResolver):
-        """A resolver without types of scalars."""
+        """A resolver that reads every plain scalar as text."""
 
         @property
         def versioned_resolver(self) -> Any:
-            """The patterns of types: none."""
-            return {}
+            """The patterns of types: nothing at all is nothing, and not an empty text."""
+            return {"": [("tag:yaml.org,2002:null", re.compile(r"^$"))]}
 
     yaml = YAML()
     yaml.Resolver = Plain
     yaml.preserve_quotes = True
     yaml.width = WIDEST
+    yaml.brace_single_entry_mapping_in_flow_sequence = True
     yaml.indent(mapping=2, sequence=4, offset=2)
     return yaml
 
@@ -134,16 +157,16 @@ def _emptied(tree: Any, before: Values) -> Mapping[str, str]:
 # --- values -----------------------------------------------------------------------------------------
 
 
-def _put(tree: Any, at: Place, text: str) -> None:
-    """Set a text at a place, with the sections that lead to it; an empty text removes its key."""
+def _put(tree: Any, one: BenchField, text: str) -> None:
+    """Set the text of a field, with the sections that lead to it; an empty text removes its key."""
     if not text:
-        _remove(tree, at)
+        _remove(tree, one.at)
         return
-    section, key = _reach(tree, at[:-1]), at[-1]
-    if key == "channels":
-        signals = _sequence()
-        signals.append(text)
-        section[key] = signals
+    section, key = _reach(tree, one.at[:-1]), one.at[-1]
+    if key == "channels" or one.many:
+        words = _sequence()
+        words.extend(part for word in text.split(",") if (part := word.strip()))
+        section[key] = words
         return
     section[key] = _scalar(text, section.get(key) if isinstance(section, dict) else None)
 
@@ -182,6 +205,13 @@ def _reach(tree: Any, at: Place) -> Any:
             section[step] = _mapping()
         section = section[step]
     return section
+
+
+def in_one_line(value: dict[str, str] | list[str]) -> Any:
+    """Return a mapping or a list that is written in one line."""
+    made = _mapping() if isinstance(value, dict) else _sequence()
+    (made.update if isinstance(value, dict) else made.extend)(value)
+    return made
 
 
 def _mapping() -> Any:

@@ -11,6 +11,7 @@ from typing import Final
 
 from bench.base.computing import uncollected
 from bench.base.files import open_regular
+from bench.base.languages import message
 from bench.config.procedure.plan import Mount, Plan, Read, SetTemperature, Settle, Step, Turn, Wait
 from bench.readings.reading import Reading
 from bench.run.events import (
@@ -75,7 +76,8 @@ class RunView:
             self._take(event)
         except (ValueError, KeyError, TypeError, IndexError, AttributeError) as error:
             raise RecordError(
-                f"event {event.number} of the record cannot follow here ({error}); see 'bench show RUN --verify'"
+                f"event {event.number} of the record cannot follow here ({error}); check it with 'bench "
+                "show RUN --verify'"
             ) from error
 
     def _take(self, event: Event) -> None:
@@ -159,7 +161,7 @@ class RunView:
 
     @property
     def rest(self) -> tuple[Settle, CameToRest] | None:
-        """The last settling step and its result."""
+        """The last settling step and its result; None before the first."""
         event = self._brought.get(Settle)
         if event is None or not isinstance(event.result, CameToRest):
             return None
@@ -221,7 +223,9 @@ class Tail:
             with open_regular(self._path) as file, uncollected():
                 size = file.seek(0, SEEK_END)
                 if size < self._read:
-                    raise RecordError(f"{self._path}: is shorter than it was; another program changed it")
+                    raise RecordError(
+                        message(f"{self._path}: is shorter than it was; another program changed it")
+                    )
                 file.seek(self._read)
                 for line in file:
                     if not line.endswith(b"\n"):
@@ -234,7 +238,7 @@ class Tail:
             return
         except OSError as error:
             raise RecordError(
-                f"{self._path}: cannot be read ({error.strerror}); see that it is there"
+                f"{self._path}: cannot be read ({error.strerror}); check that it exists"
             ) from error
 
     def _event(self, line: bytes) -> Event:
@@ -249,5 +253,5 @@ class Tail:
 
     def _broken(self) -> RecordError:
         return RecordError(
-            f"{self._path}, line {self._count + 1}: cannot be believed; 'bench show RUN --verify' says more"
+            f"{self._path}, line {self._count + 1}: cannot be trusted; 'bench show RUN --verify' shows why"
         )

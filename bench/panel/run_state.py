@@ -10,6 +10,7 @@ from datetime import datetime, timedelta
 from typing import Any, Final
 
 from bench.base.arrays import CHANNELS
+from bench.base.languages import message
 from bench.base.numbers import fixed, places, quantity
 from bench.base.text import APPROACH
 from bench.base.text import duration as exact_duration
@@ -75,7 +76,7 @@ def _buttons(told: Mapping[str, Any]) -> list[dict[str, str]]:
     buttons = [] if default is None else [{"text": "", "label": _label(told, str(default))}]
     match told["kind"]:
         case PromptKind.CONFIRM:
-            pressed = [("yes", "Yes, it is done"), ("no", "No, not yet")]
+            pressed = [("yes", message("Yes, it is done")), ("no", message("No, not yet"))]
             if told["do"] in {"answer", "ask"}:
                 pressed = [("yes", "Yes"), ("no", "No")]
             return buttons + [{"text": text, "label": label} for text, label in pressed if text != default]
@@ -88,14 +89,14 @@ def _choice(choice: str) -> dict[str, str]:
     """Return the button of a choice; for a choice with a free reason, `begin` is the beginning of the answer."""
     if choice.endswith(f" {REASON}"):
         beginning = choice.removesuffix(REASON)
-        return {"begin": beginning, "label": f"{beginning.strip()} because …"}
+        return {"begin": beginning, "label": message(f"{beginning.strip()} because …")}
     return {"text": choice, "label": choice}
 
 
 def _label(told: Mapping[str, Any], default: str) -> str:
     match told["do"]:
         case "turn" if told["kind"] != PromptKind.CONFIRM:
-            return f"It stands at {default}"
+            return message(f"It stands at {default}")
         case "wait":
             return "Continue"
         case "select_input":
@@ -103,6 +104,66 @@ def _label(told: Mapping[str, Any], default: str) -> str:
     return default.capitalize() if told["kind"] == PromptKind.CONFIRM else default
 
 
+WORDS: Final = (
+    message("run started"),
+    message("run resumed"),
+    message("run paused"),
+    message("run continued"),
+    message("run finished"),
+    message("run failed"),
+    message("run interrupted"),
+    message("run aborted"),
+    message("left safe"),
+    message("step started"),
+    message("step done"),
+    message("step failed"),
+    message("skipped"),
+    message("redo"),
+    message("remounted"),
+    message("power"),
+    message("warmed up"),
+    message("early sign"),
+    message("certificate"),
+    message("went on"),
+    message("asked"),
+    message("answered"),
+    message("Yes"),
+    message("No"),
+    message("Continue"),
+    message("Done"),
+    message("ready"),
+    message("running"),
+    message("paused"),
+    message("finished"),
+    message("failed"),
+    message("interrupted"),
+    message("aborted"),
+    message("dead"),
+    message("imported"),
+    message("viewer"),
+    message("operator"),
+    message("supervisor"),
+    message("simulated"),
+    message("real"),
+    message("passed"),
+    message("conditional"),
+    message("not verified"),
+    message("Bench"),
+    message("Unit"),
+    message("Operator"),
+    message("Name"),
+    message("Practice"),
+    message("Procedure"),
+    message("Block"),
+    message("Gravity"),
+    message("two"),
+    message("a number"),
+    message("panel"),
+    message("terminal"),
+    message("rising"),
+    message("falling"),
+)
+"""Words of the record and of forms that pages show: they stand here for the catalogue of translations."""
 LOG_LINES: Final = 14
 _SENTENCE: Final = re.compile(r";\s+|(?<=[a-z)0-9])\.\s+(?=[A-Z])")
 DRIFTS: Final = 0.01
@@ -173,25 +234,25 @@ def _doing(seen: RunView, *, alive: bool) -> str:
     """Return a sentence on the current activity."""
     match seen.state:
         case RunState.FINISHED | RunState.ABORTED:
-            return f"The run is {seen.state}."
+            return message(f"The run is {seen.state}.")
         case RunState.FAILED:
-            return "The run failed. It can be resumed."
+            return message("The run failed. It can be resumed.")
         case RunState.INTERRUPTED:
-            return "The run was interrupted. It can be resumed."
+            return message("The run was interrupted. It can be resumed.")
         case _ if not alive:
-            return "The program of this run ended unexpectedly. The run can be resumed."
+            return message("The program of this run ended unexpectedly. The run can be resumed.")
         case RunState.PAUSED:
-            return "Paused: nothing on the bench moves."
+            return message("Paused: nothing on the bench moves.")
         case RunState.READY:
-            return "The instruments are being opened."
+            return message("The instruments are being opened.")
     if seen.step is None:
-        return "Between two steps."
+        return message("Between two steps.")
     text = seen.plan.steps[seen.step.step].describe()
     return text[:1].upper() + text[1:]
 
 
 def alarm_of(seen: RunView, asked: AskedPrompt | None, *, alive: bool) -> dict[str, str] | None:
-    """Return the alarm of a run: `cause` in one line, `action` to take, `details`; None where all is well.
+    """Return the alarm of a run: `cause` in one line, `action` to take, `details`; None without one.
 
     `do` is "resume" where the action is to resume the run, else empty. A question that waits is no alarm; an early
     warning that stopped the run before this question is one.
@@ -199,11 +260,14 @@ def alarm_of(seen: RunView, asked: AskedPrompt | None, *, alive: bool) -> dict[s
     if seen.state is RunState.ABORTED or seen.state is RunState.FINISHED:
         return None
     if seen.state is RunState.FAILED or (seen.state is RunState.INTERRUPTED and seen.why):
-        cause, details = _first_sentence(seen.why or "The run failed.")
-        return _alarm(cause, "Remove the cause, then resume the run.", details, "resume")
+        cause, details = _first_sentence(seen.why or message("The run failed."))
+        return _alarm(cause, message("Remove the cause, then resume the run."), details, "resume")
     if not alive and seen.state in {RunState.RUNNING, RunState.PAUSED, RunState.READY}:
         return _alarm(
-            "The program of this run ended unexpectedly.", "Resume the run: no reading is lost.", "", "resume"
+            message("The program of this run ended unexpectedly."),
+            message("Resume the run: no reading is lost."),
+            "",
+            "resume",
         )
     warning = seen.warnings[-1] if seen.warnings else None
     if warning is None or asked is None or not warning.data.get("confident"):
@@ -214,9 +278,9 @@ def alarm_of(seen: RunView, asked: AskedPrompt | None, *, alive: bool) -> dict[s
     cause, details = _first_sentence(told["words"])
     causes = told["causes"]
     action = (
-        f"Check for {causes[0]}, then answer."
+        message(f"Check for {causes[0]}, then answer.")
         if causes
-        else "Check the mounting and the wiring, then answer."
+        else message("Check the mounting and the wiring, then answer.")
     )
     return _alarm(cause, action, " ".join([details, *(f"Or: {other}." for other in causes[1:])]).strip(), "")
 
@@ -245,7 +309,7 @@ def _redo_point(seen: RunView) -> str:
     read = next((step for step in steps if isinstance(step, Read)), None)
     if turn is None or read is None:
         return ""
-    return f"point {read.point}, {format_dms(turn.target_rad)}, pass {read.pass_number}"
+    return message(f"point {read.point}, {format_dms(turn.target_rad)}, pass {read.pass_number}")
 
 
 def _where(seen: RunView, time_left: TimeLeft) -> dict[str, Any]:
@@ -337,14 +401,16 @@ def _channel(reading: Reading, i: int) -> dict[str, Any]:
     drifted = ""
     if drift is not None and p is not None:
         size = f"{'+' if drift >= 0 else '−'}{quantity(abs(drift), unit)}"
-        drifted = f"{'steady' if steady else 'drifts'} ({size}, p = {p:.2g})"
+        drifted = message(f"{'steady' if steady else 'drifts'} ({size}, p = {p:.2g})")
     return {
         "channel": CHANNELS[i],
         "value": f"{fixed(reading.mean[i], min(places(sd), 7) if sd else 6, sign=True)} {unit}",
         "scatter": "–" if sd is None else quantity(sd, unit),
         "drift": drifted or "–",
         "steady": steady,
-        "outlier": "" if outlier is None else f"sample {outlier.sample} lies {outlier.sigma:.1f} σ out",
+        "outlier": ""
+        if outlier is None
+        else message(f"sample {outlier.sample} lies {outlier.sigma:.1f} σ out"),
     }
 
 
@@ -353,7 +419,7 @@ def _rest(seen: RunView) -> str:
     if seen.rest is None:
         return ""
     step, rest = seen.rest
-    return f"{step.what} settled after {duration(rest.settled_s)}, within {precision_in_words(step)}"
+    return message(f"{step.what} settled after {duration(rest.settled_s)}, within {precision_in_words(step)}")
 
 
 def _chamber(seen: RunView) -> dict[str, Any]:
@@ -365,7 +431,7 @@ def _chamber(seen: RunView) -> dict[str, Any]:
         and waiting[1].what == "temperature"
     ):
         settle = waiting[1]
-        window = f"within {precision_in_words(settle)} for {exact_duration(settle.window_s)}"
+        window = message(f"within {precision_in_words(settle)} for {exact_duration(settle.window_s)}")
     return {
         "set_c": seen.set_c,
         "actual_c": None if known is None else round(known[1], 3),
@@ -382,7 +448,7 @@ def _soak(seen: RunView, about: About) -> dict[str, Any] | None:
     if isinstance(step, Wait):
         words, lasts_s = step.reason, step.duration_s
     else:
-        words, lasts_s = f"until the {step.what} settle, at most", step.timeout_s
+        words, lasts_s = message(f"until the {step.what} settle, at most"), step.timeout_s
     left_s = max(0.0, lasts_s - (seen.latest.bench_s - event.bench_s))
     until = None
     if not about.simulated:

@@ -11,6 +11,7 @@ from typing import Any, Final
 from filelock import FileLock, Timeout
 
 from bench.base.files import from_text, read_regular, to_text, write_whole
+from bench.base.languages import message
 from bench.base.text import visible
 from bench.base.yaml_files import FileMistakes
 from bench.panel.access import Refusal, private_folder
@@ -94,9 +95,9 @@ class Search:
 
         private_folder(self.path)
         if self.at_work():
-            raise Refusal(409, "a search is at work already; wait until it is done")
+            raise Refusal(409, "a search is running; wait until it ends")
         if len(resources) > MOST_ADDRESSED:
-            raise Refusal(400, f"at most {MOST_ADDRESSED} resources are addressed at once")
+            raise Refusal(400, f"at most {MOST_ADDRESSED} resources can be addressed at once; choose fewer")
         try:
             order = list(dict.fromkeys(map(checked_resource, resources)))
         except Refused as mistake:
@@ -128,7 +129,10 @@ def main() -> None:
         try:
             search.tell(carried_out(asked))
         except BaseException as error:
-            told = asdict(asked) | {"done": True, "problem": f"it stopped ({type(error).__name__}: {error})"}
+            told = asdict(asked) | {
+                "done": True,
+                "problem": message(f"it stopped ({type(error).__name__}: {error})"),
+            }
             search.tell(Findings(**told))
             raise
 

@@ -8,6 +8,7 @@ from collections import Counter
 from functools import cache
 from http import HTTPStatus
 from importlib.resources import files
+from pathlib import PurePath
 from typing import Any, Final
 from urllib.parse import parse_qsl, quote
 
@@ -18,14 +19,17 @@ from starlette.responses import HTMLResponse, JSONResponse, RedirectResponse, Re
 
 from bench.base.computing import missing
 from bench.base.files import from_text
+from bench.base.languages import ENGLISH, LANGUAGES, language, message, texts_for_scripts
 from bench.base.numbers import typeset
+from bench.base.template_texts import environment_for
 from bench.base.text import bounded, visible
 from bench.panel.access import STATE, Access, Person, Refusal, Role, Settings
 from bench.panel.folder import Certificates, RunsFolder, RunsTable
 from bench.panel.holding import read_holding
 from bench.panel.launching import Started, Wishes
+from bench.panel.queue import DayQueue
 from bench.panel.stream import Followers
-from bench.run.events import sha256
+from bench.run.events import RecordError, sha256
 
 
 class Panel:
@@ -41,6 +45,7 @@ class Panel:
         self.certificates = Certificates(settings.laboratory)
         self.streams: Counter[str] = Counter()
         self.access = Access(settings.runs / STATE)
+        self.queue = DayQueue(settings.runs / STATE)
 
 
 LOG: Final = logging.getLogger("uvicorn.error")
@@ -66,7 +71,7 @@ def looking(request: Request) -> Person:
     """Return the signed-in person who requests a page. Raises `Refusal` for a stranger."""
     person = person_of(request)
     if person is None:
-        raise Refusal(401, "sign in first")
+        raise Refusal(401, message("sign in first"))
     return person
 
 
@@ -79,7 +84,7 @@ async def acting(request: Request, least: Role, most: int = MOST_FIELDS) -> tupl
     sent = await fields(request, most)
     given = request.headers.get(CSRF_HEADER) or sent.pop("csrf", "")
     if not secrets.compare_digest(given.encode(errors="replace"), person.csrf.encode()):
-        raise Refusal(403, "this form is of another session; load the page again")
+        raise Refusal(403, "this form belongs to another session; load the page again")
     person.require(least)
     return person, sent
 
@@ -89,8 +94,8 @@ async def fields(request: Request, most: int = MOST_FIELDS) -> dict[str, str]:
     try:
         body = await request.body()
     except ClientDisconnect:
-        LOG.warning("a request ended before its body; further ones within a minute are not written here")
-        raise Refusal(400, "the request ended before its body") from None
+        LOG.warning("a request was incomplete; further ones within a minute are not listed")
+        raise Refusal(400, "the request is incomplete; send it again") from None
     kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
     try:
         if kind == "application/json":
@@ -98,13 +103,13 @@ async def fields(request: Request, most: int = MOST_FIELDS) -> dict[str, str]:
         elif kind == "application/x-www-form-urlencoded" or not body:
             given = dict(parse_qsl(body.decode(), keep_blank_values=True, max_num_fields=most))
         else:
-            raise Refusal(415, "a form or a JSON object is taken")
+            raise Refusal(415, "send a form or a JSON object")
     except ValueError:
-        raise Refusal(400, "what was sent is no form and no JSON that can be read") from None
+        raise Refusal(400, "send a form or valid JSON") from None
     if isinstance(given, dict) and len(given) > most:
-        raise Refusal(400, f"at most {most} fields are taken")
+        raise Refusal(400, f"at most {most} fields are accepted; send fewer")
     if not isinstance(given, dict) or not all(isinstance(value, str) for value in given.values()):
-        raise Refusal(400, "a JSON object whose values are texts is taken")
+        raise Refusal(400, "send a JSON object whose values are texts")
     return given
 
 
@@ -114,8 +119,11 @@ REPORT_STYLE: Final = "report.css"
 ASSETS: Final = {
     REPORT_STYLE: "text/css; charset=utf-8",
     "panel.css": "text/css; charset=utf-8",
+    "texts.js": "text/javascript; charset=utf-8",
+    **{f"texts-{name}.js": "text/javascript; charset=utf-8" for name in LANGUAGES if name != ENGLISH},
     "panel.js": "text/javascript; charset=utf-8",
     "bench.js": "text/javascript; charset=utf-8",
+    "fresh.js": "text/javascript; charset=utf-8",
     "waiting.js": "text/javascript; charset=utf-8",
     "plots.js": "text/javascript; charset=utf-8",
     "plots-chart.js": "text/javascript; charset=utf-8",
@@ -134,6 +142,8 @@ def read_asset(name: str) -> bytes:
         raise KeyError(name)
     if name == REPORT_STYLE:
         return (files("bench.results") / "templates" / "style.css.j2").read_bytes()
+    if name.startswith("texts-"):
+        return texts_for_scripts(name.removeprefix("texts-").removesuffix(".js")).encode()
     return (files("bench.panel") / "static" / name).read_bytes()
 
 
@@ -144,8 +154,9 @@ def asset(name: str) -> str:
 
 
 @cache
-def _environment() -> Environment:
-    environment = Environment(
+def _environment(name: str = ENGLISH) -> Environment:
+    environment = environment_for(
+        name,
         loader=PackageLoader("bench.panel", "templates"),
         autoescape=True,
         undefined=StrictUndefined,
@@ -153,6 +164,7 @@ def _environment() -> Environment:
         lstrip_blocks=True,
     )
     environment.filters["typeset"] = typeset
+    environment.filters["filename"] = lambda path: PurePath(str(path)).name
     environment.globals["asset"] = asset
     return environment
 
@@ -170,7 +182,7 @@ def rendered(name: str, **content: Any) -> str:
 
     A variable missing from `content` is an error.
     """
-    return visible(_environment().get_template(name).render(**content))
+    return visible(_environment(language()).get_template(name).render(**content))
 
 
 KEPT = {"cache-control": "public, max-age=31536000, immutable"}
@@ -180,7 +192,7 @@ async def send_asset(request: Request) -> Response:
     """Send an asset, but only under its current address, which changes with its content."""
     name = request.path_params["name"]
     if name not in ASSETS or request.scope["path"] != asset(name):
-        raise Refusal(404, "there is no such file")
+        raise Refusal(404, "no such file; load the page again")
     return Response(read_asset(name), media_type=ASSETS[name], headers=KEPT)
 
 
@@ -224,7 +236,7 @@ def refused(request: Request, refusal: Refusal) -> Response:
 def by_framework(request: Request, error: Exception) -> Response:
     """Return the response to an error of the framework: an unknown address or method."""
     status = error.status_code if isinstance(error, HTTPException) else 500
-    texts = {404: "there is no such page", 405: "this cannot be asked of this page"}
+    texts = {404: "no such page", 405: "this page does not accept that request"}
     return refused(request, Refusal(status, texts.get(status, HTTPStatus(status).phrase)))
 
 
@@ -241,4 +253,9 @@ def by_record(request: Request, error: Exception) -> Response:
         if not (told := missing(error)):
             raise error
         return refused(request, Refusal(409, told))
+    name = request.path_params.get("name", "")
+    if isinstance(error, RecordError) and name and person_of(request) and not wants_json(request):
+        found = panel_of(request).runs.run(name)
+        told = str(error).replace(f"{found.folder.absolute()}/", "").replace(f"{found.folder}/", "")
+        return page(request, "damaged.html.j2", status=409, run=name, text=bounded(told))
     return refused(request, Refusal(409, str(error)))

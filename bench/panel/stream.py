@@ -327,7 +327,7 @@ class SharedFollower:
             except (RecordError, FileMistakes, OSError) as error:
                 news, self.trouble = str(error) != self.trouble, str(error)
             except Exception as error:  # a defect must not leave a page that looks alive
-                news, self.trouble = not self.trouble, f"the panel cannot follow this run any more: {error!r}"
+                news, self.trouble = not self.trouble, f"the panel can no longer follow this run: {error!r}"
             if news:
                 self.version += 1
                 told, self._news = self._news, asyncio.Event()

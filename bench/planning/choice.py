@@ -149,7 +149,7 @@ def _grained(size: float) -> float:
 
 
 def _scale_of(size: float, dof: int) -> NoiseScale:
-    """Return the noise scale with `dof` degrees of freedom whose estimate is `size`."""
+    """Return the noise scale that is estimated as `size` from `dof` degrees of freedom."""
     return NoiseScale(size**2 * (BELIEVED + dof) - BELIEVED, dof)
 
 

@@ -106,9 +106,9 @@ def delta_g_goals(
     floors = reading_v**2 * np.sum(by_signal**2, axis=1)
     if np.max(floors) >= asked_g**2:
         raise CalibrationError(
-            f"u(Δg) of {asked_g:.3g} g cannot be reached by any calibration: one reading at a verification "
-            f"point has {np.sqrt(np.max(floors)):.2g} g by itself; lower voltmeter_error in the bench file "
-            "(more samples a reading) or ask for less"
+            f"u(Δg) of {asked_g:.3g} g cannot be reached: one reading at a verification point alone has "
+            f"{np.sqrt(np.max(floors)):.2g} g; lower voltmeter_error in the bench file (more samples a "
+            "reading) or relax the goal"
         )
     return [
         Goal(f"Δg at verification point {i + 1}", functionals[[i]], asked_g, "g", float(floors[i]), at[i])
@@ -164,7 +164,7 @@ def worst(goals: Sequence[Goal], covariance: Floats) -> Goal:
 
 def _require_positive(name: str, size: float) -> None:
     if not (np.isfinite(size) and size > 0):
-        raise CalibrationError(f"the uncertainty asked for {name} is a positive number, not {size:g}")
+        raise CalibrationError(f"the uncertainty asked for {name} must be a positive number, not {size:g}")
 
 
 _POWERS: Final = (8.0, 40.0)
@@ -414,8 +414,7 @@ class Stand:
             return
         if not self.sizes.get("voltmeter_error", 0.0) > 0:
             raise CalibrationError(
-                "the bench file states no voltmeter_error, so that one reading would be as good as many; "
-                "state its size in the section 'stand'"
+                "the bench file states no voltmeter_error, which planning needs; state it in the section 'stand'"
             )
 
     @property

@@ -297,7 +297,7 @@ def best_within(
 
 def _too_short(time_s: float, least_s: float) -> str:
     if math.isinf(least_s):
-        return "no choice of these installations determines the coefficients; allow more of them, or more mountings"
+        return "no choice of these installations determines the coefficients; allow more installations or mountings"
     return (
         f"{time_s / HOUR:.3g} h are too short for a calibration: the shortest takes {least_s / HOUR:.3g} h, "
         "warm-up and verification points included"
@@ -318,7 +318,7 @@ def _unreachable(
     if ratio <= 1:
         return (
             f"not reached with {most_settings} settings, though installations {names} could with more; "
-            "allow more with --most-settings, or more samples a reading (a smaller voltmeter_error)"
+            "allow more with --most-settings, or average more samples (a smaller voltmeter_error)"
         )
     budget = stand.budget([*sites.settings(chosen), *checks_of(goals)], WITHOUT_NOISE)
     left = zip(goals, parts_of_goals(goals, budget), strict=True)
@@ -330,9 +330,9 @@ def _unreachable(
         if variance > _PART_NAMED * largest[0][1]
     )
     return (
-        f"cannot be reached by any number of settings: in the best choice of mountings ({names}) what no reading "
-        f"lowers is {ratio:.3g} times what is asked; most of it for {goal.name}: {told}; better these, or allow "
-        "more installations or more --visits"
+        f"cannot be reached by any number of settings: in the best choice of mountings ({names}) the part "
+        f"that no reading lowers is {ratio:.3g} times the goal; most of it for {goal.name}: {told}; "
+        "reduce these errors, or allow more installations or --visits"
     )
 
 

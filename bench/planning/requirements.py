@@ -160,7 +160,7 @@ class Outlook:
 
     @property
     def open(self) -> list[str]:
-        """The other directions in the null space, as text."""
+        """The directions in the null space other than `turns`, as text."""
         return [d.text() for d in self.found.directions if d.kind is not DirectionKind.TURN]
 
 
@@ -268,7 +268,7 @@ _DECADES: Final = 5
 _ROUNDING: Final = 1e-6
 _SETTLED: Final = 1e-4
 _LEAST_PART: Final = 1e-9
-_NO_BALANCE: Final = "no balanced set of sizes was found; take the limits of each error alone"
+_NO_BALANCE: Final = "no balanced set of sizes was found; use the limits of each error alone"
 
 
 def of_delta_g(*, reading: bool) -> Target:
@@ -277,9 +277,7 @@ def of_delta_g(*, reading: bool) -> Target:
     def variances(budget: Budget) -> Floats:
         found = delta_g_variances(budget, reading=reading)
         if not len(found):
-            raise CalibrationError(
-                "the procedure has no verification point, so nothing is known of Δg; take one that has"
-            )
+            raise CalibrationError("the procedure has no verification point to show Δg; choose one with some")
         return found
 
     return variances
@@ -353,7 +351,7 @@ class Requirement:
     def __post_init__(self) -> None:
         for name, value in (("the accuracy", self.accuracy), ("k", self.k)):
             if not (math.isfinite(value) and value > 0):
-                raise CalibrationError(f"{name} is a positive number, not {value:g}")
+                raise CalibrationError(f"{name} must be a positive number, not {value:g}")
 
     @property
     def allowed2(self) -> float:
@@ -465,7 +463,7 @@ class Requirement:
 
     def _exceeded(self, names: Sequence[str]) -> str:
         return (
-            f"{self.accuracy:.3g} cannot be kept by any size of {', '.join(names)}: the other errors alone "
+            f"{self.accuracy:.3g} cannot be reached for any size of {', '.join(names)}: the other errors alone "
             "exceed it; 'bench budget' shows them"
         )
 

@@ -110,7 +110,7 @@ def temperature(text: dict[str, str], column: str) -> float:
     expected = f"a temperature in °C from {ABSOLUTE_ZERO_C:g} to {HOTTEST_C:g}"
     return number(
         text, column, expected, optional=True, least=ABSOLUTE_ZERO_C, most=HOTTEST_C,
-        hint="; is it in kelvin or °F?",
+        hint="; perhaps it is in kelvin or °F; use °C",
     )  # fmt: skip
 
 
@@ -119,7 +119,7 @@ def integer(text: dict[str, str], column: str, *, default: int | None = None) ->
     if default is not None and text.get(column, "") == "":
         return float(default)
     expected = "a whole number, 1 or more"
-    value = number(text, column, expected, most=MOST, hint="; is it of another column?")
+    value = number(text, column, expected, most=MOST, hint="; is it from another column?")
     if not value >= 1 or value != int(value):
         raise BadCell(column, f"expected {expected}, got {_quoted(text[column])}")
     return value
@@ -174,7 +174,7 @@ def level_rad(extra: Mapping[str, Labels], rows: int) -> Floats | None:
     found = np.array(columns, dtype=np.float64).reshape(4, rows).T * ARCSEC
     whole = np.isfinite(found).all(axis=1)
     if np.any(np.isfinite(found).any(axis=1) & ~whole) or np.any(found[whole, 2:] <= 0.0):
-        raise ValueError(f"{', '.join(ANGLES)} stand together, and u is more than nothing")
+        raise ValueError(f"{', '.join(ANGLES)} must be filled in together, with u above 0")
     return found
 
 
@@ -202,7 +202,7 @@ def wrong_level_cell(text: Mapping[str, str]) -> tuple[str, str] | None:
     given = [name for name in ANGLES if text.get(name, "").strip()]
     for name in ANGLES if given else ():
         if name not in given or (name.startswith("u_") and float(text[name]) <= 0.0):
-            return name, f"expected a number: {', '.join(ANGLES)} stand together, and u is more than nothing"
+            return name, f"expected a number: {', '.join(ANGLES)} must be filled in together, with u above 0"
     return None
 
 
@@ -244,11 +244,26 @@ def above_nominal_v(extra: Mapping[str, Labels]) -> Floats | None:
     if not rails:
         return None
     columns = [
-        _numbers(extra[voltage_column(rail)])
-        - (_numbers(extra[nominal_column(rail)]) if nominal_column(rail) in extra else np.nan)
+        numbers(extra[voltage_column(rail)])
+        - (numbers(extra[nominal_column(rail)]) if nominal_column(rail) in extra else np.nan)
         for rail in rails
     ]
     return np.stack(columns, axis=1)
+
+
+METER_C: Final = "meter_temperature_c"
+"""The column of the temperature of the voltmeters, °C."""
+ROOM_C: Final = "room_c"
+"""The column of the temperature of the room, °C."""
+
+
+def meter_c(extra: Mapping[str, Labels]) -> Floats | None:
+    """Return the temperature of the voltmeters, °C, shape (n,), that of the room where no other is recorded.
+
+    Values are NaN where not given. Returns None without either column.
+    """
+    own = next((name for name in (METER_C, ROOM_C) if any(map(str.strip, extra.get(name, ())))), None)
+    return None if own is None else numbers(extra[own])
 
 
 SINCE_POWER_ON_S: Final = "since_power_on_s"
@@ -257,7 +272,7 @@ SINCE_POWER_ON_S: Final = "since_power_on_s"
 
 def since_power_on_s(extra: Mapping[str, Labels]) -> Floats | None:
     """Return the time since the block was switched on, s, shape (n,), NaN if not given; None without the column."""
-    return _numbers(extra[SINCE_POWER_ON_S]) if SINCE_POWER_ON_S in extra else None
+    return numbers(extra[SINCE_POWER_ON_S]) if SINCE_POWER_ON_S in extra else None
 
 
 def since_power_on_cells(read_s: Sequence[float | None], power: Sequence[tuple[float, str]]) -> list[str]:
@@ -277,7 +292,8 @@ def since_power_on_cells(read_s: Sequence[float | None], power: Sequence[tuple[f
     return cells
 
 
-def _numbers(cells: Labels) -> Floats:
+def numbers(cells: Labels) -> Floats:
+    """Return the cells of a column as numbers, NaN for an empty cell, shape (n,)."""
     return np.array([float(cell) if cell.strip() else np.nan for cell in cells.tolist()], dtype=np.float64)
 
 
@@ -298,7 +314,7 @@ class Rail:
         """Return the rail from the JSON object of an event. Raises `KeyError`, `TypeError`, `ValueError`."""
         values = (row["voltage_v"], row["nominal_v"], row["current_a"])
         if any(type(value) not in (int, float) or not isfinite(value) for value in values):
-            raise ValueError("a number of a rail is none")
+            raise ValueError("a value of a rail is not a number")
         return cls(*values)
 
 
@@ -316,7 +332,10 @@ def between(before: Mapping[str, Rail], after: Mapping[str, Rail]) -> dict[str, 
 
 
 def columns_of(taken: Sequence[Mapping[str, Rail]]) -> dict[str, list[str]]:
-    """Return the rail columns of readings by name, as text: three columns for each rail of any reading."""
+    """Return the text columns of the supply rails by name: measured voltage, nominal voltage and current of each.
+
+    `taken` has the rails of each reading by name. A cell is empty where a reading lacks the rail.
+    """
     columns: dict[str, list[str]] = {}
     for name in dict.fromkeys(name for rails in taken for name in rails):
         rails = [row.get(name) for row in taken]

@@ -17,6 +17,8 @@ from bench.base.files import read_given
 from bench.base.text import repeated, shortened
 from bench.readings.columns import (
     LEVEL_COLUMNS,
+    METER_C,
+    ROOM_C,
     SINCE_POWER_ON_S,
     BadCell,
     angle,
@@ -57,6 +59,8 @@ AS_TEXT: Final = (
     REFERENCE_V,
     TEMPERATURE_SOURCE,
     CHAMBER_C,
+    METER_C,
+    ROOM_C,
     SINCE_POWER_ON_S,
     *LEVEL_COLUMNS,
 )
@@ -127,6 +131,7 @@ def _read(
     *,
     skip_bad_rows: bool,
 ) -> Readings:
+    header, body, unused = _completed(header, body)
     suffix = _signal_suffix(path, header)
     signals = [f"u{axis}_{suffix}" for axis in "xyz"]
     known = {*REQUIRED, *OPTIONAL, *AS_TEXT, *signals, *(f"u{axis}_sd_{suffix}" for axis in "xyz")}
@@ -138,14 +143,14 @@ def _read(
     seen: dict[tuple[float, str, float, float], int] = {}
     for line, cells in body:
         try:
-            row = _row(header, cells, signals, labels)
+            row = _row(header, cells, signals, labels, unused)
             key = (row["series"], cells[header.index("installation")].strip(), row["pass"], row["point"])
             if key in seen:
                 raise BadCell(
                     "point",
                     f"series {key[0]:g}, installation {key[1]}, pass {key[2]:g}, point {key[3]:g} "
-                    f"stands already in line {seen[key]}; each may stand once (use the column 'series' "
-                    "for a second visit)",
+                    f"is already in line {seen[key]}; give a second visit another number in the column "
+                    "'series'",
                 )
         except BadCell as problem:
             bad.append(f"{path}, line {line}, column {problem.column}: {problem}")
@@ -162,12 +167,37 @@ def _read(
     if bad and not (skip_bad_rows and columns.installation):
         raise ReadingsError(_listing(bad))
     if not columns.installation:
-        raise ReadingsError(f"{path}: no reading in it; expected a header line and a row for each reading")
+        raise ReadingsError(f"{path}: no readings; expected a header line and a row for each reading")
     unknown = ", ".join(name for name in header if name not in known and not is_of_a_rail(name))
-    notes = (f"columns kept and not used: {unknown}",) if unknown else ()
+    notes = (f"columns kept but not used: {unknown}",) if unknown else ()
     table = _assemble(str(path), UNITS[suffix], signals, columns, notes, tuple(bad))
     doubts = doubtful(table, list(seen.values()))
     return replace(table, notes=(*notes, *doubts), verification_missing=verification_missing)
+
+
+def _completed(
+    header: list[str], body: list[tuple[int, list[str]]]
+) -> tuple[list[str], list[tuple[int, list[str]]], frozenset[str]]:
+    """Return a table with the columns that a record at a known input may lack, and its unused signal columns.
+
+    A record has rows R alone: pass and point may be absent, and one or two of the three signals. Other tables
+    are returned unchanged.
+    """
+    label = header.index("installation") if "installation" in header else len(header)
+    if not body or any(cells[label : label + 1] != [REFERENCE] for _, cells in body):
+        return header, body, frozenset()
+    suffixes = [s for s in UNITS if any(f"u{axis}_{s}" in header for axis in "xyz")]
+    signals = [f"u{axis}_{suffixes[0]}" for axis in "xyz"] if len(suffixes) == 1 else []
+    added = [name for name in ("pass", "point", "angle_deg", *signals) if name not in header]
+    whole = [*header, *added]
+    rows = []
+    for number_of_row, (line, cells) in enumerate(body, start=1):
+        known = {"pass": "1", "point": str(number_of_row)}
+        rest = [known.get(name, "") for name in added] if len(cells) == len(header) else []
+        rows.append((line, [*cells, *rest]))
+    full = [cells for _, cells in rows if len(cells) == len(whole)]
+    blank = {name for name in signals if not any(cells[whole.index(name)].strip() for cells in full)}
+    return whole, rows, frozenset(blank if len(blank) < len(signals) else ())
 
 
 def split_table(
@@ -194,14 +224,14 @@ def split_table(
                 body.append((line, _without_empty_end(cells, len(header))))
             line = reader.line_num + 1
     except csv.Error as error:
-        raise ReadingsError(f"{path}, line {reader.line_num}: not CSV ({error})") from error
+        raise ReadingsError(f"{path}, line {reader.line_num}: not CSV; save it as CSV ({error})") from error
     if not header:
         raise ReadingsError(f"{path}: empty; expected a header line such as {example}")
     if len(header) == 1 and (";" in header[0] or "\t" in header[0]):
-        raise ReadingsError(f"{path}, line 1: columns must be separated by commas (and decimals by a dot)")
+        raise ReadingsError(f"{path}, line 1: separate columns by commas, and write decimals with a dot")
     twice = sorted(map(shortened, repeated(header)))
     if twice:
-        raise ReadingsError(f"{path}, line 1: column {', '.join(twice)} stands more than once")
+        raise ReadingsError(f"{path}, line 1: column {', '.join(twice)} appears more than once; keep one")
     return header, body
 
 
@@ -222,7 +252,7 @@ def _signal_suffix(path: Path, header: list[str]) -> str:
     if len(present) > 1:
         raise ReadingsError(
             f"{path}, line 1: signal columns in different units ({', '.join(present)}); "
-            "all three must be alike, such as ux_v, uy_v, uz_v"
+            "use one unit for all three, such as ux_v, uy_v, uz_v"
         )
     suffix = present[0] if present else "v"
     missing += [f"u{axis}_{suffix}" for axis in "xyz" if f"u{axis}_{suffix}" not in header]
@@ -238,14 +268,17 @@ def _example_header() -> str:
 
 
 def _row(
-    header: list[str], cells: list[str], signals: list[str], labels: Collection[str]
+    header: list[str], cells: list[str], signals: list[str], labels: Collection[str], unused: Collection[str]
 ) -> dict[str, float]:
-    """Return the numbers of one row by column name. Raises `BadCell` for the first invalid cell."""
+    """Return the numbers of one row by column name; the cells of `unused` signals are empty.
+
+    Raises `BadCell` for the first invalid cell.
+    """
     if len(cells) != len(header):
         raise BadCell(
             header[min(len(cells), len(header) - 1)],
             f"expected {len(header)} cells as in the header, got {len(cells)}"
-            + (" (is there a decimal comma?)" if len(cells) > len(header) else ""),
+            + (" (use a dot, not a decimal comma)" if len(cells) > len(header) else ""),
         )
     text = {name: cell.strip() for name, cell in zip(header, cells, strict=True)}
     label = text["installation"]
@@ -271,14 +304,15 @@ def _row(
         raise BadCell(SCAN_ORDER, str(problem)) from None
     if wrong := wrong_level_cell(text):
         raise BadCell(*wrong)
-    temperature(text, CHAMBER_C)
+    for name in (CHAMBER_C, METER_C, ROOM_C):
+        temperature(text, name)
     number(text, SINCE_POWER_ON_S, "a time in seconds, 0 or more", optional=True, least=0.0)
     number(text, REFERENCE_V, "the voltage at the inputs in V", optional=True)
     for name in filter(is_of_a_rail, header):
         number(text, name, "a voltage or a current of a rail in V or A", optional=True)
     for name in signals:
         row[name], sd = (
-            number(text, name, "a number with a dot as decimal sign"),
+            number(text, name, "a number with a dot as decimal sign", optional=name in unused),
             name[:2] + "_sd" + name[2:],
         )
         row[sd] = number(text, sd, "a standard deviation, 0 or more", optional=True, least=0.0)
@@ -289,7 +323,7 @@ def _listing(bad: list[str]) -> str:
     lines = bad[:LISTED_AT_ONCE]
     if len(bad) > LISTED_AT_ONCE:
         lines.append(f"… and {len(bad) - LISTED_AT_ONCE} more bad rows ({len(bad)} in all)")
-    lines.append("nothing was used; mend the rows, or leave them out with --skip-bad-rows")
+    lines.append("nothing was used; correct the rows, or skip them with --skip-bad-rows")
     return "\n".join(lines)
 
 
@@ -393,9 +427,7 @@ def _time(readings: Readings, lines: Sequence[int]) -> list[str]:
     if not len(back):
         return []
     where = f"line {lines[back[0]]}" + (f" and {len(back) - 1} more" if len(back) > 1 else "")
-    return [
-        f"time_s runs backwards ({where}): rows stand in the order of measurement; is the file sorted anew?"
-    ]
+    return [f"time_s runs backwards ({where}): put the rows back in the order of measurement"]
 
 
 def _scatter(readings: Readings, lines: Sequence[int]) -> list[str]:
@@ -407,6 +439,6 @@ def _scatter(readings: Readings, lines: Sequence[int]) -> list[str]:
             worst = int(np.nanargmax(sd))
             told.append(
                 f"the standard deviation of u{axis} in line {lines[worst]}, {sd[worst]:.3g} {readings.unit}, "
-                f"is more than all readings of it differ by, {span:.3g} {readings.unit}: check its unit"
+                f"exceeds the spread of all its readings, {span:.3g} {readings.unit}: check its unit"
             )
     return told

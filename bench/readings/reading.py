@@ -118,15 +118,15 @@ class Reading:
     def _check(self) -> None:
         """Raise `ValueError` or `TypeError` for a wrong number of values or a value of the wrong type."""
         if not len(self.mean) == len(self.sd) == len(CHANNELS):
-            raise ValueError("a reading has three channels")
+            raise ValueError("give a reading three channels")
         for count in (self.series, self.pass_number, self.point, self.samples_taken):
             if type(count) is not int or not 0 <= count < _LARGEST:
-                raise ValueError("series, pass, point and samples of a reading are whole numbers")
+                raise ValueError("give series, pass, point and samples of a reading as whole numbers")
         if self.direction not in (0, 1, -1):
-            raise ValueError("a direction is 1, -1 or 0")
+            raise ValueError("state a direction of 1, -1 or 0")
         for text in (self.installation, self.unit, self.scan_order, self.temperature_source):
             if type(text) is not str:
-                raise ValueError("a text of a reading is none")
+                raise ValueError("give every text of a reading")
         may_be = (
             self.angle_deg,
             self.target_deg,
@@ -138,9 +138,9 @@ class Reading:
         )
         for number in (*self.mean, self.direction, *may_be):
             if number is not None and (type(number) not in _NUMBERS or not isfinite(number)):
-                raise ValueError("a number of a reading is none")
+                raise ValueError("give every number of a reading")
         if None in self.mean:
-            raise ValueError("a reading without a mean is none")
+            raise ValueError("give a reading the mean of each channel")
 
 
 _WHERE_KNOWN: Final = ("rails", "temperature_source", "chamber_c")

@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.base.arrays import Floats, Ints, Labels
+from bench.base.languages import message
 from bench.base.text import shortened
 from bench.model.conditions import Conditions
-from bench.readings.columns import above_nominal_v, level_rad, since_power_on_s
+from bench.readings.columns import above_nominal_v, level_rad, meter_c, since_power_on_s
 
 # --- one table --------------------------------------------------------------------------------------
 
@@ -150,6 +151,7 @@ class Readings:
             on_s=since_power_on_s(self.extra),
             level_rad=level_rad(self.extra, len(self)),
             supply_v=above_nominal_v(self.extra),
+            meter_c=meter_c(self.extra),
         )
 
 
@@ -242,7 +244,7 @@ def together(parts: Sequence[JoinedPart]) -> Readings:
     units = {part.readings.unit: part.readings.source for part in parts}
     if len(units) > 1:
         each = ", ".join(f"{source} in {unit}" for unit, source in units.items())
-        raise ValueError(f"signals in different units cannot be taken together: {each}")
+        raise ValueError(f"use one unit for readings evaluated together, not {each}")
     ordered, starts, real = _starts(parts)
     tables: list[Readings] = []
     notes: list[str] = []
@@ -263,10 +265,12 @@ def together(parts: Sequence[JoinedPart]) -> Readings:
         )
         last_series = int(tables[-1].series.max())
         first_series = int(tables[-1].series.min())
-        series = f"series {first_series}" + (f" to {last_series}" if last_series > first_series else "")
-        begun = f", begun {start_s / 3600.0:.2f} h after the first" if len(tables) > 1 else ""
+        series = f"{first_series}" + (f" to {last_series}" if last_series > first_series else "")
+        begun = message(f", begun {start_s / 3600.0:.2f} h after the first") if len(tables) > 1 else ""
         notes.append(
-            f"{table.source} is {series}{begun}{'' if real or not begun else ' (set, not measured)'}"
+            message(
+                f"{table.source} is series {series}{begun}{'' if real or not begun else ' (set, not measured)'}"
+            )
         )
     return stacked(tables, tuple(notes))
 

@@ -15,8 +15,16 @@ from bench.base.numbers import fixed, places, scale_for, uncertainty
 from bench.base.result_model import Matrix, Real, ResultModel
 from bench.base.tables import print_notes, table
 from bench.calibration.estimators import find_estimator
+from bench.calibration.intrinsic import intrinsic_of
 from bench.calibration.result import COVERAGE_FACTOR, Calibration, NoisePrior, Triangular
 from bench.model.geometry import COEFFICIENTS
+from bench.results.intrinsic import (
+    IntrinsicPart,
+    JointPart,
+    intrinsic_table,
+    joint_in_words,
+    joint_members,
+)
 from bench.results.parts import (
     BenchPart,
     ChannelsPart,
@@ -203,6 +211,12 @@ class CalibrateResult(ResultModel):
         description="the twelve coefficients `Kxx`, `Kxy`, … `Kzz`, `U0x`, `U0y`, `U0z`, in unit/g and unit"
     )
     coefficients_per_ms2: PerMs2Part
+    intrinsic: IntrinsicPart | None = Field(
+        default=None, description="what does not depend on the mounting; null where a channel is dead"
+    )
+    joint: dict[str, JointPart] = Field(
+        default={}, description="joint coverage factors of all `twelve` and all `nine`"
+    )
     order: list[str] = Field(description="the coefficients in the order of `covariance`")
     covariance: Matrix = Field(description="combined covariance of the coefficients, 12 × 12, in `order`")
     covariance_readings: Matrix = Field(
@@ -224,6 +238,9 @@ class CalibrateResult(ResultModel):
     )
     effects: dict[str, EstimatePart] = Field(
         description="parameters of the effects of the model file, where one was given"
+    )
+    temperature_effects: list[str] = Field(
+        default=[], description="effects of the model by which temperature is taken out of the coefficients"
     )
     not_observable: list[str] = Field(
         description="what is assumed because these readings cannot show it, and what it costs if it is wrong"
@@ -266,6 +283,7 @@ def calibrate_result(found: Calibration, **made_from: Any) -> CalibrateResult:
             for name, value, u, own, U, dof in columns
         },
         coefficients_per_ms2=_per_ms2(found),
+        **joint_members(found),
         order=list(COEFFICIENTS),
         block_terms=found.block_terms.T,
         sources=[uncertainty_source(source) for source in found.sources],
@@ -371,7 +389,7 @@ def coefficients_table(found: Calibration) -> Table:
 
 def sources_table(found: Calibration) -> Table:
     """Return a table of the error sources that the readings do not show, with the largest contribution of each."""
-    shown = table("u holds also", ">u", "from", ">most", "in")
+    shown = table("further contributions to u", ">u", "from", ">most", "in")
     for source in found.sources:
         u = u_of(source.covariance)
         if not np.any(u > 0):
@@ -390,6 +408,11 @@ def print_calibration(name: str, found: Calibration, notes: Sequence[str], out: 
     out.print(headline(name, found))
     out.print(f"U = K a + U0, a the specific force in g (+1 g on an upward axis), U in {found.unit}")
     out.print(coefficients_table(found))
+    own = intrinsic_of(found)
+    if own is not None:
+        out.print(intrinsic_table(own))
+        out.print(own.mounting)
+    out.print(joint_in_words(found, own))
     if found.sources:
         out.print(sources_table(found))
     out.print(_noise_in_words(found))
@@ -400,7 +423,7 @@ def print_calibration(name: str, found: Calibration, notes: Sequence[str], out: 
     if find_estimator(found.estimator).drops_outliers and not found.outliers:
         out.print("outliers: none found")
     for outlier in found.outliers:
-        out.print(f"outlier: {outlier.text()}; it has no weight")
+        out.print(f"outlier: {outlier.text()}; its weight is 0")
     if found.free is not None:
         without = ", without the outliers" if found.outliers else ""
         rms_ug = found.modulus_rms_g * 1e6
@@ -425,6 +448,6 @@ def _noise_in_words(found: Calibration) -> str:
 
 def fit_in_a_line(found: Calibration) -> str:
     """Return whether the model fits the readings, with the figures of the test."""
-    how = "; u holds what repeats share" if found.shared else ""
+    how = "; u includes errors that repeats share" if found.shared else ""
     how = f"; u is {found.birge:.2g} times that of the noise" if found.birge > 1 else how
     return fit_in_words(found.lack_of_fit, f"THE MODEL DOES NOT FIT the readings{how}")

@@ -77,7 +77,7 @@ class RegisterResult(ResultModel):
 
     def print_head(self, out: Console) -> None:
         """Print the number of certificates, and the last hash of the intact chain."""
-        out.print(f"{len(self.certificates)} certificates, chain of hashes whole, head {self.head}")
+        out.print(f"{len(self.certificates)} certificates, chain of hashes complete, head {self.head}")
 
 
 class SignerPart(ResultModel):
@@ -182,7 +182,7 @@ class VerifyResult(ResultModel):
     unsigned: CertificateSays | None = Field(
         description="what a certificate says that nobody signed; null where it is not intact or is signed"
     )
-    register_: RegisterSays | None = Field(alias="register", description="null where no register is at hand")
+    register_: RegisterSays | None = Field(alias="register", description="null without a register")
     not_signed: list[str]
     not_proved: list[str]
 
@@ -192,6 +192,7 @@ class VerifyResult(ResultModel):
         for why in self.wrong:
             out.print(f"  {visible(why)}")
         if not self.intact:
+            out.print("do not rely on it; ask the laboratory that issued it for an intact file")
             return
         if self.unsigned is None:
             signer = self.signer

@@ -230,11 +230,11 @@ def _open_in_words(found: Outlook | None) -> Iterator[str]:
         yield f"leaves open: {sentence}"
     if found.open:
         ways = "; ".join(map(_remedy_in_words, found.remedies[:_REMEDIES_LISTED]))
-        yield f"would be shown by: {ways or 'nothing that this bench can do'}"
+        yield f"would be shown by: {ways or 'no measurement on this bench'}"
     if found.turns:
         yield (
-            f"leaves open, as every procedure on one head does: a common turn of the block's axes (about "
-            f"{', '.join(found.turns)}); the limits of the stand's angles alone hold it"
+            f"leaves open, as every procedure on one head: a common turn of the block's axes (about "
+            f"{', '.join(found.turns)}); only the limits of the stand's angles bound it"
         )
 
 
@@ -255,7 +255,7 @@ def outlook_in_words(found: TimeOutlook) -> str:
         f"{duration(found.whole_s)} and {found.whole}"
     )
     if found.has_goal and reached < _NEARLY_ALL:
-        words += f"; reached in {100 * reached:.0f} % of runs, for then the procedure has no more points"
+        words += f"; reached in {100 * reached:.0f} % of runs; then the procedure has no more points"
     return words
 
 

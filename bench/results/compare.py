@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -10,16 +10,18 @@ from pydantic import Field
 from rich.console import Console
 from rich.table import Table
 
-from bench.base.numbers import fixed, places, probability, quantity, scale_for
+from bench.base.numbers import fixed, places, probability, quantity
 from bench.base.result_model import Real, ResultModel
 from bench.base.tables import print_notes, table
 from bench.calibration.conformity import COVERAGE_FACTOR
-from bench.history.comparison import Changes, Comparison, DriftLines, Snapshot
-from bench.history.equivalence import BenchComparison
+from bench.calibration.intrinsic import INTRINSIC
+from bench.history.comparison import Changes, Comparison, InNumbers, Snapshot
+from bench.history.equivalence import BenchComparison, BenchesIn
 from bench.history.measured import STANDARD_GRAVITY
 from bench.model.geometry import COEFFICIENTS
 from bench.results.fleet import MOST_SHOWN, FleetResult, limit_in_words, signed_size
-from bench.results.parts import BenchPart, by_coefficient
+from bench.results.intrinsic import small_unit
+from bench.results.parts import BenchPart, by_name
 from bench.results.plots import BLUE, GREY, VERMILION, svg_file, symbol
 
 if TYPE_CHECKING:
@@ -44,13 +46,25 @@ class ChangePart(ResultModel):
     changed: bool = Field(description="whether p_all_looks is below 5 %")
 
 
+class NineChangesPart(ResultModel):
+    """The changes in the nine numbers that do not depend on the mounting."""
+
+    values: dict[str, ChangePart] = Field(description="by name, in unit/g, degrees and g")
+    chi2: float
+    dof: int
+    p: float = Field(description="of all nine together")
+
+
 class ChangesPart(CalibrationOfBlock):
     """The changes of all coefficients from the first calibration to a later one."""
 
-    coefficients: dict[str, ChangePart]
-    chi2: float
+    intrinsic: NineChangesPart
+    coefficients: dict[str, ChangePart] = Field(
+        description="of the twelve, which a turn of the block changes too; empty with free positions alone"
+    )
+    chi2: Real
     dof: int
-    p: float = Field(description="of all twelve together")
+    p: Real = Field(description="of all twelve together")
 
 
 class RatePart(ResultModel):
@@ -84,9 +98,13 @@ class CompareResult(ResultModel):
     unit: str = Field(description="of the signals")
     g_m_s2: float = Field(description="the g that scale factors are per")
     compared: list[ChangesPart]
-    p_constant: float = Field(description="that all calibrations are of one block that did not change")
-    drift: LinesPart | None = Field(description="where there are enough dates")
-    changed: bool = Field(description="whether a coefficient changed, or all of them together")
+    p_constant_intrinsic: float = Field(
+        description="that the nine are those of one block that did not change"
+    )
+    p_constant: Real = Field(description="the same of the twelve, on one mounting")
+    drift: LinesPart | None = Field(description="of the twelve, where there are enough dates")
+    drift_intrinsic: LinesPart | None = Field(description="of the nine, where there are enough dates")
+    changed: bool = Field(description="whether the nine together changed: p_constant_intrinsic below 5 %")
     notes: list[str]
     bench: list[BenchOfSource] = Field(
         description="the bench files that were taken for runs and readings files"
@@ -95,13 +113,19 @@ class CompareResult(ResultModel):
 
 def compare_result(found: Comparison, bench: Sequence[BenchOfSource]) -> CompareResult:
     """Return the result of a comparison; `bench` are the bench files used for runs and readings files."""
-    return CompareResult.from_object(
-        found,
-        first=CalibrationOfBlock(**_of_block(found.first)),
-        unit=found.first.unit,
-        g_m_s2=found.first.g_m_s2,
-        compared=[_changes(one) for one in found.changes],
-        drift=None if found.drift is None else _lines(found.drift),
+    nine, twelve = found.nine, found.twelve
+    beside = [None] * len(nine.changes) if twelve is None else twelve.changes
+    return CompareResult(
+        first=CalibrationOfBlock(**_of_block(nine.first)),
+        unit=nine.first.unit,
+        g_m_s2=nine.first.g_m_s2,
+        compared=[_changes(own, other) for own, other in zip(nine.changes, beside, strict=True)],
+        p_constant_intrinsic=nine.p_constant,
+        p_constant=None if twelve is None else twelve.p_constant,
+        drift=None if twelve is None else _lines(twelve),
+        drift_intrinsic=_lines(nine),
+        changed=found.changed,
+        notes=list(found.notes),
         bench=list(bench),
     )
 
@@ -111,61 +135,92 @@ def _of_block(snapshot: Snapshot) -> dict[str, str | None]:
     return {"name": snapshot.name, "made_at": when, "block": snapshot.block or None}
 
 
-def _changes(found: Changes) -> ChangesPart:
-    rows = by_coefficient(
-        ChangePart, difference=found.difference, u=found.u, en=found.en, p_all_looks=found.p_all_looks,
-        changed=found.changed,
-    )  # fmt: skip
+def _changes(nine: Changes, twelve: Changes | None) -> ChangesPart:
     return ChangesPart(
-        **_of_block(found.later), coefficients=rows, chi2=found.chi2, dof=len(COEFFICIENTS), p=found.p
-    )
-
-
-def _lines(drift: DriftLines) -> LinesPart:
-    return LinesPart.from_object(
-        drift,
-        per_year=by_coefficient(
-            RatePart, value=drift.per_year, u=drift.u, p_all_looks=drift.p_all_looks, shown=drift.shown
+        **_of_block(nine.later),
+        intrinsic=NineChangesPart(
+            values=_rows(INTRINSIC, nine), chi2=nine.chi2, dof=len(INTRINSIC), p=nine.p
         ),
+        coefficients={} if twelve is None else _rows(COEFFICIENTS, twelve),
+        chi2=None if twelve is None else twelve.chi2,
+        dof=len(COEFFICIENTS),
+        p=None if twelve is None else twelve.p,
     )
+
+
+def _rows(names: Sequence[str], found: Changes) -> dict[str, ChangePart]:
+    return by_name(
+        names, ChangePart, difference=found.difference, u=found.u, en=found.en,
+        p_all_looks=found.p_all_looks, changed=found.changed,
+    )  # fmt: skip
+
+
+def _lines(found: InNumbers) -> LinesPart | None:
+    drift = found.drift
+    if drift is None:
+        return None
+    rates = by_name(
+        found.names,
+        RatePart,
+        value=drift.per_year,
+        u=drift.u,
+        p_all_looks=drift.p_all_looks,
+        shown=drift.shown,
+    )
+    return LinesPart.from_object(drift, per_year=rates)
 
 
 # --- as text ------------------------------------------------------------------------------------------
 
 
 def print_compare(result: CompareResult, out: Console) -> None:
-    """Print the changes since the first calibration, the drift, and the verdict."""
+    """Print the changes since the first calibration, the drift, and the verdict, which is that of the nine."""
     unit = result.unit
-    out.print(f"Against {_named(result.first)}: {unit}/g (biases {unit}), g = {result.g_m_s2:.6g} m/s²")
+    out.print(
+        f"Against {_named(result.first)}: S in {unit}/g, θ in degrees, b in g; K in {unit}/g, U0 in {unit}, "
+        f"g = {result.g_m_s2:.6g} m/s²"
+    )
     for later in result.compared:
         out.print(f"{_named(later)}:")
-        out.print(_changes_table(later))
-        out.print(f"all twelve together: chi2 {later.chi2:.1f} for 12, {probability(later.p)}")
-    if result.drift is not None:
-        out.print("drift (weighted straight lines):")
-        out.print(_drift_table(result.drift))
-        out.print(
-            f"what the lines leave: chi2 {result.drift.chi2:.1f} for {result.drift.dof}, "
-            f"{probability(result.drift.p)}"
-        )
+        nine = later.intrinsic
+        out.print(_changes_table(nine.values))
+        out.print(f"all nine together: chi2 {nine.chi2:.1f} for {nine.dof}, {probability(nine.p)}")
+        if later.p is not None and later.chi2 is not None:
+            out.print("the twelve, which a turn of the block changes too:")
+            out.print(_changes_table(later.coefficients))
+            out.print(f"all twelve together: chi2 {later.chi2:.1f} for 12, {probability(later.p)}")
+    for drift, of in ((result.drift_intrinsic, "nine"), (result.drift, "twelve")):
+        if drift is not None:
+            out.print(f"drift of the {of} (weighted straight lines):")
+            out.print(_drift_table(drift))
+            out.print(f"what the lines leave: chi2 {drift.chi2:.1f} for {drift.dof}, {probability(drift.p)}")
     print_notes(out, result.notes)
-    changed = {name for later in result.compared for name, one in later.coefficients.items() if one.changed}
-    if changed:
-        verdict = f"CHANGED beyond the uncertainty (5 %, all looks counted): {', '.join(sorted(changed))}"
-    elif result.changed:
-        verdict = "CHANGED: no single coefficient, but all of them together"
-    else:
-        verdict = "nothing changed beyond its uncertainty"
-    out.print(f"{verdict}; all calibrations alike: {probability(result.p_constant)}", style="bold")
+    out.print(
+        f"{verdict_of(result)}; the nine of all calibrations alike: {probability(result.p_constant_intrinsic)}",
+        style="bold",
+    )
+
+
+def verdict_of(result: CompareResult) -> str:
+    """Return whether the block changed, by the joint test of the nine, and in which numbers, as a clause."""
+    nine = [name for one in result.compared for name, row in one.intrinsic.values.items() if row.changed]
+    twelve = [name for one in result.compared for name, row in one.coefficients.items() if row.changed]
+    if result.changed:
+        which = ", ".join(dict.fromkeys(nine)) or "no single number, but all nine together"
+        return f"CHANGED beyond the uncertainty (5 %, all nine together): {which}"
+    turned = (
+        f"; {', '.join(dict.fromkeys(twelve))} of the twelve differ: the block is turned" if twelve else ""
+    )
+    return f"no change beyond the uncertainty{turned}"
 
 
 def _named(one: CalibrationOfBlock) -> str:
     return f"{one.name} ({one.made_at[:10]})" if one.made_at else one.name
 
 
-def _changes_table(changes: ChangesPart) -> Table:
-    shown = table("coefficient", ">difference", ">U (k=2)", ">En", ">p, all looks", "")
-    for name, one in changes.coefficients.items():
+def _changes_table(changes: Mapping[str, ChangePart]) -> Table:
+    shown = table("number", ">difference", ">U (k=2)", ">En", ">p, all looks", "")
+    for name, one in changes.items():
         digits = places(2 * one.u)
         sizes = (fixed(one.difference, digits, sign=True), fixed(2 * one.u, digits))
         shown.add_row(
@@ -175,7 +230,7 @@ def _changes_table(changes: ChangesPart) -> Table:
 
 
 def _drift_table(drift: LinesPart) -> Table:
-    shown = table("coefficient", ">per year", ">U (k=2)", ">p, all looks", "")
+    shown = table("number", ">per year", ">U (k=2)", ">p, all looks", "")
     for name, one in drift.per_year.items():
         digits = places(2 * one.u)
         sizes = (fixed(one.value, digits, sign=True), fixed(2 * one.u, digits))
@@ -187,36 +242,37 @@ def _drift_table(drift: LinesPart) -> Table:
 
 
 def history_figure(comparison: Comparison) -> str:
-    """Return an SVG file that plots each coefficient minus its first value, with bars U (k = 2).
+    """Return an SVG file that plots each of the nine minus its first value, with bars U (k = 2).
 
-    Coefficients that changed are red crosses.
+    Numbers that changed are red crosses.
     """
-    snapshots = [comparison.first, *(changes.later for changes in comparison.changes)]
+    found = comparison.nine
+    snapshots = [found.first, *(changes.later for changes in found.changes)]
     dates = [snapshot.when for snapshot in snapshots if snapshot.when is not None]
     dated = len(dates) == len(snapshots)
-    values = np.array([snapshot.vector for snapshot in snapshots]) - comparison.first.vector
+    values = np.array([snapshot.vector for snapshot in snapshots]) - found.first.vector
     bars = COVERAGE_FACTOR * np.sqrt([np.diag(snapshot.covariance) for snapshot in snapshots])
-    changed = np.any([changes.changed for changes in comparison.changes], axis=0)
-    scale = scale_for(float(np.max(np.abs(values) + bars)), comparison.first.unit)
+    changed = np.any([changes.changed for changes in found.changes], axis=0)
 
     def draw(figure: Figure) -> None:
-        grid = figure.subplots(4, 3, sharex=True)
-        for j, name in enumerate(COEFFICIENTS):
+        grid = figure.subplots(3, 3, sharex=True)
+        for j, name in enumerate(found.names):
+            size, unit = small_unit(name, float(np.max(np.abs(values[:, j]) + bars[:, j])), found.first.unit)
             axes = grid.flat[j]
             along = dates if dated else list(range(1, len(snapshots) + 1))
             axes.axhline(0.0, color=GREY, linewidth=0.7)
             axes.errorbar(
-                along, values[:, j] / scale.size, bars[:, j] / scale.size,
+                along, values[:, j] / size, bars[:, j] / size,
                 fmt="X" if changed[j] else "o", color=VERMILION if changed[j] else BLUE, capsize=2.5,
             )  # fmt: skip
-            axes.set_title(symbol(name) + (" changed" if changed[j] else ""))
+            axes.set_title(f"{symbol(name)} / {unit}" + (" changed" if changed[j] else ""))
             if dated:
                 axes.set_xticks([dates[0], dates[-1]], [f"{date:%Y-%m-%d}" for date in (dates[0], dates[-1])])
             else:
                 axes.set_xticks(along)
-        figure.supylabel(f"less the first / {scale.per_g}, biases: {scale.unit}; bars k = 2", fontsize=8)
+        figure.supylabel("less the first; bars k = 2", fontsize=8)
 
-    return svg_file("history", (7.4, 7.4), draw)
+    return svg_file("history", (7.4, 6.2), draw)
 
 
 class DegreePart(ResultModel):
@@ -254,9 +310,9 @@ class EquivalencePart(ResultModel):
 
 
 class TogetherPart(ResultModel):
-    """A chi-square test of a difference in all twelve coefficients at once."""
+    """A chi-square test of a difference in all twelve coefficients, or all nine numbers, at once."""
 
-    chi2: float = Field(description="of the vector of twelve differences with its covariance")
+    chi2: float = Field(description="of the vector of differences with its covariance")
     dof: int
     p: float
     p_all_looks: float = Field(description="after Holm over all benches, or all pairs")
@@ -264,14 +320,14 @@ class TogetherPart(ResultModel):
 
 
 class PairTogether(TogetherPart):
-    """A chi-square test of the difference between two benches in all twelve coefficients at once."""
+    """A chi-square test of the difference between two benches in all numbers at once."""
 
     first: str
     second: str
 
 
 class AllTogether(ResultModel):
-    """Chi-square tests in all twelve coefficients at once, of each bench and of each pair of benches."""
+    """Chi-square tests in all numbers at once, of each bench and of each pair of benches."""
 
     benches: dict[str, TogetherPart] = Field(description="degrees of equivalence, by bench")
     pairs: list[PairTogether]
@@ -285,6 +341,14 @@ class BeyondPart(ResultModel):
     en: float
 
 
+class NineOfBenches(ResultModel):
+    """The comparison of the benches in the nine numbers that do not depend on the mounting."""
+
+    values: dict[str, EquivalencePart] = Field(description="by name, in unit/g, degrees and g")
+    together: AllTogether = Field(description="in all nine at once: this decides")
+    beyond: list[BeyondPart] = Field(description="beyond U (k = 2), the largest E_n first")
+
+
 class BenchesResult(FleetResult):
     """A comparison of benches by units that several of them measured."""
 
@@ -292,110 +356,145 @@ class BenchesResult(FleetResult):
     benches: list[str] = Field(description="that take part")
     units: list[str] = Field(description="measured on several of them")
     alone: list[str] = Field(description="benches that share no unit with another")
-    coefficients: dict[str, EquivalencePart] = Field(description="by name")
-    together: AllTogether
-    apart: list[BeyondPart] = Field(description="beyond U (k = 2), the largest E_n first")
+    intrinsic: NineOfBenches
+    coefficients: dict[str, EquivalencePart] = Field(description="the twelve, by name")
+    together: AllTogether = Field(description="in all twelve at once, which a turn of the block changes too")
+    apart: list[BeyondPart] = Field(description="of the twelve beyond U (k = 2), the largest E_n first")
+
+    @property
+    def off(self) -> tuple[str, ...]:
+        """The benches that the joint test of the nine finds off."""
+        return tuple(name for name, one in self.intrinsic.together.benches.items() if one.apart)
 
 
 def benches_result(found: BenchComparison) -> BenchesResult:
     """Return the result of a comparison of benches."""
-    names = [{"first": found.benches[p.first], "second": found.benches[p.second]} for p in found.pairs[0]]
+    nine, twelve = found.nine, found.twelve
     return BenchesResult.from_object(
         found,
         per_g_m_s2=STANDARD_GRAVITY,
-        coefficients={
-            name: EquivalencePart.from_object(
-                one,
-                degrees_of_equivalence={
-                    bench: DegreePart(d=d, u=u, U=COVERAGE_FACTOR * u, en=en)
-                    for bench, d, u, en in zip(found.benches, one.degree, one.u_degree, one.en, strict=True)
-                },
-                pairs=[PairPart.from_object(pair, **who) for pair, who in zip(both, names, strict=True)],
-            )
-            for name, one, both in zip(COEFFICIENTS, found.found, found.pairs, strict=True)
-        },
-        together=AllTogether(
-            benches={
-                name: TogetherPart.from_object(one)
-                for name, one in zip(found.benches, found.together, strict=True)
-            },
-            pairs=[
-                PairTogether.from_object(one, **who)
-                for one, who in zip(found.pairs_together, names, strict=True)
-            ],
+        intrinsic=NineOfBenches(
+            values=_equivalences(found, nine), together=_together(found, nine), beyond=_beyond(found, nine)
         ),
-        apart=[BeyondPart(bench=b, coefficient=c, en=en) for b, c, en in found.apart],
+        coefficients=_equivalences(found, twelve),
+        together=_together(found, twelve),
+        apart=_beyond(found, twelve),
     )
 
 
+def _equivalences(of: BenchComparison, numbers: BenchesIn) -> dict[str, EquivalencePart]:
+    names = _pairs_of(of, numbers)
+    return {
+        name: EquivalencePart.from_object(
+            one,
+            degrees_of_equivalence={
+                bench: DegreePart(d=d, u=u, U=COVERAGE_FACTOR * u, en=en)
+                for bench, d, u, en in zip(of.benches, one.degree, one.u_degree, one.en, strict=True)
+            },
+            pairs=[PairPart.from_object(pair, **who) for pair, who in zip(both, names, strict=True)],
+        )
+        for name, one, both in zip(numbers.names, numbers.found, numbers.pairs, strict=True)
+    }
+
+
+def _together(of: BenchComparison, numbers: BenchesIn) -> AllTogether:
+    names = _pairs_of(of, numbers)
+    return AllTogether(
+        benches={
+            name: TogetherPart.from_object(one)
+            for name, one in zip(of.benches, numbers.together, strict=True)
+        },
+        pairs=[
+            PairTogether.from_object(one, **who)
+            for one, who in zip(numbers.pairs_together, names, strict=True)
+        ],
+    )
+
+
+def _pairs_of(of: BenchComparison, numbers: BenchesIn) -> list[dict[str, str]]:
+    return [{"first": of.benches[p.first], "second": of.benches[p.second]} for p in numbers.pairs[0]]
+
+
+def _beyond(of: BenchComparison, numbers: BenchesIn) -> list[BeyondPart]:
+    return [BeyondPart(bench=b, coefficient=c, en=en) for b, c, en in numbers.apart(of.benches)]
+
+
 def print_benches(result: BenchesResult, out: Console) -> None:
-    """Print the consistency and the worst bench for each coefficient, and the benches beyond U."""
+    """Print the consistency and the worst bench for each number, and the verdict by the joint test of the nine."""
     out.print(
         f"{len(result.benches)} benches on {len(result.units)} common units, {result.calibrations} calibrations; "
         "d = bench less reference, U with k=2"
     )
     if result.alone:
-        out.print(f"not compared, no unit joins them: {', '.join(result.alone)}")
-    shown = table(
-        "coefficient", ">chi2", ">dof", ">Birge", ">dark", "reference", ">worst bench", ">d", ">U", ">E_n"
-    )
-    for name, one in result.coefficients.items():
-        worst, degree = max(one.degrees_of_equivalence.items(), key=lambda of: of[1].en)
-        shown.add_row(
-            name, f"{one.chi2:.1f}", str(one.dof), f"{one.birge:.2f}",
-            limit_in_words(one.dark, result.signal), one.method, worst,
-            signed_size(degree.d, result.signal), quantity(degree.U, result.signal), f"{degree.en:.2f}",
-        )  # fmt: skip
-    out.print(shown)
-    print_notes(out, result.notes)
-    if result.apart:
-        told = ", ".join(
-            f"{one.bench} in {one.coefficient} (E_n {one.en:.1f})" for one in result.apart[:MOST_SHOWN]
+        out.print(f"not compared, as no unit connects them: {', '.join(result.alone)}")
+    for numbers in (result.intrinsic.values, result.coefficients):
+        shown = table(
+            "number", ">chi2", ">dof", ">Birge", ">dark", "reference", ">worst bench", ">d", ">U", ">E_n"
         )
-        out.print(f"beyond U (k=2): {told}", style="bold")
-    else:
-        out.print("no bench is off by more than U (k=2)", style="bold")
-    _print_together(result.together, out)
+        for name, one in numbers.items():
+            worst, degree = max(one.degrees_of_equivalence.items(), key=lambda of: of[1].en)
+            size, unit = unit_of_change(name, result.signal)
+            shown.add_row(
+                name, f"{one.chi2:.1f}", str(one.dof), f"{one.birge:.2f}",
+                limit_in_words(None if one.dark is None else one.dark * size, unit), one.method, worst,
+                signed_size(degree.d * size, unit), quantity(degree.U * size, unit), f"{degree.en:.2f}",
+            )  # fmt: skip
+        out.print(shown)
+    print_notes(out, result.notes)
+    told = [f"{one.bench} in {one.coefficient} (E_n {one.en:.1f})" for one in result.intrinsic.beyond]
+    if told:
+        out.print(f"beyond U (k=2): {', '.join(told[:MOST_SHOWN])}", style="bold")
+    _print_together(result.intrinsic.together, "nine", out)
+    _print_together(result.together, "twelve", out)
 
 
-def _print_together(found: AllTogether, out: Console) -> None:
-    """Print the benches and pairs of benches that differ in all twelve coefficients taken together."""
+def unit_of_change(name: str, unit: str) -> tuple[float, str]:
+    """Return the factor and the unit in which differences of a number are printed: angles in seconds of arc."""
+    if name.startswith("theta"):
+        return 3600.0, "″"
+    return 1.0, "g" if name in INTRINSIC[6:] else unit
+
+
+def _print_together(found: AllTogether, count: str, out: Console) -> None:
+    """Print the benches and pairs of benches that differ in all `count` numbers taken together."""
     benches: Iterable[tuple[str, TogetherPart]] = found.benches.items()
     pairs = ((f"{pair.first} and {pair.second}", pair) for pair in found.pairs)
     apart = [(name, one) for name, one in (*benches, *pairs) if one.apart]
     for name, one in sorted(apart, key=lambda row: row[1].p_all_looks)[:MOST_SHOWN]:
         out.print(
-            f"all twelve together, {name}: chi2 {one.chi2:.1f} for {one.dof}, p {one.p_all_looks:.2g} in all looks"
+            f"all {count} together, {name}: chi2 {one.chi2:.1f} for {one.dof}, p {one.p_all_looks:.2g} in all "
+            "looks",
+            style="bold" if count == "nine" else None,
         )
     if not apart:
-        out.print("all twelve together: no bench and no pair differs beyond its covariance (5 %, all looks)")
+        out.print(
+            f"all {count} together: no bench and no pair differs beyond its covariance (5 %, all looks)"
+        )
 
 
 def equivalence_figure(of: BenchComparison) -> str:
-    """Return an SVG file of the degrees of equivalence, with bars U (k = 2).
+    """Return an SVG file of the degrees of equivalence in the nine, with bars U (k = 2).
 
     Benches beyond U are red crosses. The band is the dark uncertainty.
     """
-    benches, found, signal = of.benches, of.found, of.signal
-    rows = np.arange(len(benches))
+    benches, rows = of.benches, np.arange(len(of.benches))
 
     def draw(figure: Figure) -> None:
-        grid = figure.subplots(4, 3, sharey=True)
-        for axes, name, one in zip(grid.flat, COEFFICIENTS, found, strict=True):
+        grid = figure.subplots(3, 3, sharey=True)
+        for axes, name, one in zip(grid.flat, of.nine.names, of.nine.found, strict=True):
             U = COVERAGE_FACTOR * one.u_degree
-            scale = scale_for(float(np.max(np.abs(one.degree) + U)), signal)
+            size, unit = small_unit(name, float(np.max(np.abs(one.degree) + U)), of.signal)
             if one.dark > 0:
-                axes.axvspan(-one.dark / scale.size, one.dark / scale.size, color="#DDE2E6", zorder=0)
+                axes.axvspan(-one.dark / size, one.dark / size, color="#DDE2E6", zorder=0)
             axes.axvline(0.0, color=GREY, linewidth=0.7)
             for beyond, marker, colour in ((one.en <= 1.0, "o", BLUE), (one.en > 1.0, "X", VERMILION)):
                 axes.errorbar(
-                    one.degree[beyond] / scale.size, rows[beyond], xerr=U[beyond] / scale.size,
+                    one.degree[beyond] / size, rows[beyond], xerr=U[beyond] / size,
                     fmt=marker, color=colour, capsize=2.0,
                 )  # fmt: skip
-            unit = scale.unit if name.startswith("U0") else scale.per_g
             axes.set_title(f"{symbol(name)} / {unit}")
             axes.set_yticks(rows, benches)
             axes.set_ylim(len(benches) - 0.5, -0.5)
         figure.supxlabel("degree of equivalence: bench less reference, bars k = 2", fontsize=8)
 
-    return svg_file("equivalence", (7.4, 2.4 + 0.9 * len(benches)), draw)
+    return svg_file("equivalence", (7.4, 2.4 + 0.7 * len(benches)), draw)

@@ -136,6 +136,10 @@ class CompensateResult(ResultModel):
     readings: ReadingsPart
     notes: list[str]
     table: TablePart
+    check: Matrix = Field(
+        description="check vectors: temperature, °C, three signals, and three accelerations by the table, g"
+    )
+    python: list[str] = Field(description="three lines of Python that test the file named as their argument")
     verification: list[VerdictAtPart]
     sources: list[str]
     bench: BenchPart
@@ -155,8 +159,8 @@ def compensate_result(
     """Return the result of a temperature model.
 
     `of_readings` is the part of the covariance that comes from the readings, `hidden` are the error sources that
-    they do not show. `checks` holds temperature (°C) and verification. `made_from` are the members from `sources`
-    on.
+    they do not show. `checks` holds temperature (°C) and verification. `made_from` are the check vectors, their
+    test, and the members from `sources` on.
     """
     u, count = u_of(model.covariance).reshape(model.values.shape), model.values.shape[1]
     return CompensateResult.from_object(
@@ -277,20 +281,20 @@ def _print_hysteresis(model: TemperatureModel, out: Console) -> None:
     out.print(f"hysteresis, rising minus falling: p = {found.p:.2g} for all twelve: {verdict}")
     if found.p < HYSTERESIS_P:
         out.print(
-            "  half of it either way is in the uncertainty: a reader of the table does not know the side"
+            "  the uncertainty includes half of it either way, as a user of the table does not know the direction"
         )
 
 
 def _print_fit(model: TemperatureModel, out: Console) -> None:
     out.print(
         fit_in_words(
-            model.fitted, "THE MODEL DOES NOT FIT the readings", untold=f"{REPEATS}: too little to tell"
+            model.fitted, "THE MODEL DOES NOT FIT the readings", untold=f"{REPEATS}: too few data to tell"
         )
     )
     if model.curve is not None:
         what = "polynomials against coefficients free at each temperature"
         contradicted = (
-            "THE CURVES ARE NOT THESE POLYNOMIALS: hysteresis that is not the same at all temperatures, a lag, or "
-            "too few degrees"
+            "THE CURVES ARE NOT THESE POLYNOMIALS: hysteresis that varies with temperature, a lag, or a "
+            "degree that is too low"
         )
-        out.print(fit_in_words(model.curve, contradicted, what, "polynomials: too little to tell"))
+        out.print(fit_in_words(model.curve, contradicted, what, "polynomials: too few data to tell"))

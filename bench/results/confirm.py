@@ -60,6 +60,8 @@ class ConfirmResult(ResultModel):
     before_rms_ug: Real = Field(description="root mean square of measured less simulated, µg")
     after_rms_ug: Real = Field(description="the same with the model's effects, µg")
     expected_rms_ug: Real = Field(description="what noise alone would leave, µg")
+    before_rms_v: Real = Field(default=None, description="the same in V, of a record at a known input")
+    after_rms_v: Real = None
     verdict: Became = Field(
         description="confirmed where every effect that shows is as it was (p_same of 0.01 or more) and half of "
         "the gap closes; gone where none is there (p_none of 0.01 or more)"
@@ -118,9 +120,11 @@ def confirm_result(
         after=found.after.reduced,
         floor=FLOOR,
         p_after=found.p_after,
-        before_rms_ug=1e6 * found.before.rms_g,
-        after_rms_ug=1e6 * found.after.rms_g,
-        expected_rms_ug=1e6 * found.after.expected_rms_g,
+        before_rms_ug=1e6 * found.before.rms_g if found.unit == "g" else None,
+        after_rms_ug=1e6 * found.after.rms_g if found.unit == "g" else None,
+        expected_rms_ug=1e6 * found.after.expected_rms_g if found.unit == "g" else None,
+        before_rms_v=found.before.rms_g if found.unit == "V" else None,
+        after_rms_v=found.after.rms_g if found.unit == "V" else None,
         verdict=found.verdict,
         effects=[effect_part(effect) for effect in found.effects],
         left=found.diagnosis.verdict,
@@ -146,9 +150,11 @@ def print_confirmation(source: str, found: Confirmation, notes: Sequence[str], o
     # if values changed, effects found beside the model merely compensate for its wrong values
     left = words.beside_in_words(found.diagnosis)
     if left and found.verdict == "confirmed":
-        out.print(f"Something else is in these readings: {left}; 'bench diagnose' with this model tells it")
+        out.print(
+            f"These readings also contain another effect: {left}; 'bench diagnose' with this model names it"
+        )
     closed = words.closed_in_words(
-        found.closed, found.before.rms_g, found.after.rms_g, found.after.expected_rms_g
+        found.closed, found.before.rms_g, found.after.rms_g, found.after.expected_rms_g, found.unit
     )
     ties = dict.fromkeys(map(words.either_in_words, found.effects))
     told = "; ".join([*filter(None, ties), closed])

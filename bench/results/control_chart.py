@@ -14,14 +14,16 @@ from rich.console import Console
 from rich.table import Table
 
 from bench.base.arrays import Floats
-from bench.base.numbers import MINUS, Scale, fixed, probability, scale_for, two_digits
+from bench.base.numbers import MINUS, fixed, probability, scale_for, two_digits
 from bench.base.result_model import Real, ResultModel
 from bench.base.tables import as_text, print_notes, table
-from bench.history.control_chart import ControlChart
-from bench.model.geometry import COEFFICIENTS
-from bench.results.parts import ValuePart, by_coefficient
+from bench.calibration.intrinsic import INTRINSIC
+from bench.history.control_chart import ControlChart, Verdict
+from bench.results.intrinsic import small_unit
+from bench.results.parts import ValuePart, by_coefficient, by_name
 from bench.results.plots import BLUE, GREY, VERMILION, svg_figure, symbol
 from bench.results.tables import Row, page
+from bench.results.tables import symbol as html_symbol
 from bench.stats.control_charts import Basis
 
 if TYPE_CHECKING:
@@ -77,7 +79,7 @@ class ChartedRun(ResultModel):
     when: str = Field(description="ISO 8601")
     accepted: bool
     reasons: list[str] = Field(description="why it is rejected, a clause each")
-    t2: float = Field(description="T² of all coefficients")
+    t2: float = Field(description="T² of the twelve coefficients")
     p: float = Field(description="chance of as much")
     ewma_t2: Real = Field(description="T² of the EWMA; null for a run that T² rejects")
     ewma_p: Real
@@ -89,7 +91,7 @@ class VariabilityPart(ResultModel):
     """The variability of a coefficient in the baseline, as standard deviations."""
 
     noise: float = Field(description="from the noise of readings")
-    stated: float = Field(description="u of one run from all that comes anew with it")
+    stated: float = Field(description="u of one run from everything that changes between runs")
     scatter: float = Field(description="between runs")
     f: float = Field(description="(scatter/stated)²")
     p: float = Field(description="chance of more")
@@ -124,6 +126,29 @@ class DriftPart(ResultModel):
     p: float = Field(description="chance of as much in any of the twelve")
 
 
+class NineRun(ResultModel):
+    """A run in the nine numbers."""
+
+    t2: float = Field(description="T² of all nine")
+    p: float = Field(description="chance of as much")
+    ewma_t2: Real = Field(description="T² of the EWMA; null for a run that T² rejects")
+    ewma_p: Real
+    values: dict[str, DeviationPart]
+
+
+class NineChart(ResultModel):
+    """The chart of the nine numbers that do not depend on the mounting, which decides."""
+
+    centre: dict[str, ValuePart] = Field(description="in unit/g, degrees and g")
+    scale: float = Field(description="by how much stated u is multiplied")
+    dof: Real = Field(description="degrees of freedom of that; null where stated u is believed")
+    limits_from: Basis
+    limits: LimitsPart
+    runs: dict[str, NineRun] = Field(description="by name of the run")
+    components: ComponentsPart | None
+    drift: dict[str, DriftPart] | None = Field(description="beyond the known drift, in a year")
+
+
 class ChartResult(ResultModel):
     """The control chart of a check block, and whether its last run is in control."""
 
@@ -131,6 +156,7 @@ class ChartResult(ResultModel):
     unit: str = Field(description="of the signals")
     g_m_s2: float = Field(description="the g that scale factors are per")
     simulated: bool
+    intrinsic: NineChart
     design: DesignPart
     baseline: list[str] = Field(description="runs that say what the block is")
     reference: str | None = Field(description="the result that is used in their place")
@@ -151,13 +177,14 @@ class ChartResult(ResultModel):
 
 @dataclass(frozen=True)
 class CheckBlockChart:
-    """The control chart of a check block.
+    """The control chart of a check block: `chart` of the nine, which decides, and `twelve` beside it.
 
     `unit` is the unit of the signals and `g_m_s2` the g to which scale factors refer; `notes` names the runs left
     out.
     """
 
     chart: ControlChart
+    twelve: ControlChart
     block: str
     unit: str
     g_m_s2: float
@@ -173,7 +200,7 @@ class CheckBlockChart:
         """Return a sentence on the verdict of the last run."""
         if not self.chart.verdicts:
             first = self.chart.baseline[-1].name
-            return f"NO VERDICT yet: {first} is the first, and nothing is there to hold it against"
+            return f"NO VERDICT yet: {first} is the first run, and there is nothing to compare with"
         last = self.chart.verdicts[-1]
         if last.accepted:
             return f"IN CONTROL: {last.run}"
@@ -182,9 +209,10 @@ class CheckBlockChart:
     @cached_property
     def result(self) -> ChartResult:
         """The result of `bench chart --json`."""
-        chart, design, centre = self.chart, self.chart.design, self.chart.centre
+        chart, design, centre = self.twelve, self.twelve.design, self.twelve.centre
         return ChartResult.from_object(
             self,
+            intrinsic=_nine(self.chart),
             design=DesignPart.from_object(design, arl_of_each=design.each_arl, limits_from=design.basis),
             baseline=[run.name for run in chart.baseline],
             reference=None if chart.reference is None else chart.reference.name,
@@ -193,17 +221,14 @@ class CheckBlockChart:
             ),
             scale=float(np.sqrt(centre.scale)),
             dof=centre.dof,
-            limits=LimitsPart(
-                t2=chart.limit_t2, ewma_t2=chart.limit_ewma, single=chart.limit_single,
-                single_ewma=chart.limit_single_ewma,
-            ),
-            runs=[_run(chart, row) for row in range(len(chart.later))],
+            limits=_limits(chart),
+            runs=[_run(chart, row, self.chart.verdicts[row]) for row in range(len(chart.later))],
             components=_components(chart),
             drift=None if chart.drift is None else by_coefficient(DriftPart, **vars(chart.drift)),
             baseline_alone_p=None if chart.alone is None else chart.alone.tolist(),
-            in_control=chart.in_control,
+            in_control=self.chart.in_control,
             last=chart.verdicts[-1].run if chart.verdicts else None,
-            notes=[*self.notes, *chart.notes],
+            notes=[*self.notes, *self.chart.notes],
         )  # fmt: skip
 
     def to_dict(self) -> dict[str, Any]:
@@ -221,12 +246,21 @@ class CheckBlockChart:
         if result.runs:
             out.print(_runs_table(result))
             out.print("")
-            out.print(_coefficients_table(result))
+            last, nine = result.runs[-1], result.intrinsic
+            out.print(
+                _numbers_table(
+                    last.run, nine.runs[last.run].values, nine.limits, nine.components, result.unit
+                )
+            )
+            out.print("the twelve, which a turn of the block changes too:")
+            out.print(
+                _numbers_table(last.run, last.coefficients, result.limits, result.components, result.unit)
+            )
             basis = {
                 "stated": "stated u",
-                "scaled": f"stated u, times {result.scale:.2f} as the baseline shows",
+                "scaled": f"stated u, times {nine.scale:.2f} as the baseline shows",
                 "scatter": "the scatter of the baseline",
-            }[result.design.limits_from]
+            }[nine.limits_from]
             out.print(
                 f"false alarms: one in {result.design.arl:g} runs, all three statistics together; "
                 f"limits from {basis}"
@@ -239,25 +273,58 @@ class CheckBlockChart:
         return as_text(self.print_on)
 
 
-def _run(chart: ControlChart, row: int) -> ChartedRun:
-    verdict, run, short, shewhart, ewma = (
-        chart.verdicts[row], chart.later[row], chart.short, chart.shewhart, chart.ewma
+def _nine(chart: ControlChart) -> NineChart:
+    centre = chart.centre
+    return NineChart(
+        centre=by_name(
+            chart.names, ValuePart, value=centre.value, u=np.sqrt(np.diag(centre.covariance) * centre.scale)
+        ),
+        scale=float(np.sqrt(centre.scale)),
+        dof=centre.dof,
+        limits_from=chart.design.basis,
+        limits=_limits(chart),
+        runs={
+            run.name: NineRun(**_joint_of(chart, row), values=_deviations(chart, row))
+            for row, run in enumerate(chart.later)
+        },
+        components=_components(chart),
+        drift=None if chart.drift is None else by_name(chart.names, DriftPart, **vars(chart.drift)),
+    )
+
+
+def _limits(chart: ControlChart) -> LimitsPart:
+    return LimitsPart(
+        t2=chart.limit_t2, ewma_t2=chart.limit_ewma, single=chart.limit_single,
+        single_ewma=chart.limit_single_ewma,
     )  # fmt: skip
+
+
+def _joint_of(chart: ControlChart, row: int) -> dict[str, float]:
+    shewhart, ewma = chart.shewhart, chart.ewma
+    return {
+        "t2": shewhart.t2[row], "p": shewhart.p_joint[row], "ewma_t2": ewma.t2[row], "ewma_p": ewma.p_joint[row],
+    }  # fmt: skip
+
+
+def _deviations(chart: ControlChart, row: int) -> dict[str, DeviationPart]:
+    shewhart, ewma = chart.shewhart, chart.ewma
+    return by_name(
+        chart.names, DeviationPart, deviation=shewhart.deviation[row], u=shewhart.u[row], z=shewhart.z[row],
+        ewma=ewma.deviation[row], ewma_u=ewma.u[row], ewma_z=ewma.z[row],
+    )  # fmt: skip
+
+
+def _run(chart: ControlChart, row: int, verdict: Verdict) -> ChartedRun:
+    run, short = chart.later[row], chart.short
     return ChartedRun.from_object(
         verdict,
         when=verdict.when.isoformat(),
-        t2=shewhart.t2[row],
-        p=shewhart.p_joint[row],
-        ewma_t2=ewma.t2[row],
-        ewma_p=ewma.p_joint[row],
+        **_joint_of(chart, row),
         short_term=ShortTermPart(
             s=run.s, dof=run.s_dof, f=None if short is None else short.f[row],
             p=None if short is None else short.p[row],
         ),
-        coefficients=by_coefficient(
-            DeviationPart, deviation=shewhart.deviation[row], u=shewhart.u[row], z=shewhart.z[row],
-            ewma=ewma.deviation[row], ewma_u=ewma.u[row], ewma_z=ewma.z[row],
-        ),
+        coefficients=_deviations(chart, row),
     )  # fmt: skip
 
 
@@ -268,7 +335,7 @@ def _components(chart: ControlChart) -> ComponentsPart | None:
     columns: dict[str, Floats] = {name: getattr(found, name) for name in VariabilityPart.model_fields}
     return ComponentsPart.from_object(
         found,
-        coefficients=by_coefficient(VariabilityPart, **columns),
+        coefficients=by_name(chart.names, VariabilityPart, **columns),
         birge=float(np.sqrt(found.birge2)),
         short_term=None if short is None else PooledPart(s=short.pooled, dof=short.pooled_dof),
     )
@@ -283,63 +350,72 @@ def _in_u(z: float | None) -> str:
     return "–" if z is None else f"{z:+.1f}".replace("-", MINUS)
 
 
-def _run_cells(run: ChartedRun) -> list[str]:
-    """Return the cells of a run: start time, T², T² of the EWMA, and s relative to the baseline."""
-    f = run.short_term.f
-    ewma_t2 = "–" if run.ewma_t2 is None else f"{run.ewma_t2:.1f}"
+def _run_cells(result: ChartResult, run: ChartedRun) -> list[str]:
+    """Return the cells of a run: start time, T² of the nine, T² of their EWMA, and s relative to the baseline."""
+    f, nine = run.short_term.f, result.intrinsic.runs[run.run]
+    ewma_t2 = "–" if nine.ewma_t2 is None else f"{nine.ewma_t2:.1f}"
     return [
-        run.when[:16].replace("T", " "), f"{run.t2:.1f}", ewma_t2, "–" if f is None else f"{f**0.5:.2f}",
+        run.when[:16].replace("T", " "), f"{nine.t2:.1f}", ewma_t2, "–" if f is None else f"{f**0.5:.2f}",
     ]  # fmt: skip
 
 
 def _deviation_cells(name: str, own: DeviationPart, signal: str) -> list[str]:
-    """Return the cells of a coefficient: deviation, u, and both deviation and EWMA in units of their u."""
-    scale = scale_for(own.u, signal)
-    unit = _unit_of(name, scale)
-    off = f"{fixed(own.deviation / scale.size, 1)} {unit}"
-    return [off, f"{own.u / scale.size:.1f} {unit}", _in_u(own.z), _in_u(own.ewma_z)]
+    """Return the cells of a number: deviation, u, and both deviation and EWMA in units of their u."""
+    size, unit = _scale_of(name, own.u, signal)
+    off = f"{fixed(own.deviation / size, 1)} {unit}"
+    return [off, f"{own.u / size:.1f} {unit}", _in_u(own.z), _in_u(own.ewma_z)]
 
 
-def _unit_of(name: str, scale: Scale) -> str:
-    return scale.unit if name.startswith("U0") else scale.per_g
+def _scale_of(name: str, largest: float, signal: str) -> tuple[float, str]:
+    """Return the size and the unit in which deviations of one of the nine or the twelve are printed."""
+    if name in INTRINSIC:
+        return small_unit(name, largest, signal)
+    scale = scale_for(largest, signal)
+    return scale.size, scale.unit if name.startswith("U0") else scale.per_g
 
 
 def _runs_table(result: ChartResult) -> Table:
-    t2, ewma_t2 = f">T² (≤ {result.limits.t2:.1f})", f">EWMA T² (≤ {result.limits.ewma_t2:.1f})"
+    limits = result.intrinsic.limits
+    t2, ewma_t2 = f">T² (≤ {limits.t2:.1f})", f">EWMA T² (≤ {limits.ewma_t2:.1f})"
     shown = table("run", "begun", t2, ewma_t2, ">s / baseline", "verdict")
     for run in result.runs[-LAST_ROWS:]:
-        shown.add_row(run.run, *_run_cells(run), "in control" if run.accepted else "OUT OF CONTROL")
+        shown.add_row(run.run, *_run_cells(result, run), "in control" if run.accepted else "OUT OF CONTROL")
     return shown
 
 
-def _coefficients_table(result: ChartResult) -> Table:
-    """Return a table with a row for each coefficient of the last run.
+def _numbers_table(
+    run: str,
+    numbers: dict[str, DeviationPart],
+    limits: LimitsPart,
+    parts: ComponentsPart | None,
+    signal: str,
+) -> Table:
+    """Return a table with a row for each number of a run.
 
     The columns are its deviation from the centre, u of the deviation, the deviation in units of u, the weighted
     mean (EWMA) in units of u, and the ratio of the baseline's scatter to `stated` u, with its p-value if below
     0.01.
     """
-    last, limits, parts = result.runs[-1], result.limits, result.components
     shown = table(
-        last.run, ">off the centre", ">u", f">in u (≤ {limits.single:.1f})",
-        f">EWMA in u (≤ {limits.single_ewma:.1f})",        ">scatter / stated u", ">",
+        run, ">off the centre", ">u", f">in u (≤ {limits.single:.1f})",
+        f">EWMA in u (≤ {limits.single_ewma:.1f})", ">scatter / stated u", ">",
     )  # fmt: skip
-    for name, own in last.coefficients.items():
+    for name, own in numbers.items():
         ratio, more = "–", ""
         if parts is not None:
             variability = parts.coefficients[name]
             ratio = f"{variability.scatter / variability.stated:.2f}"
-            # Bonferroni over the coefficients
+            # Bonferroni over the numbers
             p = min(1.0, len(parts.coefficients) * variability.p)
             more = probability(p) if p < 0.01 else ""
-        shown.add_row(name, *_deviation_cells(name, own, result.unit), ratio, more)
+        shown.add_row(name, *_deviation_cells(name, own, signal), ratio, more)
     return shown
 
 
 MOST_SHOWN: Final = 60
 """Number of runs, the latest, that the page draws and lists."""
 BASIS_IN_WORDS: Final = {
-    "stated": "stated u, believed as it stands",
+    "stated": "stated u, unchanged",
     "scaled": "stated u, times one factor for all coefficients that the baseline shows",
     "scatter": "the scatter of the baseline alone (Hotelling's T²)",
 }
@@ -355,7 +431,7 @@ def render_chart(found: CheckBlockChart) -> str:
     if last is not None:
         figures = [
             Markup(svg_figure("joint", (7.4, 5.6), partial(_joint, found), "T², EWMA and s of every run")),  # noqa: S704 - our own drawing
-            Markup(svg_figure("single", (7.4, 8.2), partial(_single, found), "every coefficient by run")),  # noqa: S704 - our own drawing
+            Markup(svg_figure("single", (7.4, 6.4), partial(_single, found), "each of the nine by run")),  # noqa: S704 - our own drawing
         ]
     return page(
         "control_chart.html.j2",
@@ -368,7 +444,12 @@ def render_chart(found: CheckBlockChart) -> str:
         factor=f"{float(np.sqrt(chart.centre.scale)):.2f}",
         figures=figures,
         runs=_runs(result),
-        coefficients=_coefficients(result),
+        coefficients=_coefficients(
+            result.intrinsic.runs[last.run].values, result.intrinsic.limits, found.unit
+        )
+        if last
+        else [],
+        twelve=_coefficients(result.runs[-1].coefficients, result.limits, found.unit) if last else [],
         components=_plotted_components(found),
         drift=_drift(result),
         singles=(f"{chart.limit_single:.2f}", f"{chart.limit_single_ewma:.2f}"),
@@ -396,19 +477,20 @@ def _joint(found: CheckBlockChart, figure: Figure) -> None:
 
 
 def _single(found: CheckBlockChart, figure: Figure) -> None:
-    """Draw a panel for each coefficient: its deviation and its EWMA, each with its limits."""
+    """Draw a panel for each number: its deviation and its EWMA, each with its limits."""
     chart = found.chart
     shown = slice(-MOST_SHOWN, None)
     along = np.arange(1.0, len(chart.later) + 1)[shown]
-    largest = max(float(np.max(chart.shewhart.u)), 1e-30) * chart.limit_single
-    scale = scale_for(largest, found.unit)
-    grid = figure.subplots(4, 3, sharex=True)
-    for k, name in enumerate(COEFFICIENTS):
+    rows = -(-len(chart.names) // 3)
+    grid = figure.subplots(rows, 3, sharex=True)
+    for k, name in enumerate(chart.names):
         axes = grid.flat[k]
-        _coefficient(axes, chart, k, along, shown, scale.size)
-        axes.set_title(symbol(name))
+        largest = max(float(np.max(chart.shewhart.u[:, k])), 1e-30) * chart.limit_single
+        size, unit = _scale_of(name, largest, found.unit)
+        _coefficient(axes, chart, k, along, shown, size)
+        axes.set_title(f"{symbol(name)} / {unit}")
         axes.xaxis.get_major_locator().set_params(integer=True)
-    figure.supylabel(f"off the centre / {scale.per_g}, biases: {scale.unit}", fontsize=8)
+    figure.supylabel("off the centre", fontsize=8)
     figure.supxlabel("run after the baseline", fontsize=8)
 
 
@@ -455,22 +537,21 @@ def _runs(result: ChartResult) -> list[Row]:
     return [
         Row(
             run.run,
-            (*_run_cells(run), "in control" if run.accepted else "; ".join(run.reasons)),
+            (*_run_cells(result, run), "in control" if run.accepted else "; ".join(run.reasons)),
             not run.accepted,
         )
         for run in result.runs[-MOST_SHOWN:][::-1]
     ]
 
 
-def _coefficients(result: ChartResult) -> list[Row]:
-    limits = result.limits
+def _coefficients(numbers: dict[str, DeviationPart], limits: LimitsPart, signal: str) -> list[Row]:
     return [
         Row(
-            _html(name),
-            tuple(_deviation_cells(name, own, result.unit)),
+            html_symbol(name),
+            tuple(_deviation_cells(name, own, signal)),
             abs(own.z) > limits.single or abs(own.ewma_z or 0.0) > limits.single_ewma,
         )
-        for name, own in (result.runs[-1].coefficients.items() if result.runs else ())
+        for name, own in numbers.items()
     ]
 
 
@@ -479,27 +560,22 @@ def _plotted_components(found: CheckBlockChart) -> list[Row]:
     if parts is None:
         return []
     rows = []
-    for k, name in enumerate(COEFFICIENTS):
-        scale = scale_for(float(parts.stated[k]), found.unit)
+    for k, name in enumerate(found.chart.names):
+        scale, unit = _scale_of(name, float(parts.stated[k]), found.unit)
         columns = (parts.noise, parts.stated, parts.scatter, parts.between, parts.between_most)
-        sizes = ["0" if column[k] == 0.0 else two_digits(float(column[k]) / scale.size) for column in columns]
-        cells = (f"{size} {_unit_of(name, scale)}" for size in sizes)
+        sizes = ["0" if column[k] == 0.0 else two_digits(float(column[k]) / scale) for column in columns]
+        cells = (f"{size} {unit}" for size in sizes)
         p = probability(float(parts.p[k]))
         rows.append(
-            Row(_html(name), (*cells, f"{parts.f[k]:.2f}", p), bool(parts.more_than_stated[k] < 0.01))
+            Row(html_symbol(name), (*cells, f"{parts.f[k]:.2f}", p), bool(parts.more_than_stated[k] < 0.01))
         )
     return rows
 
 
 def _drift(result: ChartResult) -> list[Row]:
     rows = []
-    for name, one in (result.drift or {}).items():
-        scale = scale_for(one.u, result.unit)
-        unit = _unit_of(name, scale)
-        sizes = (f"{fixed(one.per_year / scale.size, 1)} {unit}", f"{one.u / scale.size:.1f} {unit}")
-        rows.append(Row(_html(name), (*sizes, probability(one.p)), one.p < 0.01))
+    for name, one in (result.intrinsic.drift or {}).items():
+        size, unit = _scale_of(name, one.u, result.unit)
+        sizes = (f"{fixed(one.per_year / size, 1)} {unit}", f"{one.u / size:.1f} {unit}")
+        rows.append(Row(html_symbol(name), (*sizes, probability(one.p)), one.p < 0.01))
     return rows
-
-
-def _html(name: str) -> Markup:
-    return Markup("{}<sub>{}</sub>").format(name[0], name[1:])

@@ -435,15 +435,13 @@ def print_mistakes(found: MistakesAlone, files: Files, out: Console) -> None:
         out.print(f"corrected copy of the readings: {files.copy}")
     names = ", ".join(dict.fromkeys(mistake.name for mistake in found.mistakes))
     lead = words.LEAD["mistake"].upper()
-    out.print(
-        f"{found.source}: {lead}: {names}; put it right and measure again what is missing", style="bold"
-    )
+    out.print(f"{found.source}: {lead}: {names}; correct it and repeat the affected readings", style="bold")
 
 
 def _mistakes(diagnosis: Diagnosis, out: Console) -> None:
     for mistake in diagnosis.mistakes.mistakes:
         out.print(f"Mistake: {mistake.name}: {mistake.words}", style="bold")
-        out.print("  what follows is from a copy with it put right; the record is as it was")
+        out.print("  what follows is from a corrected copy; the record is unchanged")
     if diagnosis.mistakes.mistakes:
         used = len(diagnosis.mistakes.corrected)
         out.print(f"Put right, {used} readings are searched")
@@ -464,12 +462,12 @@ def _effect(effect: NamedEffect, ranking: Sequence[Rival], out: Console) -> None
     for other in effect.cannot_tell_from:
         parts = [other, words.shift_in_words(ranking, other)]
         if other in CATALOGUE:
-            parts.append(f"to tell them apart: {CATALOGUE[other].shown_by}")
+            parts.append(f"to separate them: {CATALOGUE[other].shown_by}")
         if other == UNNAMED_FORM:
             parts.append("something without a name, of another form, is as plausible")
         out.print(f"  the data cannot tell it from {'; '.join(filter(None, parts))}")
     for other in effect.plainer_than:
-        why = "would explain it with more parameters, the plainer one is taken"
+        why = "would explain it with more parameters; the simpler one is used"
         parts = [f"{other} {why}", words.shift_in_words(ranking, other)]
         out.print(f"  {'; '.join(filter(None, parts))}")
 
@@ -551,7 +549,7 @@ def _limits_of_sight(full: FullDiagnosis, out: Console) -> None:
         )
     if diagnosis.absent:
         reasons = "; ".join(f"{name} ({why})" for name, why in diagnosis.absent.items())
-        out.print(f"Not looked for, as the bench has nothing that could: {reasons}")
+        out.print(f"Not searched, as the bench cannot have them: {reasons}")
     if diagnosis.verdict == "agrees":
         sizes = [f"{name} {size}" for name, size in words.smallest_found(diagnosis)]
         out.print(f"Smaller effects would not show. Found in half of all runs: {'; '.join(sizes)}")

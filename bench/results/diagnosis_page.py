@@ -9,6 +9,7 @@ import numpy as np
 from markupsafe import Markup
 
 from bench.base.arrays import CHANNELS, Floats, Mask
+from bench.base.languages import message
 from bench.base.numbers import (
     MINUS,
     Scale,
@@ -117,8 +118,8 @@ def drawn(svg: str) -> Markup:
 
 
 def _place(place: ResidualPattern) -> Row:
-    where = "verification points" if place.channel == "modulus" else place.channel
-    installation = "whole run" if place.installation == "all" else place.installation
+    where = message("verification points") if place.channel == "modulus" else place.channel
+    installation = message("whole run") if place.installation == "all" else place.installation
     size = quantity(place.size, place.unit)
     return Row(where, (installation, place.pattern, size, typeset(words.p_in_column(place.p))))
 
@@ -139,7 +140,7 @@ def _held_out(gap: Gap) -> list[Row]:
             ),
         )
         for fold in gap.folds
-    ] + [Row(label, (f"not held out: {UNDETERMINED}", "", "")) for label in gap.undetermined]
+    ] + [Row(label, (message(f"not held out: {UNDETERMINED}"), "", "")) for label in gap.undetermined]
 
 
 def _coefficients(shown: ModelComparison) -> list[Row]:
@@ -160,10 +161,16 @@ def _coefficients(shown: ModelComparison) -> list[Row]:
 def _tests(shown: ModelComparison) -> list[Row]:
     rows = []
     unit = shown.before.calibration.unit
-    for name, one in (("as it was given", shown.before), ("with what was found", shown.after)):
+    for name, one in (
+        (message("as it was given"), shown.before),
+        (message("with what was found"), shown.after),
+    ):
         if one is not None and one.tested:
             simulated = quantity(one.repeated.lack_of_fit.rms, unit)
-            chi2, p = f"{one.test.chi2:.1f} for {one.test.dof}", typeset(words.p_in_column(one.test.p, 2))
+            chi2, p = (
+                message(f"{one.test.chi2:.1f} for {one.test.dof}"),
+                typeset(words.p_in_column(one.test.p, 2)),
+            )
             rows.append(Row(name, (chi2, p, quantity(one.test.rms, unit), simulated)))
     return rows
 
@@ -206,11 +213,11 @@ MANY: Final = 3
 
 def columns_of(shown: ModelComparison) -> list[tuple[str, Calibration]]:
     """Return title and calibration of the figures' columns: before, after (if any effect was named), simulated."""
-    after = [] if shown.after is None else [("after", shown.after.calibration)]
+    after = [] if shown.after is None else [(message("after"), shown.after.calibration)]
     return [
-        ("before" if after else "readings", shown.before.calibration),
+        (message("before") if after else message("readings"), shown.before.calibration),
         *after,
-        (f"simulated bench, seed {SEED}", shown.last.repeated),
+        (message(f"simulated bench, seed {SEED}"), shown.last.repeated),
     ]
 
 
@@ -246,11 +253,11 @@ def residuals_of_mount(shown: ModelComparison, mount: int) -> str:
                 axes.set_xlim(-12.0, 372.0)
                 if column == 0:
                     axes.set_ylabel(f"channel {channel} / {scale.unit}")
-            grid[2, column].set_xlabel("head angle / °")
+            grid[2, column].set_xlabel(message("head angle / °"))
         figure.legend(*legend_of(grid.flat), loc="outside upper center", ncols=6)
 
     titles = ", ".join(title for title, _ in columns)
-    alt = f"Residuals of channels x, y, z in installation {name} against head angle: {titles}"
+    alt = message(f"Residuals of channels x, y, z in installation {name} against head angle: {titles}")
     return svg_figure(f"diagnosis-mount-{mount}", (7.6, 5.4), draw, alt)
 
 
@@ -274,10 +281,10 @@ def residuals_in_time(shown: ModelComparison) -> str:
             word = "installation " if len(mounts_of(calibration)) < MANY else ""
             mark_changes(grid[:, column], calibration, along, word)
             grid[0, column].set_title(title, pad=16)
-            grid[2, column].set_xlabel("time / h" if timed else "reading, in order")
+            grid[2, column].set_xlabel("time / h" if timed else message("reading, in order"))
         figure.legend(*legend_of(grid.flat), loc="outside upper center", ncols=6)
 
-    alt = "Residuals of channels x, y, z against time, before and after"
+    alt = message("Residuals of channels x, y, z against time, before and after")
     return svg_figure("diagnosis-time", (7.6, 5.0), draw, alt)
 
 
@@ -294,14 +301,16 @@ def gap_bars(gap: Gap) -> str:
             ("before", before, -0.19, VERMILION), ("after", after, 0.19, BLUE),
         ):  # fmt: skip
             axes.bar(places + shift, heights, width=0.36, color=colour, linewidth=0.8, label=key)
-        axes.axhline(1.0, color=GREY, linestyle=(0, (6, 3)), linewidth=1.1, label="noise alone")
+        axes.axhline(1.0, color=GREY, linestyle=(0, (6, 3)), linewidth=1.1, label=message("noise alone"))
         axes.set_xticks(places, names)
         axes.grid(visible=False, axis="x")
-        axes.set_ylabel("reduced χ² of readings held out")
+        axes.set_ylabel(message("reduced χ² of readings held out"))
         axes.set_xlim(-0.6, len(folds) - 0.4)
         figure.legend(loc="outside upper center", ncols=5)
 
-    alt = f"Reduced chi-square of readings held out before and after, {len(folds)} folds; noise alone gives 1"
+    alt = message(
+        f"Reduced chi-square of readings held out before and after, {len(folds)} folds; noise alone gives 1"
+    )
     return svg_figure("diagnosis-gap", (6.4, 3.0), draw, alt)
 
 
@@ -314,8 +323,8 @@ def ranking_bars(rows: Sequence[Rival], named: str, number: int) -> str:
     def draw(figure: Figure) -> None:
         axes: Axes = figure.subplots()
         for kind, colour, text in (
-            ("named", BLUE, "found"), ("tied", ORANGE, "not told apart from it"),
-            ("less", "#B9C4CE", "less plausible"),
+            ("named", BLUE, "found"), ("tied", ORANGE, message("not told apart from it")),
+            ("less", "#B9C4CE", message("less plausible")),
         ):  # fmt: skip
             chosen = [i for i, rival in enumerate(ordered) if _kind(rival, named) == kind]
             if chosen:
@@ -337,11 +346,11 @@ def ranking_bars(rows: Sequence[Rival], named: str, number: int) -> str:
         axes.axvline(0.0, color=GREY, linewidth=0.7)
         axes.set_yticks(places, [rival.family for rival in ordered], parse_math=False)
         axes.grid(visible=False, axis="y")
-        axes.set_xlabel("ln of the odds that it is there")
+        axes.set_xlabel(message("ln of the odds that it is there"))
         axes.margins(x=0.12)
         figure.legend(loc="outside upper center", ncols=3)
 
-    alt = f"Evidence of {named} and of its rivals: " + ", ".join(
+    alt = message(f"Evidence of {named} and of its rivals: ") + ", ".join(
         f"{rival.family} {rival.evidence:.1f}".replace("-", MINUS) for rival in reversed(ordered)
     )
     return svg_figure(f"diagnosis-ranking-{number}", (6.4, 1.1 + 0.24 * len(ordered)), draw, alt)
@@ -386,12 +395,12 @@ def modulus_at_points(shown: ModelComparison, limit_g: float) -> str:
             f"limit ±{limit:g} {scale.unit}", (1.0, limit), xycoords=("axes fraction", "data"),
             xytext=(-4, 3), textcoords="offset points", ha="right", color="#A34700",
         )  # fmt: skip
-        axes.set_xlabel("verification point: head angle")
+        axes.set_xlabel(message("verification point: head angle"))
         axes.set_ylabel(f"Δg / {scale.unit}")
         axes.margins(y=0.15)
         figure.legend(loc="outside upper center", ncols=2)
 
-    alt = f"Δg at {count} verification points before and after, limit ±{limit:g} {scale.unit}"
+    alt = message(f"Δg at {count} verification points before and after, limit ±{limit:g} {scale.unit}")
     return svg_figure("diagnosis-modulus", (6.4, 3.0), draw, alt)
 
 
@@ -417,7 +426,7 @@ def overlay_of_mount(shown: ModelComparison, mount: int) -> str:
     scale = scale_for(float(np.max(np.abs(before.residuals))), before.unit)
     angle = dodged_deg(before)
     fine = np.linspace(-8.0, 368.0, 189)
-    whose = "as it was given" if shown.after is None else "with what was found"
+    whose = message("as it was given") if shown.after is None else message("with what was found")
 
     def draw(figure: Figure) -> None:
         grid: Any = figure.subplots(3, 2, sharex=True, squeeze=False)
@@ -425,7 +434,7 @@ def overlay_of_mount(shown: ModelComparison, mount: int) -> str:
             left: Axes = grid[i, 0]
             left.plot(
                 fine, _wave(angle[rows], simulated[rows, i], fine) / volts.size, color=INK, linewidth=1.0,
-                label=f"simulated bench, {whose}",
+                label=message(f"simulated bench, {whose}"),
             )  # fmt: skip
             left.plot(
                 angle[rows], signal[rows, i] / volts.size, "o", color="#0072B2", markersize=4, alpha=0.8,
@@ -434,13 +443,17 @@ def overlay_of_mount(shown: ModelComparison, mount: int) -> str:
             left.set_ylabel(f"channel {channel} / {volts.unit}")
             right: Axes = grid[i, 1]
             right.axhline(
-                0.0, color=GREY, linewidth=0.7, linestyle=(0, (4, 3)), label="simulated as it was given"
+                0.0,
+                color=GREY,
+                linewidth=0.7,
+                linestyle=(0, (4, 3)),
+                label=message("simulated as it was given"),
             )
             residual_points(right, before, rows, i, angle, scale, f"overlay-{mount}")
             if shown.after is not None:
                 right.plot(
                     angle[rows], missing[rows, i] / scale.size, "_", color=INK, markersize=11,
-                    markeredgewidth=1.8, label=f"simulated bench, {whose}",
+                    markeredgewidth=1.8, label=message(f"simulated bench, {whose}"),
                 )  # fmt: skip
                 _joined(
                     right,
@@ -451,14 +464,14 @@ def overlay_of_mount(shown: ModelComparison, mount: int) -> str:
                 )
             right.set_ylabel(scale.unit)
         grid[0, 0].set_title(f"installation {label}")
-        grid[0, 1].set_title("less the bench simulated as it was given")
+        grid[0, 1].set_title(message("less the bench simulated as it was given"))
         for axes in grid[2]:
             axes.set_xticks(range(0, 361, 90))
             axes.set_xlim(-12.0, 372.0)
-            axes.set_xlabel("head angle / °")
+            axes.set_xlabel(message("head angle / °"))
         figure.legend(*legend_of(grid.flat), loc="outside upper center", ncols=3)
 
-    alt = (
+    alt = message(
         f"Measured and simulated signals of channels x, y, z in installation {label} against head angle, and both "
         f"less the bench simulated as it was given"
     )

@@ -10,6 +10,7 @@ from typing import Final
 
 import numpy as np
 
+from bench.base.languages import message
 from bench.base.numbers import fixed, quantity, rounded, two_digits, typeset, uncertainty
 from bench.diagnosis.confirm import EffectNow
 from bench.diagnosis.free_records import FreeDiagnosis
@@ -17,6 +18,7 @@ from bench.diagnosis.gap import Gap
 from bench.diagnosis.mistakes.search import Mistake
 from bench.diagnosis.next_measurement import Proposal
 from bench.diagnosis.pipeline import LISTED_FAR, FullDiagnosis, Rival
+from bench.diagnosis.record_diagnosis import RecordDiagnosis
 from bench.diagnosis.residual_model import FormTerm, FreeForm, UnexplainedScatter
 from bench.diagnosis.result import UNNAMED_WORDS, Diagnosis, EffectValue, NamedEffect
 from bench.diagnosis.show import CoefficientChange, ModelComparison, label
@@ -57,13 +59,13 @@ MUCH_LESS_CERTAIN: Final = 2.0
 LEAST_P: Final = 1e-9
 """Smallest probability that is stated; a smaller one would rely on noise that is normal far into its tails."""
 
-STILL_MISSING: Final = (
+STILL_MISSING: Final = message(
     "the readings still differ from the simulated bench by more than their repeats do, at 1 %: "
     "something small may be left"
 )
 
 
-LOUD_REPEATS: Final = (
+LOUD_REPEATS: Final = message(
     "that scatter is itself larger than it should be: of what makes it larger this test says nothing"
 )
 
@@ -91,8 +93,9 @@ def effect_title(effect: NamedEffect | Mistake) -> str:
     if effect.channels and of_channels:
         title += f" of {', '.join(effect.channels)}"
     if effect.installations:
-        several = "s" if len(effect.installations) > 1 else ""
-        title += f" in installation{several} {', '.join(effect.installations)}"
+        title += message(
+            f" in installation{'s' if len(effect.installations) > 1 else ''} {', '.join(effect.installations)}"
+        )
     return title
 
 
@@ -105,12 +108,12 @@ def mistake_title(mistake: Mistake) -> str:
 def parameters_in_words(effect: NamedEffect) -> Iterator[str]:
     """Yield a line for each parameter, such as "K2 of y = 58.1 ± 5.2 µg/g² (u)"."""
     for value in effect.parameters:
-        at = f" in installation {value.installations}" if value.installations else ""
+        at = message(f" in installation {value.installations}") if value.installations else ""
         yield parameter_in_words(value, at)
     for one in effect.together:
         yield (
             f"{one.combination} of {one.parameter} of {' and '.join(one.of)} = "
-            f"{_with_u(one.value, one.u, one.unit)}: the readings tell this, and hardly either by itself"
+            f"{_with_u(one.value, one.u, one.unit)}: only this combination is well determined"
         )
 
 
@@ -122,7 +125,9 @@ def parameter_in_words(value: EffectValue, at: str) -> str:
 
 def _value_in_words(value: EffectValue) -> str:
     if value.u is None:
-        return f"{with_unit(format(value.value, 'g'), value.unit)} (its shape, the likeliest of those tried)"
+        return message(
+            f"{with_unit(format(value.value, 'g'), value.unit)} (its shape, the likeliest of those tried)"
+        )
     return _with_u(value.value, value.u, value.unit)
 
 
@@ -147,13 +152,13 @@ def sentence_of(family: str) -> str:
 
 def place_in_words(place: ResidualPattern) -> str:
     """Return a pattern of the residuals as a phrase: where it is, what it is, its size and its p-value."""
-    where = "verification points" if place.channel == "modulus" else f"channel {place.channel}"
+    where = message("verification points") if place.channel == "modulus" else f"channel {place.channel}"
     if place.installation == "all":
-        where += ", whole run"
+        where += message(", whole run")
     elif place.channel != "modulus":
         where += f", installation {place.installation}"
     size = quantity(place.size, place.unit)
-    return f"{where}: {place.pattern}, {size} ({p_in_words(place.p)} with all looks)"
+    return message(f"{where}: {place.pattern}, {size} ({p_in_words(place.p)} with all looks)")
 
 
 def smallest_found(diagnosis: Diagnosis) -> list[tuple[str, str]]:
@@ -168,7 +173,8 @@ def smallest_found(diagnosis: Diagnosis) -> list[tuple[str, str]]:
             continue
         if name in diagnosis.smallest:
             told = [
-                with_unit(two_digits(one.size), one.unit) + (" in the part that shows" if one.part else "")
+                with_unit(two_digits(one.size), one.unit)
+                + (message(" in the part that shows") if one.part else "")
                 for one in diagnosis.smallest[name]
             ]
             sizes.append((name, " or ".join(told)))
@@ -185,14 +191,14 @@ def orders_in_words(orders: Sequence[int], listed: int = 4) -> str:
     return f"{shown}, …" if len(orders) > listed else shown
 
 
-UNCONFIRMED: Final = "Found, but not confirmed"
+UNCONFIRMED: Final = message("Found, but not confirmed")
 """The words for a verdict "confounded" that is not due to a tie: held-out readings do not confirm the effects."""
 
 LEAD: Final[Mapping[str, str]] = {
     "agrees": "Nothing found",
     "mistake": "A mistake in procedure or wiring",
     "named": "Found and named",
-    "confounded": "Found, but not told apart",
+    "confounded": "Found, but several names fit",
     "unknown": "Something unknown",
 }
 """The words for each verdict."""
@@ -204,17 +210,23 @@ def lead(diagnosis: Diagnosis) -> str:
     return LEAD[diagnosis.verdict] if diagnosis.verdict != "confounded" or tied else UNCONFIRMED
 
 
-def closed_in_words(part: float | None, before_g: float, after_g: float, noise_g: float) -> str:
+def closed_in_words(
+    part: float | None, before_g: float, after_g: float, noise_g: float, unit: str = "g"
+) -> str:
     """Return the fraction of a gap that is closed, at most 100 %, with the gap's root mean squares.
 
-    Example: "gap closed 99 %, from 412 µg to 9.0 µg (noise alone: 8.8 µg)". `part` is None if there was no gap.
+    Example: "gap closed 99 %, from 412 µg to 9.0 µg (noise alone: 8.8 µg)". `part` is None if there was no gap; the
+    root mean squares are in `unit`.
     """
-    sizes = f"from {micro_g(before_g)} to {micro_g(after_g)} (noise alone: {micro_g(noise_g)})"
+    before, after, noise = (
+        micro_g(v) if unit == "g" else quantity(v, unit) for v in (before_g, after_g, noise_g)
+    )
+    sizes = message(f"from {before} to {after} (noise alone: {noise})")
     if part is None:
-        return f"gap {sizes}, no larger than chance before"
+        return message(f"gap {sizes}, no larger than chance before")
     if part <= 0.0:
-        return f"gap not closed, {sizes}"
-    return f"gap closed {min(100.0 * part, 100.0):.0f} %, {sizes}"
+        return message(f"gap not closed, {sizes}")
+    return message(f"gap closed {min(100.0 * part, 100.0):.0f} %, {sizes}")
 
 
 def micro_g(value_g: float) -> str:
@@ -228,7 +240,7 @@ def gap_in_words(gap: Gap) -> str:
     if not (gap.named and gap.folds):
         return ""
     told = closed_in_words(gap.closed, gap.before_rms_g, gap.after_rms_g, gap.expected_rms_g)
-    return f"{told}, on readings not used"
+    return message(f"{told}, on readings not used")
 
 
 def verdict_in_words(diagnosis: Diagnosis) -> str:
@@ -252,10 +264,14 @@ def warnings_in_words(diagnosis: Diagnosis) -> Iterator[str]:
     yield from (kind.headline for kind in diagnosis.noise_kinds)
     if diagnosis.far:
         listed = "; ".join(one.words for one in diagnosis.far[:LISTED_FAR])
-        more = f" and {len(diagnosis.far) - LISTED_FAR} more" if len(diagnosis.far) > LISTED_FAR else ""
+        more = (
+            message(f" and {len(diagnosis.far) - LISTED_FAR} more") if len(diagnosis.far) > LISTED_FAR else ""
+        )
         yield (
-            f"far from this model: {listed}{more} (the noise as fitted gives as much anywhere with "
-            f"{p_in_words(diagnosis.far[0].p)})"
+            message(
+                f"far from this model: {listed}{more} (the noise as fitted gives as much anywhere with "
+                f"{p_in_words(diagnosis.far[0].p)})"
+            )
         )
 
 
@@ -285,13 +301,13 @@ def what_in_words(diagnosis: Diagnosis) -> str:
     effects = diagnosis.effects
     match diagnosis.verdict:
         case "agrees":
-            return "readings and model agree within the noise"
+            return message("readings and model agree within the noise")
         case "mistake":
             found = ", ".join(
                 " or ".join([mistake_title(mistake), *mistake.cannot_tell_from])
                 for mistake in diagnosis.mistakes.mistakes
             )
-            return f"{found}; put right in a copy: {_of_copy_in_words(diagnosis)}"
+            return message(f"{found}; put right in a copy: {_of_copy_in_words(diagnosis)}")
         case "named":
             return ", ".join(f"{effect_title(effect)} ({odds_in_words(effect)})" for effect in effects)
         case "confounded":
@@ -308,30 +324,32 @@ def what_to_do(full: FullDiagnosis, files: Files) -> Iterator[str]:
     """Yield a sentence on each step that should follow a diagnosis, with the command to type."""
     diagnosis, source, model = full.diagnosis, full.source, files.model
     if diagnosis.verdict == "mistake":
-        yield "Put it right on the bench and measure again" + (
-            f"; until then the corrected copy is {files.copy}" if files.copy else ""
+        yield message("Put it right on the bench and measure again") + (
+            message(f"; until then the corrected copy is {files.copy}") if files.copy else ""
         )
     if model is not None:
-        yield f"Take the model: bench calibrate {source} --model {model}"
-        yield f"Put it to the proof with new readings: bench confirm NEW --model {model}"
+        yield f"Use the model: bench calibrate {source} --model {model}"
+        yield f"Test it with new readings: bench confirm NEW --model {model}"
     if diagnosis.of_copy == "confounded":
         if full.next_measurement is not None:
             yield f"Measure {full.next_measurement.procedure}: {full.next_measurement.why}"
         elif diagnosis.gap.reason:
-            yield "Measure the same again, with more passes, and diagnose both: bench diagnose … --together"
+            yield message(
+                "Measure the same again, with more passes, and diagnose both: bench diagnose … --together"
+            )
     elif diagnosis.of_copy == "unknown":
-        yield "Measure the same again: what comes back is of the bench or the block; below stands where it acts"
+        yield "Measure the same again: what returns belongs to the bench or the block; see below where it acts"
     elif diagnosis.verdict == "agrees":
-        yield f"Nothing; the coefficients stand: bench calibrate {source}"
+        yield message(f"Nothing; the coefficients stand: bench calibrate {source}")
 
 
 def _of_copy_in_words(diagnosis: Diagnosis) -> str:
     """Return the result of the search in the corrected copy."""
     if diagnosis.of_copy == "agrees":
-        return "it agrees with the model within the noise"
+        return message("it agrees with the model within the noise")
     if diagnosis.of_copy == "unknown":
         return "; ".join(effect.words for effect in diagnosis.effects)
-    return f"{alike_in_words(diagnosis.effects)} in it"
+    return message(f"{alike_in_words(diagnosis.effects)} in it")
 
 
 def alike_in_words(effects: Sequence[NamedEffect | Mistake]) -> str:
@@ -344,7 +362,7 @@ def mountings_of(block: ModelComparison) -> str:
     return ", ".join(str(mount) for mount in block.before.calibration.fitted.conditions().mounts)
 
 
-def beside_in_words(diagnosis: Diagnosis | FreeDiagnosis) -> str:
+def beside_in_words(diagnosis: Diagnosis | FreeDiagnosis | RecordDiagnosis) -> str:
     """Return the names of the effects found in a diagnosis of any kind of readings."""
     if isinstance(diagnosis, FreeDiagnosis):
         return "; ".join(" or ".join([one.name, *one.cannot_tell_from]) for one in diagnosis.found)
@@ -356,17 +374,19 @@ def shift_in_words(ranking: Sequence[Rival], other: str) -> str:
     for rival in ranking:
         if rival.family == other:
             coefficient, in_u = rival.largest_shift
-            return f"were it that, {coefficient} would differ by {fixed(in_u, 1, sign=True)} u"
+            return message(f"were it that, {coefficient} would differ by {fixed(in_u, 1, sign=True)} u")
     return ""
 
 
 def why_no_model(diagnosis: Diagnosis) -> str:
     """Return the reason why no model file was written, to follow "no model file is written"."""
     if diagnosis.gap.shrinks is False:
-        return "of what makes readings that were held out no smaller a gap: it would not be a better model"
+        return message(
+            "of what makes readings that were held out no smaller a gap: it would not be a better model"
+        )
     if any(effect.cannot_tell_from for effect in diagnosis.effects):
-        return "while the data cannot tell; --accept-first takes the first"
-    return "while no readings held out confirm it; --accept-first takes it all the same"
+        return message("while the data cannot tell; --accept-first takes the first")
+    return message("while no readings held out confirm it; --accept-first takes it all the same")
 
 
 def joined_in_words(shown: ModelComparison) -> Iterator[str]:
@@ -376,9 +396,13 @@ def joined_in_words(shown: ModelComparison) -> Iterator[str]:
     without, with_it = shown.before.worst_g, shown.after.worst_g
     if without is not None and with_it is not None:
         yield (
-            "that is a test of the settings; some of what was found shows in the verification points alone: worst "
-            f"|Δg| {quantity(without, 'g')} without, {quantity(with_it, 'g')} with it, which is no check, as they "
-            "took part"
+            message(
+                "that is a test of the settings; some of what was found shows in the verification points "
+                "alone: worst "
+                f"|Δg| {quantity(without, 'g')} without, {quantity(with_it, 'g')} with it, which is no "
+                f"check, as they "
+                "took part"
+            )
         )
 
 
@@ -476,7 +500,7 @@ def term_in_words(term: FormTerm) -> str:
         for p in effect.parameters
         if p.is_shape
     ]
-    where = f"added{added} at the {effect.stage.value}"
+    where = message(f"added{added} at the {effect.stage.value}")
     return f"{effect.name}: {effect.expression}, {where}; {', '.join([*sizes, *constants])}"
 
 
@@ -486,42 +510,55 @@ def form_in_words(diagnosis: Diagnosis) -> Iterator[str]:
     if form is None:
         return
     if not form.terms and any(not effect.in_catalogue for effect in diagnosis.effects):
-        yield "no term of the dictionary describes it"
+        yield message("no term of the dictionary describes it")
     if form.instead_of and form.terms:
-        yield f"as plausible without a name, in the place of {', '.join(dict.fromkeys(form.instead_of))}:"
+        yield f"as plausible without a name, instead of {', '.join(dict.fromkeys(form.instead_of))}:"
     elif form.instead_of:
-        yield "what is left beside the names speaks for something without a name that is too small to describe"
+        yield message(
+            "what is left beside the names speaks for something without a name that is too small to describe"
+        )
     for term in form.terms:
         yield term_in_words(term)
-        also = f"; could also be: {'; '.join(term.could_also_be)}" if term.could_also_be else ""
-        yield f"that is {term.family}, {term.rho:.1f} times the noise in all (rho){also}"
+        also = message(f"; could also be: {'; '.join(term.could_also_be)}") if term.could_also_be else ""
+        yield message(f"that is {term.family}, {term.rho:.1f} times the noise in all (rho){also}")
     if form.terms and form.gap.folds:
-        closed = "" if form.gap.closed is None else f", which closes {100 * form.gap.closed:.0f} % of the gap"
+        closed = (
+            ""
+            if form.gap.closed is None
+            else message(f", which closes {100 * form.gap.closed:.0f} % of the gap")
+        )
         yield (
-            f"on readings not used: reduced chi-square {form.gap.before:.2f} before, {form.gap.after:.2f} with the "
-            "terms "
-            f"found without them{closed}"
+            message(
+                f"on readings not used: reduced chi-square {form.gap.before:.2f} before, "
+                f"{form.gap.after:.2f} with the "
+                "terms "
+                f"found without them{closed}"
+            )
         )
     if form.terms and not form.predicts:
-        yield "that is too little for a model file: the terms describe these readings and predict no others"
+        yield message(
+            "that is too little for a model file: the terms describe these readings and predict no others"
+        )
     if form.scatter is not None:
         one = form.scatter
-        sizes = f"{quantity(one.sd, form.unit)} there, {quantity(one.elsewhere, form.unit)} elsewhere"
-        yield f"scatter without a form: {one.words}, {sizes}"
+        sizes = message(
+            f"{quantity(one.sd, form.unit)} there, {quantity(one.elsewhere, form.unit)} elsewhere"
+        )
+        yield message(f"scatter without a form: {one.words}, {sizes}")
     if form.terms or form.scatter is not None:
         yield _dark_in_words(form.dark, form.unit)
 
 
 def _dark_in_words(dark: UnexplainedScatter, unit: str) -> str:
     if not np.isfinite(dark.upper):
-        return "what stays unexplained cannot be told: there are no readings beside the repeats"
-    limit = f"less than {quantity(dark.upper, unit)} (95 %)"
+        return message("what stays unexplained cannot be told: there are no readings beside the repeats")
+    limit = message(f"less than {quantity(dark.upper, unit)} (95 %)")
     if not dark.there:
-        return (
+        return message(
             f"what stays unexplained in each reading is no more than chance gives (p = {dark.p:.2g}): {limit}"
         )
-    sizes = f"{quantity(dark.value, unit)} in each reading, u {quantity(dark.u, unit)}, {limit}"
-    return f"what stays unexplained: {sizes} (dark uncertainty)"
+    sizes = message(f"{quantity(dark.value, unit)} in each reading, u {quantity(dark.u, unit)}, {limit}")
+    return message(f"what stays unexplained: {sizes} (dark uncertainty)")
 
 
 def dark_for_model(form: FreeForm) -> str | None:
@@ -530,4 +567,4 @@ def dark_for_model(form: FreeForm) -> str | None:
         return None
     if form.dark.there:
         return f"{form.dark.value:.3g} {form.unit} with u {form.dark.u:.2g} {form.unit}"
-    return f"less than {form.dark.upper:.2g} {form.unit} (95 %)"
+    return message(f"less than {form.dark.upper:.2g} {form.unit} (95 %)")

@@ -9,16 +9,18 @@ from typing import Any, Final
 import numpy as np
 from pydantic import Field
 from rich.console import Console
+from rich.table import Table
 
 from bench.base.arrays import Floats, u_of
-from bench.base.numbers import MINUS, fixed, places, quantity
+from bench.base.numbers import MINUS, fixed, places, probability, quantity
 from bench.base.result_model import Matrix, Real, ResultModel
 from bench.base.tables import print_notes, table
 from bench.calibration.conformity import COVERAGE_FACTOR
+from bench.calibration.intrinsic import INTRINSIC
 from bench.history import bench_or_block, capability, drift, prior
 from bench.history.measured import STANDARD_GRAVITY
 from bench.model.geometry import COEFFICIENTS
-from bench.results.parts import ValuePart, by_coefficient
+from bench.results.parts import ValuePart, by_coefficient, by_name
 
 MOST_SHOWN: Final = 12
 """Largest number of benches or units that a terminal lists; the JSON has all."""
@@ -287,6 +289,7 @@ class ForetoldPoint(ResultModel):
 
     at: str = Field(description="the day of --at")
     coefficients: dict[str, ValuePart] = Field(description="by name")
+    intrinsic: dict[str, ValuePart] = Field(description="the nine, by name")
 
 
 class DriftResult(FleetResult):
@@ -296,7 +299,12 @@ class DriftResult(FleetResult):
     per_g_m_s2: float = Field(description="the g that scale factors are per")
     first: str = Field(description="day")
     last: str = Field(description="day")
-    per_year: dict[str, RatePart] = Field(description="by name")
+    intrinsic_per_year: dict[str, RatePart] = Field(
+        description="of the nine numbers that do not depend on the mounting, by name"
+    )
+    p: float = Field(description="that none of the nine drifts (Bonferroni): this decides")
+    drifts: bool = Field(description="whether p is below 5 %")
+    per_year: dict[str, RatePart] = Field(description="of the twelve, by name")
     expected: ForetoldPoint | None
 
 
@@ -308,21 +316,33 @@ def drift_result(found: drift.OfUnit, at: str | None, notes: Sequence[str]) -> D
     own = found.drift
     expected = None
     if at is not None:
-        value, u = own.predicted(drift.day_of(at))
-        expected = ForetoldPoint(at=at, coefficients=by_coefficient(ValuePart, value=value, u=u))
+        (value, u), (of_nine, u_nine) = (one.predicted(drift.day_of(at)) for one in (own, found.nine))
+        expected = ForetoldPoint(
+            at=at,
+            coefficients=by_coefficient(ValuePart, value=value, u=u),
+            intrinsic=by_name(INTRINSIC, ValuePart, value=of_nine, u=u_nine),
+        )
+    p = float(np.min(found.nine.p_all_looks))
     return DriftResult.from_object(
         found,
         per_g_m_s2=STANDARD_GRAVITY,
         calibrations=own.count,
         first=str(own.first.astype("datetime64[D]")),
         last=str(own.last.astype("datetime64[D]")),
-        per_year=by_coefficient(
-            RatePart, value=own.rate, u=own.u_rate, p_all_looks=own.p_all_looks, shown=own.shown,
-            between_calibrations=_limited(own.between, own.between_most),
-            random_walk=_limited(own.walk, own.walk_most),
-        ),
+        intrinsic_per_year=_rates(INTRINSIC, found.nine),
+        p=p,
+        drifts=p < drift.SHOWN_P,
+        per_year=_rates(COEFFICIENTS, own),
         expected=expected,
         notes=[*notes, *found.notes],
+    )
+
+
+def _rates(names: Sequence[str], own: drift.UnitDrift) -> dict[str, RatePart]:
+    return by_name(
+        names, RatePart, value=own.rate, u=own.u_rate, p_all_looks=own.p_all_looks, shown=own.shown,
+        between_calibrations=_limited(own.between, own.between_most),
+        random_walk=_limited(own.walk, own.walk_most),
     )  # fmt: skip
 
 
@@ -335,23 +355,31 @@ def print_drift(result: DriftResult, out: Console) -> None:
     per = f"{result.signal}/g of {result.per_g_m_s2} m/s²"
     out.print(f"{result.unit}: {result.calibrations} calibrations, {per}")
     expected = result.expected
+    then = (None, None) if expected is None else (expected.intrinsic, expected.coefficients)
+    for rates, later in zip((result.intrinsic_per_year, result.per_year), then, strict=True):
+        out.print(_rates_table(rates, later, "" if expected is None else expected.at))
+    print_notes(out, result.notes)
+    verdict = "the unit DRIFTS" if result.drifts else "no drift shown"
+    out.print(
+        f"{verdict} in the nine that do not depend on the mounting: {probability(result.p)}", style="bold"
+    )
+
+
+def _rates_table(rates: dict[str, RatePart], then: dict[str, ValuePart] | None, at: str) -> Table:
     shown = table(
-        "coefficient", ">per year", ">u", ">p, all looks", ">scatter", ">at most", ">walk in a year",
-        ">at most", "",
-        *(() if expected is None else (f">at {expected.at}", ">u")),
+        "number", ">per year", ">u", ">p, all looks", ">scatter", ">at most", ">walk in a year",
+        ">at most", "", *(() if then is None else (f">at {at}", ">u")),
     )  # fmt: skip
-    for name, one in result.per_year.items():
+    for name, one in rates.items():
         digits = places(one.u)
         limited = (one.between_calibrations, one.random_walk)
         sizes = [fixed(_number(size), digits) for each in limited for size in (each.value, each.at_most)]
         row = [name, fixed(one.value, digits, sign=True), fixed(one.u, digits)]
         row += [f"{_number(one.p_all_looks):.2g}", *sizes, "DRIFTS" if one.shown else ""]
-        if expected is not None:
-            then = expected.coefficients[name]
-            row += [fixed(size, places(then.u)) for size in (then.value, then.u)]
+        if then is not None:
+            row += [fixed(size, places(then[name].u)) for size in (then[name].value, then[name].u)]
         shown.add_row(*row)
-    out.print(shown)
-    print_notes(out, result.notes)
+    return shown
 
 
 # --- the laboratory's capability ----------------------------------------------------------------------

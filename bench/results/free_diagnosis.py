@@ -258,8 +258,8 @@ def what_to_do(found: FreeDiagnosis, files: Files) -> Iterator[str]:
     for number, model in enumerate(files.models, start=1):
         of = f" of sensor {number}" if len(files.models) > 1 else ""
         source = "each record" if several else found.source
-        yield f"Take the model{of}: bench calibrate {source} --model {model}"
-        yield f"Put it to the proof with new readings{of}: bench confirm NEW --model {model}"
+        yield f"Use the model{of}: bench calibrate {source} --model {model}"
+        yield f"Test it with new readings{of}: bench confirm NEW --model {model}"
     names = {one.name for one in found.found}
     if "zeros_by_run" in names or "scale_by_run" in names:
         yield (
@@ -267,7 +267,7 @@ def what_to_do(found: FreeDiagnosis, files: Files) -> Iterator[str]:
             "records: when it was switched on, its temperature, who moved it"
         )
     elif found.of_rest == "unknown":
-        yield "Measure the same again: what comes back is of the sensor; below stands in which record it acts"
+        yield "Measure the same again: what returns belongs to the sensor; see below in which record it acts"
     elif found.of_rest == "confounded":
         yield "Measure again, more positions all round, and diagnose both: bench diagnose … --together"
     elif found.verdict == "agrees":

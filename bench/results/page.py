@@ -9,11 +9,14 @@ from typing import Any, Final
 
 from markupsafe import Markup
 
+from bench.base.languages import message
 from bench.base.numbers import probability, rounded, scale_for, uncertainty
 from bench.calibration.conformity import Statement
+from bench.calibration.intrinsic import intrinsic_of
 from bench.calibration.result import Calibration, LackOfFit
 from bench.calibration.verification import Verification
 from bench.results import plots, tables
+from bench.results.intrinsic import ellipses, joint_in_words, shown_rows
 from bench.results.tables import page
 from bench.results.verification import advice, global_risk_in_words, headline, risk_in_words, rule_in_words
 
@@ -55,6 +58,7 @@ def render_report(content: ReportContent) -> str:
         verdict=verdict(content.verification),
         fit=fit_in_words(calibration.lack_of_fit),
         coefficients=_coefficients(calibration),
+        nine=_nine(calibration),
         stand=tables.stand(calibration),
         effects=tables.effects(calibration),
         noise=tables.noise(calibration),
@@ -95,7 +99,7 @@ class VerdictInWords:
     """The verdict as text: `state` is the style of the box; then the worst point, limit, rule, risk and advice."""
 
     state: str
-    word: str = "Not verified"
+    word: str = message("Not verified")
     worst: str = ""
     u: str = ""
     expanded: str = ""
@@ -122,13 +126,13 @@ def verdict(verification: Verification | None) -> VerdictInWords:
     mark = "✓" if verification.passed else "✗" if verification.rejected else "–"
     return VerdictInWords(
         state=STATES[verification.statement],
-        word=f"{mark} Verification{_of_a_verification(headline(verification))}",
+        word=message(f"{mark} Verification{_of_a_verification(headline(verification))}"),
         worst=rounded(abs(worst.delta_g) / scale.size, worst.u / scale.size),
         u=uncertainty(worst.u / scale.size),
         expanded=uncertainty(worst.U / scale.size),
         k=f"{worst.k:.3g}",
         unit=scale.unit,
-        where=f"{worst.angle_deg:.4f}° (pass {worst.pass_number}, point {worst.point})",
+        where=message(f"{worst.angle_deg:.4f}° (pass {worst.pass_number}, point {worst.point})"),
         limit=f"{verification.limit_g / scale.size:g}",
         tur=f"{verification.tur:.2g}",
         risk=risk_in_words(verification),
@@ -163,25 +167,29 @@ def fit_in_words(fit: LackOfFit) -> FitInWords:
             "unknown",
             "",
             "cannot be judged: too few repeats",
-            "Whether the model fits cannot be judged: the readings hold too few repeats to tell "
+            "Whether the model fits cannot be judged: the readings have too few repeats to separate "
             "misfit from scatter.",
         )
-    figures = f"χ² = {fit.chi2:.1f} for {fit.dof} degrees of freedom, {probability(fit.p)}"
+    figures = message(f"χ² = {fit.chi2:.1f} for {fit.dof} degrees of freedom, {probability(fit.p)}")
     if not fit.shown:
         return FitInWords(
             "fits",
             figures,
-            "no lack of fit shown at 1 %",
-            "No lack of fit is shown: what the model leaves the scatter of the repeats explains; "
-            f"chance alone would leave more in {_percent(fit.p)} of calibrations.",
+            message("no lack of fit shown at 1 %"),
+            message(
+                "No lack of fit is shown: what the model leaves the scatter of the repeats explains; "
+                f"chance alone would leave more in {_percent(fit.p)} of calibrations."
+            ),
         )
     return FitInWords(
         "misfits",
         figures,
-        "the model does not fit the readings",
-        "The model does not fit: it leaves more than the scatter of the repeats explains; chance "
-        f"alone would leave as much in {_percent(fit.p)} of calibrations. What is missing from the model has "
-        "widened u, as an error that repeats share or by the Birge ratio; the residuals show where it acts.",
+        message("the model does not fit the readings"),
+        message(
+            "The model does not fit: it leaves more than the scatter of the repeats explains; chance "
+            f"alone would leave as much in {_percent(fit.p)} of calibrations. What is missing from the model has "
+            "widened u, as an error that repeats share or by the Birge ratio; the residuals show where it acts."
+        ),
     )
 
 
@@ -207,7 +215,7 @@ def measured(provenance: Mapping[str, str]) -> dict[str, str]:
 
 def _percent(p: float) -> str:
     if p < 1e-3:
-        return "less than 0.1 %"
+        return message("less than 0.1 %")
     return f"{100.0 * p:.0f} %" if p >= 0.1 else f"{100.0 * p:.2g} %"
 
 
@@ -221,6 +229,19 @@ def _coefficients(calibration: Calibration) -> dict[str, Any]:
         "strongest": tables.strongest_correlations(calibration),
         "figure": Markup(plots.correlations(calibration)),  # noqa: S704 - our own drawing
         "g": f"{calibration.g_m_s2:.7g}",
+    }
+
+
+def _nine(calibration: Calibration) -> dict[str, Any] | None:
+    """Return the section on the numbers that do not depend on the mounting; None if there are none."""
+    own = intrinsic_of(calibration)
+    if own is None:
+        return None
+    return {
+        "rows": [tables.Row(tables.symbol(name), tuple(cells)) for name, *cells in shown_rows(own)],
+        "mounting": own.mounting,
+        "joint": joint_in_words(calibration, own),
+        "figure": Markup(ellipses(own)),  # noqa: S704 - our own drawing
     }
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any, Final, TypeVar
 
 from pydantic import Field
@@ -21,8 +21,13 @@ def by_coefficient(part: type[Part], **columns: Iterable[Any]) -> dict[str, Part
 
     Each column has the values (12,) of one member of the part.
     """
+    return by_name(COEFFICIENTS, part, **columns)
+
+
+def by_name(names: Sequence[str], part: type[Part], **columns: Iterable[Any]) -> dict[str, Part]:
+    """Return a part for each of m names; each column has the values (m,) of one member of the part."""
     rows = zip(*columns.values(), strict=True)
-    named = zip(COEFFICIENTS, rows, strict=True)
+    named = zip(names, rows, strict=True)
     return {name: part(**dict(zip(columns, row, strict=True))) for name, row in named}
 
 

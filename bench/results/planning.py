@@ -291,18 +291,16 @@ class PlannedPoints:
         )
         out.print("u is the combined one, which 'bench calibrate' will sign; 'bench budget' has its parts")
         if self.learned:
-            out.print(
-                "what was learned of this bench is not in it: a plan goes by the limits of the bench file"
-            )
+            out.print("the plan uses the limits of the bench file, not what was learned of this bench")
         if not found.lack_of_fit_tested:
             out.print(
-                "too few repeats for a calibration's lack-of-fit test: an error that no file states may go unseen"
+                "too few repeats for a calibration's lack-of-fit test: an unstated error may remain hidden"
             )
         if found.procedure is not None:
             out.print(f"procedure: {found.procedure}")
         if found.reached is False:
             times, name = max((goal.u / (goal.asked_u or math.inf), goal.name) for goal in found.goals)
-            out.print(f"NOT REACHED in {self.time}: {name} is {times:.3g} times what is asked")
+            out.print(f"NOT REACHED in {self.time}: {name} is {times:.3g} times the goal")
 
 
 def _goal_table(found: PlanPointsResult, paper_settings: int) -> Table:

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from bench.base.arrays import CHANNELS, HOUR, MINUTE, Floats, Mask
+from bench.base.languages import ENGLISH, language, message, translated
 from bench.base.numbers import MINUS, Scale, scale_for
 from bench.base.text import APPROACH
 from bench.calibration import Calibration, Verification
@@ -76,7 +77,7 @@ def residuals_by_angle(calibration: Calibration) -> str:
         fine = np.linspace(-8.0, 368.0, 189)
         for column, (mount, rows) in enumerate(mounts):
             band = 2.0 * sd_of_reading(calibration, rows, np.radians(fine)) / scale.size
-            grid[0, column].set_title(f"installation {mount}", parse_math=False)
+            grid[0, column].set_title(message(f"installation {mount}"), parse_math=False)
             for i, channel in enumerate(CHANNELS):
                 axes: Axes = grid[i, column]
                 axes.fill_between(fine, -band[:, i], band[:, i], color="#B9C4CE", alpha=0.45, linewidth=0)
@@ -85,11 +86,13 @@ def residuals_by_angle(calibration: Calibration) -> str:
                 axes.set_xticks(range(0, 361, 45))
                 axes.set_xlim(-12.0, 372.0)
                 if column == 0:
-                    axes.set_ylabel(f"channel {channel} / {scale.unit}")
-            grid[2, column].set_xlabel("head angle / °")
+                    axes.set_ylabel(message(f"channel {channel} / {scale.unit}"))
+            grid[2, column].set_xlabel(message("head angle / °"))
         figure.legend(*legend_of(grid.flat), loc="outside upper center", ncols=6)
 
-    alt = f"Residuals of channels x, y, z against head angle, {len(mounts)} installations, with the ±2σ band"
+    alt = message(
+        f"Residuals of channels x, y, z against head angle, {len(mounts)} installations, with the ±2σ band"
+    )
     return svg_figure("residuals-angle", (max(1.2 + 3.1 * len(mounts), 4.6), 6.0), draw, alt)
 
 
@@ -98,10 +101,10 @@ def residuals_in_order(calibration: Calibration) -> str:
     scale = residual_scale(calibration)
     time_s = calibration.fitted.time_s
     along: Floats = np.arange(1.0, len(time_s) + 1.0)
-    label = "reading, in the order of measurement"
+    label = message("reading, in the order of measurement")
     if np.all(np.isfinite(time_s)):
         unit, size = ("h", HOUR) if np.ptp(time_s) > 2 * HOUR else ("min", MINUTE)
-        along, label = time_s / size, f"time since the start / {unit}"
+        along, label = time_s / size, message(f"time since the start / {unit}")
 
     def draw(figure: Figure) -> None:
         grid: Any = figure.subplots(3, 1, sharex=True, sharey=True)
@@ -110,12 +113,14 @@ def residuals_in_order(calibration: Calibration) -> str:
             axes.axhline(0.0, color=GREY, linewidth=0.7)
             for _, rows in mounts_of(calibration):
                 residual_points(axes, calibration, rows, i, along, scale)
-            axes.set_ylabel(f"channel {channel} / {scale.unit}")
+            axes.set_ylabel(message(f"channel {channel} / {scale.unit}"))
         mark_changes(grid, calibration, along)
         grid[2].set_xlabel(label)
         figure.legend(*legend_of(grid), loc="outside upper center", ncols=6)
 
-    return svg_figure("residuals-order", (7.4, 5.2), draw, f"Residuals of channels x, y, z against {label}")
+    return svg_figure(
+        "residuals-order", (7.4, 5.2), draw, message(f"Residuals of channels x, y, z against {label}")
+    )
 
 
 def verification_points(verification: Verification) -> str:
@@ -135,8 +140,8 @@ def verification_points(verification: Verification) -> str:
         axes.axhspan(-limit, limit, color=GREEN, alpha=0.07, linewidth=0)
         axes.axhline(0.0, color=GREY, linewidth=0.7)
         for passed, marker, colour, name in (
-            (True, "o", BLUE, "accepted"),
-            (False, "X", VERMILION, "not accepted"),
+            (True, "o", BLUE, message("accepted")),
+            (False, "X", VERMILION, message("not accepted")),
         ):
             chosen = [(j, p) for j, p in enumerate(points) if p.passed is passed]
             if chosen:
@@ -145,7 +150,7 @@ def verification_points(verification: Verification) -> str:
                     at,
                     [p.delta_g / scale.size for _, p in chosen],
                     [p.U / scale.size for _, p in chosen],
-                    fmt=marker, color=colour, markersize=6, capsize=4, linewidth=1.1, label=f"Δg, {name}",
+                    fmt=marker, color=colour, markersize=6, capsize=4, linewidth=1.1, label=message(f"Δg, {name}"),
                 )  # fmt: skip
                 drawn.lines[0].set_gid(f"readings-{'within' if passed else 'outside'}")
         reach = max(limit, *((abs(p.delta_g) + p.U) / scale.size for p in points))
@@ -155,14 +160,14 @@ def verification_points(verification: Verification) -> str:
         axes.tick_params(axis="x", labelrotation=90 if len(points) > 16 else 0)
         axes.grid(visible=False, axis="x")
         axes.annotate(
-            f"limit ±{limit:g} {scale.unit}", (1.0, limit), xycoords=("axes fraction", "data"),
+            message(f"limit ±{limit:g} {scale.unit}"), (1.0, limit), xycoords=("axes fraction", "data"),
             xytext=(-4, 3), textcoords="offset points", ha="right", color="#A34700",
         )  # fmt: skip
-        axes.set_xlabel("verification point: head angle")
+        axes.set_xlabel(message("verification point: head angle"))
         axes.set_ylabel(f"Δg / {scale.unit}")
         figure.legend(loc="outside upper center", ncols=2)
 
-    alt = f"Δg at {len(points)} verification points with bars of U, limit ±{limit:g} {scale.unit}"
+    alt = message(f"Δg at {len(points)} verification points with bars of U, limit ±{limit:g} {scale.unit}")
     return svg_figure("verification", (6.4, 3.2), draw, alt)
 
 
@@ -191,9 +196,11 @@ def correlations(calibration: Calibration) -> str:
         axes.spines[:].set_visible(False)
         bar = figure.colorbar(mesh, ax=axes, shrink=0.7, pad=0.02, ticks=[-1, -0.5, 0, 0.5, 1])
         bar.solids.set_rasterized(False)  # type: ignore[union-attr]
-        bar.set_label("correlation coefficient")
+        bar.set_label(message("correlation coefficient"))
 
-    return svg_figure("correlations", (6.2, 4.3), draw, "Correlations between the twelve coefficients")
+    return svg_figure(
+        "correlations", (6.2, 4.3), draw, message("Correlations between the twelve coefficients")
+    )
 
 
 def compared_coefficients(calibration: Calibration, compared: Calibration) -> str:
@@ -215,10 +222,10 @@ def compared_coefficients(calibration: Calibration, compared: Calibration) -> st
         axes.set_xticks(range(12), [symbol(name) for name in COEFFICIENTS])
         axes.set_xlim(-0.6, 11.6)
         axes.grid(visible=False, axis="x")
-        axes.set_ylabel(f"difference / {scale.per_g}\n(biases: {scale.unit})")
+        axes.set_ylabel(message(f"difference / {scale.per_g}") + "\n" + message(f"(biases: {scale.unit})"))
         figure.legend(loc="outside upper center", ncols=2)
 
-    alt = f"Twelve coefficients by {compared.estimator} as differences from {calibration.estimator}"
+    alt = message(f"Twelve coefficients by {compared.estimator} as differences from {calibration.estimator}")
     return svg_figure("compared", (7.4, 3.2), draw, alt)
 
 
@@ -252,8 +259,10 @@ def residual_scale(calibration: Calibration) -> Scale:
 
 
 def symbol(name: str) -> str:
-    """Return a coefficient's name for matplotlib: "Kxy" -> "$K_{xy}$"."""
-    return f"$U_{{0{name[2:]}}}$" if name.startswith("U0") else f"$K_{{{name[1:]}}}$"
+    """Return the name of one of the twelve or the nine for matplotlib: "Kxy" -> "$K_{xy}$"."""
+    if name.startswith("theta_"):
+        return rf"$\theta_{{{name[6:]}}}$"
+    return f"$U_{{0{name[2:]}}}$" if name.startswith("U0") else f"${name[0]}_{{{name[1:]}}}$"
 
 
 # --- drawing ----------------------------------------------------------------------------------------
@@ -289,7 +298,7 @@ def residual_points(
                     along[chosen], calibration.residuals[chosen, channel] / scale.size, marker,
                     color=PASS_COLOURS[(number - 1) % len(PASS_COLOURS)],
                     fillstyle=PASS_FILLS[(number - 1) % len(PASS_FILLS)],
-                    label=f"pass {number} {APPROACH.get(direction, '')}".strip(),
+                    label=message(f"pass {number} {APPROACH.get(direction, '')}").strip(),
                 )  # fmt: skip
                 line.set_gid(f"{name}-{CHANNELS[channel]}-{np.flatnonzero(chosen)[0]}")
 
@@ -322,7 +331,8 @@ def mark_changes(grid: Any, calibration: Calibration, along: Floats, word: str =
 def _verification_labels(verification: Verification) -> list[str]:
     several = len({p.pass_number for p in verification.points}) > 1
     return [
-        f"{p.angle_deg:.0f}°" + (f"\npass {p.pass_number}" if several else "") for p in verification.points
+        f"{p.angle_deg:.0f}°" + ("\n" + message(f"pass {p.pass_number}") if several else "")
+        for p in verification.points
     ]
 
 
@@ -336,7 +346,43 @@ def drawn(name: str, inches: tuple[float, float], draw: Callable[[Figure], None]
     with style.context(["default", {**STYLE, "svg.hashsalt": name}]):
         figure = Figure(figsize=inches, layout="constrained")
         draw(figure)
+        translate_texts(figure)
         yield figure
+
+
+def translate_texts(figure: Figure) -> None:
+    """Translate the texts of a figure into the language of views, and use its decimal sign on the axes."""
+    if language() == ENGLISH:
+        return
+    from matplotlib.text import Text
+    from matplotlib.ticker import FixedFormatter, FuncFormatter, ScalarFormatter
+
+    for text in figure.findobj(Text):
+        text.set_text(by_line(text.get_text()))
+    for axis in (axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)):
+        formatter = axis.get_major_formatter()
+        if isinstance(formatter, FixedFormatter):
+            axis.set_major_formatter(FixedFormatter([by_line(str(label)) for label in formatter.seq]))
+        elif type(formatter) is ScalarFormatter:
+            formatter.set_useOffset(False)
+            formatter.set_axis(axis)
+            axis.set_major_formatter(FuncFormatter(_Local(formatter)))
+
+
+def by_line(text: str) -> str:
+    """Return a text translated line by line."""
+    return "\n".join(map(translated, text.split("\n")))
+
+
+class _Local:
+    """Tick labels of another formatter with the decimal sign of the language."""
+
+    def __init__(self, formatter: Any) -> None:
+        self._formatter = formatter
+
+    def __call__(self, value: float, position: int | None = None) -> str:
+        self._formatter.set_locs(self._formatter.axis.get_majorticklocs())
+        return translated(str(self._formatter(value, position)))
 
 
 def svg_file(name: str, inches: tuple[float, float], draw: Callable[[Figure], None]) -> str:
@@ -370,5 +416,6 @@ def _inline(svg: str, name: str, inches: tuple[float, float], alt: str) -> str:
     if box is None:  # pragma: no cover - matplotlib always writes one
         raise ValueError(f"figure {name}: no viewBox in the SVG")
     # the width is in em, so that the lettering scales with the page's text
-    start = f'<svg {box[0]} role="img" aria-label="{escape(alt)}" style="max-width:{inches[0] * 6.4:.1f}em">'
+    alt = escape(translated(alt))
+    start = f'<svg {box[0]} role="img" aria-label="{alt}" style="max-width:{inches[0] * 6.4:.1f}em">'
     return start + re.sub(r">\s+<", "><", body[body.index(">") + 1 :].strip())

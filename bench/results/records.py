@@ -51,7 +51,7 @@ class RunsResult(ResultModel):
     def print_on(self, folder: Path, out: Console) -> None:
         """Print a line of 80 characters for each run, followed by any damage and the command that resumes it."""
         if not self.runs:
-            out.print(f"{folder}: no runs there")
+            out.print(f"{folder}: no runs there; name their folder with --runs")
             return
         out.print(_line("run", ("begun", "instruments", "state", "readings", "verdict")), style="bold")
         for run in self.runs:
@@ -128,10 +128,10 @@ class ShowResult(RunPart):
     def _print_proof(self, run: Run, out: Console) -> None:
         """Print what the record proves, and its problems."""
         wrong = run.history.problems
-        found = "; ".join(wrong) if wrong else "chain of hashes whole"
+        found = "; ".join(wrong) if wrong else "chain of hashes complete"
         out.print(f"record: {len(run.history.events)} events, {found}")
         if run.history.torn:
-            out.print("record: the last line is half written; 'bench resume' drops it")
+            out.print("record: the last line is incomplete; 'bench resume' drops it")
         for line in self.record.told:
             out.print(line)
         for problem in self.problems if not wrong else ():
@@ -341,15 +341,15 @@ class InstrumentsResult(ResultModel):
         for words in same_serials(identities):
             out.print(f"note: {words}")
         well = sum(not one.failures for one in self.instruments)
-        out.print(f"{well} of {len(self.instruments)} instruments are well")
+        out.print(f"{well} of {len(self.instruments)} instruments respond without a fault")
 
 
 # --- commissioning ------------------------------------------------------------------------------------
 
 VERDICTS: Final = {
-    0: ("passed", "✓ All that was tried works as expected"),
-    1: ("none", "Something is slower or other than expected"),
-    2: ("failed", "✗ Something could not be done"),
+    0: ("passed", "✓ Everything tested works as expected"),
+    1: ("none", "Something is slower or different than expected"),
+    2: ("failed", "✗ Something could not be tested"),
 }
 """The style of the page and its headline, by exit status."""
 

@@ -40,6 +40,14 @@ class AveragingPart(ResultModel):
     reached: bool = Field(description="false where a size was asked for that no averaging time reaches")
 
 
+class SpectrumPart(ResultModel):
+    """The one-sided power spectral density of a channel (Welch, Hann windows)."""
+
+    frequency_hz: Vector
+    density: Vector = Field(description="unit of the signal squared per Hz; white noise N has 2 N²")
+    segments: int = Field(description="averaged, which overlap by half")
+
+
 class ChannelPart(ResultModel):
     """The stability of a channel."""
 
@@ -52,6 +60,7 @@ class ChannelPart(ResultModel):
     edf: Vector = Field(description="degrees of freedom of each deviation")
     terms: dict[str, TermPart] = Field(description="Q, N, B, K, R")
     terms_p: Real = Field(description="chance of such a misfit of the five terms to the deviations")
+    psd: SpectrumPart
     averaging: AveragingPart
 
 
@@ -110,6 +119,7 @@ def _channel(found: Stability, i: int) -> ChannelPart:
             for term, value, u, upper, shown in rows
         },
         terms_p=terms.p,
+        psd=SpectrumPart.from_object(found.spectrum, density=found.spectrum.density[:, i]),
         averaging=AveragingPart.from_object(found.averages[i]),
     )
 
@@ -129,8 +139,8 @@ def print_stability(found: Stability, out: Console) -> None:
         out.print(f"channel {channel}: {average.tau_s:.3g} s: {average.why}")
         if terms.p < MISFIT_P:
             misfit = (
-                f"channel {channel}: the five noise terms alone do not make this curve "
-                f"({probability(terms.p)}): vibration or another line is in it; their uncertainties "
+                f"channel {channel}: the five noise terms do not explain this curve "
+                f"({probability(terms.p)}): it may contain vibration or another line; their uncertainties "
                 "are widened"
             )
             print_notes(out, [misfit])
@@ -139,7 +149,7 @@ def print_stability(found: Stability, out: Console) -> None:
         return
     out.print(
         f"a reading that integrates for {found.advice.tau_s:.3g} s at {found.line_frequency_hz:g} Hz "
-        f"(settling and the meter's own pauses come on top):"
+        f"(plus settling and the meter's pauses):"
     )
     out.print(found.advice.line())
 
@@ -169,14 +179,14 @@ def _term(terms: NoiseTerms, k: int, unit: str) -> str:
 
 
 def allan_figure(found: Stability) -> str:
-    """Return an SVG file: Allan deviation with 95 % limits, the fitted noise terms, the averaging time chosen."""
+    """Return an SVG file: Allan deviation with 95 % limits and the fitted noise terms, and the spectrum below."""
     curves, terms, tau_s = found.curves, found.terms, found.longest_s
     scale = scale_for(min(float(curve.deviation.min()) for curve in curves), found.record.unit)
 
     def draw(figure: Figure) -> None:
-        axes = figure.subplots()
+        axes, below = figure.subplots(2)
         look = zip(CHANNELS, (BLUE, VERMILION, GREEN), ("o", "s", "^"), curves, terms, strict=True)
-        for channel, colour, marker, curve, term in look:
+        for i, (channel, colour, marker, curve, term) in enumerate(look):
             low, high = curve.limits(term.freedom)
             reach = np.stack([curve.deviation - low, high - curve.deviation]) / scale.size
             axes.errorbar(
@@ -185,12 +195,17 @@ def allan_figure(found: Stability) -> str:
             )  # fmt: skip
             fine = np.geomspace(curve.tau_s[0], curve.tau_s[-1], 200)
             axes.plot(fine, term.deviation(fine) / scale.size, color=colour, linewidth=0.8, alpha=0.7)
+            root = np.sqrt(found.spectrum.density[:, i]) / scale.size
+            below.plot(found.spectrum.frequency_hz, root, color=colour, linewidth=0.8)
         axes.axvline(tau_s, color=GREY, linestyle=(0, (4, 3)), linewidth=0.9)
-        axes.set_xscale("log")
-        axes.set_yscale("log")
+        for one in (axes, below):
+            one.set_xscale("log")
+            one.set_yscale("log")
         axes.set_xlabel("averaging time / s")
         axes.set_ylabel(f"Allan deviation / {scale.unit}")
         axes.set_title(f"overlapping, limits 95 %; lines: the noise terms; dashed: {tau_s:.3g} s")
+        below.set_xlabel("frequency / Hz")
+        below.set_ylabel(f"root of the spectral density / ({scale.unit}/√Hz)")
         figure.legend(loc="outside upper center", ncols=3)
 
-    return svg_file("allan", (6.4, 4.2), draw)
+    return svg_file("allan", (6.4, 7.2), draw)

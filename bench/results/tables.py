@@ -12,6 +12,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from bench.base.arrays import ARCSEC, CHANNELS, u_of
+from bench.base.languages import language, message, translated
 from bench.base.numbers import (
     aligned,
     concise,
@@ -23,6 +24,7 @@ from bench.base.numbers import (
     typeset,
     uncertainty,
 )
+from bench.base.template_texts import environment_for
 from bench.base.text import shown_path, visible
 from bench.calibration import Calibration, Estimate, Noise, Verification
 from bench.calibration.budget.propagation import correlation_of
@@ -33,12 +35,67 @@ from bench.results.plots import residual_scale
 from bench.results.verification import optional_probability
 
 MEANINGS: Final = {
-    "axis_tilt": "axis tilt",
-    "zero_offset": "zero offset",
-    "mounting_error": "mounting error",
-    "mounting_offset": "mounting turn about the shaft",
-    "mounting_roll": "mounting error, third angle",
+    "axis_tilt": message("axis tilt"),
+    "zero_offset": message("zero offset"),
+    "mounting_error": message("mounting error"),
+    "mounting_offset": message("mounting turn about the shaft"),
+    "mounting_roll": message("mounting error, third angle"),
 }
+LABELS: Final = (
+    message("source"),
+    message("unit under test"),
+    message("bench"),
+    message("model"),
+    message("run"),
+    message("imported from"),
+    message("check block"),
+    message("exported from run"),
+    message("supply of the block"),
+    message("record"),
+    message("measured with"),
+    message("evaluated with"),
+    message("begun"),
+    message("operator"),
+    message("procedure"),
+    message("instruments"),
+    message("Unit"),
+    message("Measured"),
+    message("Operator"),
+    message("Procedure"),
+    message("Instruments"),
+    message("repeats"),
+    message("residuals"),
+    message("given"),
+    message("channel"),
+    message("reading"),
+    message("head angle"),
+    message("setting error"),
+    message("voltmeter error"),
+    message("mounting offset"),
+    message("mounting roll"),
+    message("voltmeter gain"),
+    message("voltmeter offset"),
+    message("voltmeter linearity"),
+    message("gravity"),
+    message("temperature"),
+    message("head table"),
+    message("thermometer"),
+    message("turn on"),
+    message("quadratic nonlinearity"),
+    message("cubic nonlinearity"),
+    message("foundation tilt"),
+    message("supply voltage"),
+    message("voltmeter.x"),
+    message("voltmeter.y"),
+    message("voltmeter.z"),
+    message("head"),
+    message("chamber"),
+    message("level"),
+    message("power_supply"),
+    message("manual dividing head"),
+    message("manual thermal chamber"),
+)
+"""Keys and names from other rooms that pages show: they stand here for the catalogue of translations."""
 HARDLY: Final = 0.01
 """Contributions below this fraction of the table's unit are printed as a dash."""
 SHOWS: Final = 2.0
@@ -55,10 +112,12 @@ class Row:
 
 
 def symbol(name: str) -> Markup:
-    """Return a coefficient's name as HTML: "Kxy" -> K with the indices as subscripts."""
+    """Return the name of one of the twelve or the nine as HTML: "Kxy" -> K with the indices as subscripts."""
     if name.startswith("U0"):
         return Markup("<i>U</i><sub>0{}</sub>").format(name[2:])
-    return Markup("<i>K</i><sub>{}</sub>").format(name[1:])
+    if name.startswith("theta_"):
+        return Markup("<i>θ</i><sub>{}</sub>").format(name[6:])
+    return Markup("<i>{}</i><sub>{}</sub>").format(name[0], name[1:])
 
 
 # --- coefficients -----------------------------------------------------------------------------------
@@ -88,9 +147,9 @@ def coefficient_groups(calibration: Calibration) -> list[tuple[str, list[Row]]]:
     expanded = aligned([uncertainty(2.0 * float(s) / scale.size) for s in u])
     groups: list[tuple[str, list[Row]]] = []
     for title, members in (
-        ("Scale factors", [0, 4, 8]),
-        ("Cross-axis terms", [1, 2, 3, 5, 6, 7]),
-        ("Biases", [9, 10, 11]),
+        (message("Scale factors"), [0, 4, 8]),
+        (message("Cross-axis terms"), [1, 2, 3, 5, 6, 7]),
+        (message("Biases"), [9, 10, 11]),
     ):
         others = aligned([_in_other_terms(calibration, j)[0] for j in members])
         rows = [
@@ -121,7 +180,7 @@ def _in_other_terms(calibration: Calibration, j: int) -> tuple[str, str]:
         return uncertainty(abs(float(u[j] / vector[j])) * 1e6), "ppm"
     ratio, u_ratio = _ratio(calibration, j, own)
     if vector[j] == u[j] == 0.0:
-        return "by convention", ""
+        return message("by convention"), ""
     if j < 9:
         return concise(ratio / ARCSEC, u_ratio / ARCSEC), "″"
     scale = scale_for(max(abs(ratio), u_ratio), "g")
@@ -205,15 +264,16 @@ def _stand_angle(name: str) -> Markup:
     letter = (
         Markup("<i>α</i><sub>{}</sub> ").format(of.removeprefix("alpha")) if of.startswith("alpha") else ""
     )
-    return Markup("{}{}, installation {}").format(letter, meaning, parts["mount"])
+    label = Markup(translated(message("{0}{1}, installation {2}")))  # noqa: S704 - our own text
+    return label.format(letter, translated(meaning), parts["mount"])
 
 
 def _in_words(pull: float, estimate: Estimate) -> str:
     if not np.isfinite(pull):
         return "–"
     if not estimate.told_by_data:
-        return "no better known than before"
-    return "shows in the data" if abs(pull) > SHOWS else "not told from zero"
+        return message("no better known than before")
+    return message("shows in the data") if abs(pull) > SHOWS else message("not told from zero")
 
 
 def effects(calibration: Calibration) -> list[Row]:
@@ -247,7 +307,7 @@ def verification(result: Verification) -> list[Row]:
                     f"{abs(p.delta_g) / result.limit_g:.0%}".replace("%", " %"),
                     optional_probability(p.p_false_accept),
                     optional_probability(p.p_false_reject),
-                    str(p.statement),
+                    translated(str(p.statement), "statement"),
                 ),
                 bad=not p.passed,
             )
@@ -341,7 +401,7 @@ def _limits(noise: Noise) -> str:
     if noise.setting_limits_rad is None:
         return ""
     low, high = (limit / ARCSEC for limit in noise.setting_limits_rad)
-    return f" (with 95 % between {low:.2g}″ and {high:.2g}″)"
+    return message(f" (with 95 % between {low:.2g}″ and {high:.2g}″)")
 
 
 def _each(sizes: tuple[float, float, float], unit: str) -> str:
@@ -361,11 +421,11 @@ def sources(calibration: Calibration) -> dict[str, Any]:
     for source in calibration.sources:
         u = u_of(source.covariance) / scale.size
         most = [float(u[own].max()) for own in ([0, 4, 8], [1, 2, 3, 5, 6, 7], [9, 10, 11])]
-        origin = f"{source.origin} (prior)" if source.prior else source.origin
+        origin = message(f"{source.origin} (prior)") if source.prior else source.origin
         cells = (source.size, *(uncertainty(size) if size >= HARDLY else "–" for size in most), origin)
         rows.append(Row(source.name.replace("_", " "), cells))
     gravity = f"{calibration.gravity_u * 1e6:.2g} ppm" if calibration.gravity_u else ""
-    return {"unit": f"{scale.per_g} and {scale.unit}", "rows": rows, "gravity": gravity}
+    return {"per_g": scale.per_g, "unit": scale.unit, "rows": rows, "gravity": gravity}
 
 
 def noise(calibration: Calibration) -> dict[str, str]:
@@ -373,7 +433,8 @@ def noise(calibration: Calibration) -> dict[str, str]:
     of = calibration.noise
     return {
         "reading": quantity(of.reading, calibration.unit),
-        "setting": f"{uncertainty(of.setting_rad / ARCSEC)}″{_limits(of)}",
+        "setting": f"{uncertainty(of.setting_rad / ARCSEC)}″",
+        "limits": _limits(of),
         "dof": f"{of.dof:.0f}" if np.isfinite(of.dof) else "",
         "source": of.source,
         "each": "" if of.channels is None else _each(of.channels, calibration.unit),
@@ -387,13 +448,14 @@ def page(name: str, **content: Any) -> str:
 
     Content is escaped, and control characters are made visible. A name missing from `content` is an error.
     """
-    return visible(_templates().get_template(name).render(**content))
+    return visible(_templates(language()).get_template(name).render(**content))
 
 
 @cache
-def _templates() -> Environment:
-    """Return the template environment, cached so that each template is compiled only once."""
-    environment = Environment(
+def _templates(name: str) -> Environment:
+    """Return the template environment of a language, cached so that each template is compiled only once."""
+    environment = environment_for(
+        name,
         loader=PackageLoader("bench.results", "templates"),
         autoescape=True,
         undefined=StrictUndefined,

@@ -129,7 +129,7 @@ def print_tumble(view: TumbleView, name: str, on: Console) -> None:
         on.print(own.sentence())
     for first, second, r in _close(view):
         on.print(
-            f"{first} and {second} hang together (r = {r:.3f}): a sum of them is known far better than each"
+            f"{first} and {second} are correlated (r = {r:.3f}): their sum is known far better than each"
         )
     on.print(fit_in_words(view.lack_of_fit, "THESE TERMS DO NOT FIT the readings"))
     print_notes(on, list(_left_out(view)))

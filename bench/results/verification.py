@@ -10,6 +10,7 @@ from pydantic import Field
 from rich.console import Console
 from rich.table import Table
 
+from bench.base.languages import message
 from bench.base.result_model import Matrix, Real, ResultModel
 from bench.base.tables import print_notes, table
 from bench.calibration.conformity import NON_BINARY, SIMPLE, DecisionRule, Statement
@@ -167,12 +168,12 @@ def print_verification(found: Verification, notes: Sequence[str], out: Console) 
 
 
 HEADLINES: Final = {
-    Statement.PASS: "passed",
-    Statement.CONDITIONAL_PASS: "conditional pass",
-    Statement.CONDITIONAL_FAIL: "conditional fail",
-    Statement.INCONCLUSIVE: "inconclusive",
-    Statement.NOT_COMPLETE: "not complete",
-    Statement.FAIL: "failed",
+    Statement.PASS: message("passed"),
+    Statement.CONDITIONAL_PASS: message("conditional pass"),
+    Statement.CONDITIONAL_FAIL: message("conditional fail"),
+    Statement.INCONCLUSIVE: message("inconclusive"),
+    Statement.NOT_COMPLETE: message("not complete"),
+    Statement.FAIL: message("failed"),
 }
 """The words for the overall verdict of a verification."""
 
@@ -186,33 +187,39 @@ def headline(result: Verification, *, upper: bool = False) -> str:
     word = HEADLINES[result.statement]
     word = word.upper() if upper else word
     if result.statement is Statement.CONDITIONAL_PASS:
-        left_open = "for the customer to accept" if result.left_open else "not accepted"
-        return f"{word}, {'accepted' if result.passed else left_open}"
+        left_open = message("for the customer to accept") if result.left_open else message("not accepted")
+        return f"{word}, {message('accepted') if result.passed else left_open}"
     return word
 
 
 def rule_in_words(rule: DecisionRule) -> str:
     """Return the acceptance criterion of a decision rule in words, with its source."""
     if rule.name == SIMPLE:
-        return (
+        return message(
             "accepted when |Δg| ≤ limit at every verification point; no guard band is taken off the limit "
             "(JCGM 106:2012, 8.2)"
         )
     if rule.guard_band is None:
-        band = "w = 1.645 u, or what is 5 % where degrees of freedom, both limits or a population count"
-        sure = f"the probability of a false acceptance is at most 5 % at every verification point ({band})"
-        return (
+        band = message(
+            "w = 1.645 u, or what is 5 % where degrees of freedom, both limits or a population count"
+        )
+        sure = message(
+            f"the probability of a false acceptance is at most 5 % at every verification point ({band})"
+        )
+        return message(
             f"accepted when {sure}; what lies between there and the limit is conditional, and the customer's to "
             "accept (JCGM 106:2012, 8.3.2; ILAC-G8:09/2019)"
         )
     times = "" if rule.guard_band == 1.0 else f"{rule.guard_band:g} "
-    accepted = (
+    accepted = message(
         f"accepted when |Δg| + {times}U ≤ limit at every verification point; a guard band w = {times}U is taken "
         "off the limit (JCGM 106:2012, 8.3.2; ILAC-G8:09/2019)"
     )
     if rule.name != NON_BINARY:
         return accepted
-    return f"{accepted}; what lies within w of the limit is conditional, and the customer's to accept"
+    return message(
+        f"{accepted}; what lies within w of the limit is conditional, and the customer's to accept"
+    )
 
 
 def probability_in_words(p: float) -> str:
@@ -231,11 +238,12 @@ def risk_in_words(result: Verification) -> str:
     """Return the specific risk of the decision, overall and at the worst point; "" if nothing was decided."""
     if result.passed or result.left_open:
         of_all, worst = (probability_in_words(p) for p in (result.p_outside, result.p_outside_worst))
-        single = "" if of_all == worst else f" ({worst} at the worst point)"
-        accepted = " if it is accepted" if result.left_open else ""
-        return f"probability of false acceptance{accepted} {of_all}{single}"
+        both = of_all if of_all == worst else message(f"{of_all} ({worst} at the worst point)")
+        return message(
+            f"probability of false acceptance{' if it is accepted' if result.left_open else ''} {both}"
+        )
     if result.rejected:
-        return f"probability of false rejection {probability_in_words(1.0 - result.p_outside)}"
+        return message(f"probability of false rejection {probability_in_words(1.0 - result.p_outside)}")
     return ""
 
 
@@ -265,30 +273,32 @@ def advice(result: Verification) -> tuple[str, ...]:
     number = {s: sum(p.statement is s for p in result.points) for s in Statement}
     sentences = {
         Statement.FAIL: (
-            "beyond the limit by more than the guard band: 'bench diagnose' tells what is wrong with block, stand "
-            "or procedure"
+            "beyond the limit by more than the guard band: 'bench diagnose' finds the cause in block, "
+            "stand or procedure"
         ),
         Statement.INCONCLUSIVE: (
             f"inconclusive: U, up to {result.expanded * 1e6:.0f} µg, is larger than the limit of "
-            f"{result.limit_g * 1e6:.4g} µg, so nothing can be said safely, neither that the block "
-            "conforms nor that it does not; more passes, a better voltmeter or a better known stand make U "
-            "smaller, and 'bench budget' says what makes most of it"
+            f"{result.limit_g * 1e6:.4g} µg, so conformity cannot be decided; reduce U by more passes, a "
+            "better voltmeter or a better known stand ('bench budget' shows the largest part)"
         ),
         Statement.CONDITIONAL_FAIL: (
-            "beyond the limit by less than the guard band: the block may conform all the same; a smaller U "
-            "tells, and 'bench budget' says what makes most of it"
+            "beyond the limit by less than the guard band: the block may still conform; reduce U to "
+            "decide ('bench budget' shows its largest part)"
         ),
         Statement.CONDITIONAL_PASS: (
-            "within the limit by less than the guard band: the block may not conform all the same; a smaller U "
-            "tells, and 'bench budget' says what makes most of it"
+            "within the limit by less than the guard band: the block may still not conform; reduce U to "
+            "decide ('bench budget' shows its largest part)"
         ),
     }
-    of = f"of {len(result.points)} verification points"
-    found = [f"{number[s]} {of} {sentence}" for s, sentence in sentences.items() if number[s]]
+    points = len(result.points)
+    found = [
+        message(f"{number[s]} of {points} verification points {sentence}")
+        for s, sentence in sentences.items()
+        if number[s]
+    ]
     if result.missing:
         found.append(
-            f"{result.missing} verification points are missing, and nothing is accepted without them: "
-            "measure them, too"
+            f"{result.missing} verification points are missing; measure them, as nothing is accepted without them"
         )
     return (*found, *_to_pass(result))
 
@@ -305,13 +315,16 @@ def _to_pass(result: Verification) -> Iterator[str]:
     of_which = ", ".join(f"{name.replace('_', ' ')} {parts[name] * 1e6:.0f} µg" for name in most)
     of_which = f" ({of_which})" if most else ""
     smaller = (
-        "no smaller u makes it pass"
+        message("no smaller u makes it pass")
         if needed.u_times is None
-        else f"u(Δg) up to {needed.u_times * point.u * 1e6:.3g} µg"
+        else message(f"u(Δg) up to {needed.u_times * point.u * 1e6:.3g} µg")
     )
     yield (
-        f"to pass: {smaller} at pass {point.pass_number} point {point.point}, where it is {point.u * 1e6:.3g} µg"
-        f"{of_which}; or a limit from {math.ceil(needed.limit_g * 1e6)} µg, if that is agreed"
+        message(
+            f"to pass: {smaller} at pass {point.pass_number} point {point.point}, where it is "
+            f"{point.u * 1e6:.3g} µg"
+            f"{of_which}; or a limit from {math.ceil(needed.limit_g * 1e6)} µg, if that is agreed"
+        )
     )
 
 
@@ -321,9 +334,12 @@ def global_risk_in_words(result: Verification) -> tuple[str, ...]:
     if risk is None or population is None:
         return ()
     return (
-        f"of all blocks with Δg of mean {population.mean * 1e6:.3g} µg and standard deviation "
-        f"{population.standard_deviation * 1e6:.3g} µg, as stated, this check accepts "
-        f"{probability_in_words(risk.false_accept)} without conforming and does not accept "
-        f"{probability_in_words(risk.false_reject)} that conform (global risks, at the largest U); the risks of "
-        "this block are those of one of them that was measured so (JCGM 106:2012, A.4)",
+        message(
+            f"of all blocks with Δg of mean {population.mean * 1e6:.3g} µg and standard deviation "
+            f"{population.standard_deviation * 1e6:.3g} µg, as stated, this check accepts "
+            f"{probability_in_words(risk.false_accept)} without conforming and does not accept "
+            f"{probability_in_words(risk.false_reject)} that conform (global risks, at the largest U); the "
+            f"risks of "
+            "this block are those of one of them that was measured so (JCGM 106:2012, A.4)"
+        ),
     )

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from bench.base.arrays import CHANNELS, Floats
+from bench.base.languages import message
 from bench.model.conditions import Mounting
 from bench.model.forward import ForwardModel
 from bench.model.geometry import Block
@@ -131,12 +132,14 @@ class Inquiry:
         part = (weighed * judged.residual).sum(axis=-1)
         left = 1.0 - (weighed * further).sum(axis=-1)
         moved, u = MOVED_RAD * part, MOVED_RAD * np.sqrt(np.maximum(left, 0.0))
-        about = f"block or head is {format_dms(abs(moved[0]))} off about the shaft"
-        tilted = f"the block is tilted by {format_dms(abs(moved[1]))} out of the plane of rotation"
+        about = message(f"block or head is {format_dms(abs(moved[0]))} off about the shaft")
+        tilted = message(f"the block is tilted by {format_dms(abs(moved[1]))} out of the plane of rotation")
         supposed = [Supposition(about, Kind.MOVED), Supposition(tilted, Kind.TILTED)]
         for i, channel in enumerate(CHANNELS):
             off_v = part[2 + i] * further[2 + i, i]
-            text = f"channel {channel} alone is off by {off_v * 1e3:+.3g} mV (its cable or voltmeter)"
+            text = message(
+                f"channel {channel} alone is off by {off_v * 1e3:+.3g} mV (its cable or voltmeter)"
+            )
             supposed.append(Supposition(text, Kind.CHANNEL))
         large = [*(np.abs(moved[:2]) > LARGE_RAD), *(np.abs(part[2:]) * CHANNEL_OFF_G > LARGE_G)]
         stops = {one.text: bool(is_large) for one, is_large in zip(supposed, large, strict=True)}
@@ -180,12 +183,12 @@ class Inquiry:
         mounted = max(i for i, s in enumerate(history) if s.new_mount)
         others = self._others(history[-1], few=len(history) - mounted <= FEW)
         wrong_way = Supposition(
-            "the head was turned the wrong way since the block was mounted", Kind.ROTATION
+            message("the head was turned the wrong way since the block was mounted"), Kind.ROTATION
         )
         members = [
             AS_RECORDED,
             *(Member(one, cabling) for one, cabling in zip(CABLED, CABLINGS.values(), strict=True)),
-            Member(Supposition("the head counts the other way", Kind.ROTATION), pose=1),
+            Member(Supposition(message("the head counts the other way"), Kind.ROTATION), pose=1),
             *([Member(wrong_way, pose=1, since=mounted)] if mounted else []),
             *(Member(one, pose=2 + i, since=mounted) for i, one in enumerate(others.values())),
             *(member for k in candidates(history) for member in self._wrong_before(history[k], k)),
@@ -205,7 +208,7 @@ class Inquiry:
 
     def _wrong_before(self, sighting: Sighting, k: int) -> list[Member]:
         """Return the members in which reading `k` is wrong: left out, shifted, or taken at another setting."""
-        unlikely, was_wrong = UNLIKELY[Kind.EARLIER], f"{sighting.place} was wrong"
+        unlikely, was_wrong = UNLIKELY[Kind.EARLIER], message(f"{sighting.place} was wrong")
         somehow = Supposition(was_wrong, Kind.EARLIER, unlikely)
         first = 2 + len(self._others(sighting, few=True))
         settings = [
@@ -323,7 +326,7 @@ class Confidence:
         self._undecided: tuple[Sighting, list[Suspect]] | None = None
 
     def mounted(self) -> None:
-        """Note that the block was mounted anew: early signs may stop the run again, no reading is undecided."""
+        """Note that the block was mounted again: early signs may stop the run again, no reading is undecided."""
         self._silent, self._undecided = False, None
 
     def forget(self) -> None:

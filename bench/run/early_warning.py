@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from bench.base.arrays import CHANNELS, Floats
+from bench.base.languages import message
 from bench.config.bench_file.file import BenchFile
 from bench.config.procedure.plan import Plan, Read
 from bench.model.forward import ForwardModel
@@ -137,7 +138,7 @@ class EarlyWarning:
         return self._repeats.sizes
 
     def remounted(self) -> None:
-        """Note that the block was mounted anew, in case the next reading has the same installation and series."""
+        """Note that the block was mounted again, in case the next reading has the same installation and series."""
         self._mounted_anew = True
         self._confidence.mounted()
         self._visits.clear()  # later differences come from the remounting, not from noise
@@ -224,7 +225,9 @@ class EarlyWarning:
         if new_mount:
             self._confidence.mounted()
         self._mounted_anew = False
-        where = f"installation {conditions.mounts[0]}, pass {reading.pass_number}, point {reading.point}"
+        where = message(
+            f"installation {conditions.mounts[0]}, pass {reading.pass_number}, point {reading.point}"
+        )
         sighting = Sighting(
             place=f"{where} at {format_dms(float(conditions.angle_rad[0]))}",
             row=conditions,
@@ -282,7 +285,7 @@ class EarlyWarning:
             self._go_through_again()
 
     def _go_through_again(self) -> None:
-        """Judge and learn all readings anew, with the present estimate of the noise and without struck readings."""
+        """Judge and learn all readings again, with the present estimate of the noise, without struck readings."""
         replay = self._inquiry().replay(self._history)
         self._adopt(replay.taken[:, 0], replay.state)
 
@@ -349,7 +352,7 @@ class EarlyWarning:
         if found is None:
             return []
         wrong, causes = found
-        words = f"it fits, so {self._why(causes, wrong)}"
+        words = message(f"it fits, so {self._why(causes, wrong)}")
         return [self._sign(self._history[-1], judged, (), words, causes, wrong, confident=True)]
 
     @staticmethod
@@ -359,8 +362,8 @@ class EarlyWarning:
     def _noisy(self, sighting: Sighting, judged: ReadingJudgement) -> EarlySign:
         """Return the sign that the bench is noisier than its file states; `take` raises it once in a run."""
         found, stated = self.noise.reading_v, self._repeats.stated.reading_v
-        cause = "the bench is noisier than its file states"
-        words = (
+        cause = message("the bench is noisier than its file states")
+        words = message(
             f"repeats scatter by {millivolts(found)} where the bench file states "
             f"{millivolts(stated)}; warnings so far may come from that, and mistakes below it cannot be seen"
         )
@@ -416,7 +419,9 @@ class EarlyWarning:
             return []
         self._moved = (before[0], now)
         slipped, since = format_dms(abs(now.moved_rad)), before[0].place
-        text = f"the block has slipped in its mount, or the head on its zero, by {slipped} since {since}"
+        text = message(
+            f"the block has slipped in its mount, or the head on its zero, by {slipped} since {since}"
+        )
         return [replace(now, text=text)]
 
     # --- the run ---------------------------------------------------------------------------------------

@@ -115,11 +115,15 @@ def read_manifest(folder: Path) -> Manifest:
     except (FileNotFoundError, NotADirectoryError):
         raise RecordError(f"{folder}: not a run (no {MANIFEST} in it)") from None
     except OSError as error:
-        raise RecordError(f"{folder / MANIFEST}: cannot be read ({error.strerror})") from None
+        raise RecordError(
+            f"{folder / MANIFEST}: cannot be read ({error.strerror}); check name and permissions"
+        ) from None
     except (ValueError, RecursionError):
-        raise RecordError(f"{folder / MANIFEST}: damaged, not JSON; take it from a copy of the run") from None
+        raise RecordError(
+            f"{folder / MANIFEST}: damaged (not JSON); restore it from a copy of the run"
+        ) from None
     if not isinstance(manifest, dict) or not isinstance(manifest.get("files", {}), dict):
-        raise RecordError(f"{folder / MANIFEST}: damaged, not a manifest; take it from a copy of the run")
+        raise RecordError(f"{folder / MANIFEST}: damaged (not a manifest); restore it from a copy of the run")
     return cast(Manifest, manifest)
 
 
@@ -395,13 +399,13 @@ class Event:
         """
         number, time, bench_s, kind = data.pop("n"), data.pop("time"), data.pop("bench_s"), data.pop("type")
         if type(number) is not int or type(time) is not str or type(kind) is not str:
-            raise ValueError("its number, time or type is none")
+            raise ValueError("its number, time or type is invalid")
         if type(bench_s) not in _NUMBERS or not math.isfinite(bench_s):
-            raise ValueError("its bench time is no number")
+            raise ValueError("its bench time is not a number")
         for name, kinds in _TOLD.get(kind, ()):
             value: Any = data[name]
             if type(value) is not kinds or (isinstance(value, int) and not 0 <= value < MOST):
-                raise ValueError(f"{name} is none")
+                raise ValueError(f"its {name} is invalid")
         return cls(number, time, float(bench_s), kind, data)
 
     @property

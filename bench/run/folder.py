@@ -65,7 +65,7 @@ class Run:
                 return Plan.from_json(read_json(read_regular(self.folder / PLAN)))
         except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
             raise RecordError(
-                f"{self.folder / PLAN}: cannot be read ({error}); take it from a copy"
+                f"{self.folder / PLAN}: cannot be read ({error}); restore it from a copy"
             ) from error
 
     @property
@@ -115,7 +115,8 @@ class Run:
         """Return the history. Raises `RecordError` if a line of the record or an input was changed."""
         if self.history.problems:
             raise RecordError(
-                f"{self.folder}: the record cannot be trusted: {'; '.join(self.history.problems)}"
+                f"{self.folder}: the record cannot be trusted; restore it from a copy: "
+                f"{'; '.join(self.history.problems)}"
             )
         return self.history
 
@@ -172,7 +173,8 @@ def checked_name(name: str) -> str:
     """
     if re.fullmatch(r"\w[\w.+-]{0,99}", name) is None:
         raise RecordError(
-            f"{name!r}: a run's name is a letter or digit, then up to 99 letters, digits, dots, dashes and plusses"
+            f"{name!r}: a run's name begins with a letter or digit; at most 99 letters, digits, dots, "
+            "dashes and pluses follow"
         )
     return name
 

@@ -6,6 +6,7 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
+from bench.base.languages import message
 from bench.base.text import listed
 from bench.run.events import EventType
 from bench.run.person import RunControl, Stopped, agree
@@ -75,7 +76,7 @@ def same_serials(identities: Mapping[str, Identity]) -> list[str]:
             names[identity.model, identity.serial].append(name)
     return [
         f"{listed(alike)} state one serial number, {serial} ({model}): "
-        "if that is one instrument, the addresses in the bench file are wrong"
+        "if they are one instrument, correct the addresses in the bench file"
         for (model, serial), alike in names.items()
         if len(alike) > 1
     ]
@@ -87,12 +88,12 @@ def agree_to_others(person: Person, before: Mapping[str, str], now: Mapping[str,
     Raises `BenchError` if the person disagrees.
     """
     changed = [
-        f"{name} was {identity} and is now {now.get(name, 'gone')}"
+        message(f"{name} was {identity} and is now {now.get(name, 'gone')}")
         for name, identity in before.items()
         if now.get(name) != identity
     ]
     if changed:
-        text = f"Other instruments than before: {'; '.join(changed)}. Go on with them?"
+        text = f"Other instruments than before: {'; '.join(changed)}. Continue with them?"
         agree(person, Prompt(id="identities", kind=PromptKind.CONFIRM, text=text, action={"do": "ask"}))
 
 
@@ -148,9 +149,9 @@ def leave_safe(
 
 def _standby(chamber: ThermalChamber, demanded_c: float | None) -> str:
     by_hand = (
-        "could not be put into standby: where it conditions, switch it off by hand"
+        "could not be put into standby: if it still runs, switch it off by hand"
         if demanded_c is None
-        else f"goes on conditioning at {demanded_c:g} °C: switch it off by hand"
+        else f"is still conditioning at {demanded_c:g} °C: switch it off by hand"
     )
     attempts = Attempts()
     attempts.make(by_hand, chamber.make_safe)

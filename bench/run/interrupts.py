@@ -110,7 +110,7 @@ class Interrupts:
         if again or self._held:
             self.haste.asked = True
             with suppress(Exception):  # the terminal may be closed, or in the middle of a print
-                print("stopping: the bench is being left safe, a moment", file=sys.stderr)
+                print("stopping: making the bench safe, please wait", file=sys.stderr)
         elif self._shielded:
             self._pending = True
         else:

@@ -217,7 +217,7 @@ class Asker:
             given = LeftAnswer(self._id, text, terminal.who)
             if not (after_another and terminal.by_hand and self._clock.now_s() - asked_s < READ_S):
                 break
-            self._refuse(given, "it was typed before this question could be read")
+            self._refuse(given, "it was typed before this question appeared")
         if problem := problem_with_answer(prompt, text):
             self._refuse(given, problem)
             self._refused = prompt.id.rpartition("#")[0]
@@ -258,7 +258,7 @@ class Asker:
             raise raised(control)
         told = {
             "wish": control.wish.value,
-            "why": "it is not heard at this question",
+            "why": "this question does not accept it",
             **control.who.to_json(),
         }
         self._tell(EventType.WISH_REFUSED, told)
@@ -272,8 +272,8 @@ class Asker:
             by = f" by {self.answered_by.by}" if self.answered_by.by else ""
             return f"the question was answered already{by}"
         if self._prompt is None:
-            return "no question stands"
-        return "" if left.id == self._id else "it belongs to another question than the one that stands"
+            return "no question is open"
+        return "" if left.id == self._id else "it answers another question than the open one"
 
     def _take(self, given: LeftAnswer, prompt: Prompt) -> None:
         self.answered_by, self._answered = given.who, given.id

@@ -50,9 +50,6 @@ class LightlyRead(Protocol):
     def glance(self) -> tuple[float, ...]:
         """Return the present signals x, y, z, V. Raises `BenchError`."""
 
-    def end_of_glances(self) -> None:
-        """Restore the meters' settings to those before the first glance."""
-
     @property
     def voltmeters(self) -> Sequence[Voltmeter]:
         """The meters that are read."""
@@ -175,11 +172,8 @@ class LiveSignals:
         self._tell(self._value(self._prompt.id, now_s, signals))
 
     def end(self) -> None:
-        """Stop looking; restore the meters' settings, so that the next reading finds what it expects."""
+        """Stop looking; the bench restores the meters' settings before it reads them again."""
         self._prompt = None
-        if self._bench is not None:
-            with suppress(BenchError):  # the next reading sets up the meters, and reports the error
-                self._bench.end_of_glances()
         with suppress(OSError):
             self._file.unlink(missing_ok=True)
 

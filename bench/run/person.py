@@ -12,11 +12,20 @@ from pathlib import Path
 from typing import Any, Final, Protocol
 
 from bench.base.files import open_regular
+from bench.base.languages import ENGLISH, language, message, translated
 from bench.base.numbers import read_number
 from bench.base.text import in_json, shortened
 from bench.config.procedure.plan import Mount
 from bench.run.events import Event, EventType, Wish
-from drivers.angles import format_dms, parse_angle, read_angle, typed_bubble, typed_supply, typed_temperature
+from drivers.angles import (
+    format_dms,
+    parse_angle,
+    read_angle,
+    typed_angle,
+    typed_bubble,
+    typed_supply,
+    typed_temperature,
+)
 from drivers.interfaces import BenchError
 from drivers.person import Person, Prompt, PromptKind
 
@@ -119,7 +128,7 @@ class Controls(Protocol):
 
 
 class NoControls:
-    """A source without wishes."""
+    """The wishes of a run that nobody can control: there are none."""
 
     stopped: RunControl | None = None
 
@@ -173,9 +182,9 @@ def parse_wish(text: str) -> RunControl:
         wish = Wish(word.lower())
     except ValueError:
         known = ", ".join(f"{SIGN}{w.value}" for w in Wish)
-        raise ValueError(f"{SIGN}{word} is no wish; there are {known}") from None
+        raise ValueError(f"{SIGN}{word} is unknown; possible are {known}") from None
     if wish is Wish.SKIP and not reason.strip():
-        raise ValueError(f"say why: {SIGN}skip REASON")
+        raise ValueError(f"give a reason: {SIGN}skip REASON")
     return RunControl(wish, reason.strip(), by_person=True)
 
 
@@ -185,7 +194,7 @@ LONGEST: Final = 4000
 
 YES: Final = frozenset({"y", "yes", "ok", "done"})
 NO: Final = frozenset({"n", "no"})
-REASON: Final = "REASON"
+REASON: Final = message("REASON")
 """Placeholder at the end of a choice for the person's own words: "go on REASON"."""
 
 # --- answers left in a run's folder ------------------------------------------------------------------
@@ -260,8 +269,31 @@ def _read_answer(line: bytes, number: int) -> LeftAnswer:
         return LeftAnswer(prompt_id, text, WishAuthor.from_json(told), number)
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         beginning = line[:100].decode("utf-8", "backslashreplace").strip()
-        flaw = f"line {number} of {ANSWERS} is no answer"
+        flaw = f"line {number} of {ANSWERS} is not an answer"
         return LeftAnswer("", beginning, WishAuthor(where="panel"), number, flaw)
+
+
+_WORDS: Final = {message("yes"): "yes", message("done"): "yes", message("no"): "no"}
+
+
+def in_english(prompt: Prompt, typed: str) -> str:
+    """Return an answer typed in the language of views as a record states it: так → yes, a choice by its name."""
+    given = " ".join(typed.split()).lower()
+    if language() == ENGLISH or not given:
+        return typed
+    if prompt.kind is PromptKind.CONFIRM:
+        return next(
+            (told for word, told in _WORDS.items() if given in (translated(word), translated(word)[0])), typed
+        )
+    for choice in prompt.choices:
+        shown = translated(choice).lower()
+        if given == shown:
+            return choice
+        if choice.endswith(REASON) and given.startswith(
+            start := shown.removesuffix(translated(REASON).lower())
+        ):
+            return choice.removesuffix(REASON) + " ".join(typed.split())[len(start) :]
+    return typed
 
 
 # --- the open prompt ---------------------------------------------------------------------------------
@@ -354,7 +386,7 @@ def problem_with_answer(prompt: Prompt, text: str) -> str:
         return str(trouble).rstrip(".")
     match prompt.kind:
         case PromptKind.CONFIRM:
-            return "" if given.lower() in YES | NO else f"answer yes or no, not {given!r}"
+            return "" if given.lower() in YES | NO else message(f"answer yes or no, not {given!r}")
         case PromptKind.CHOOSE:
             return _problem_with_choice(prompt, given)
         case PromptKind.NUMBER:
@@ -371,7 +403,7 @@ def understood_answer(prompt: Prompt, text: str) -> str:
     match prompt.kind:
         case PromptKind.ANGLE:
             value = _read_by_eye(prompt, given)
-            return given if value is None else _spaced(parse_angle(given))
+            return given if value is None else _spaced(_on_scale(prompt, given))
         case PromptKind.NUMBER:
             value = _read_by_eye(prompt, given)
             if prompt.action["do"] == "read_level":
@@ -381,6 +413,12 @@ def understood_answer(prompt: Prompt, text: str) -> str:
             return "no" if given.lower() in NO else "yes"
         case PromptKind.CHOOSE:
             return given
+
+
+def _on_scale(prompt: Prompt, given: str) -> float:
+    """Return a typed angle as the scale shows it, rad."""
+    target_rad: Any = prompt.action.get("target_rad")
+    return parse_angle(given) if target_rad is None else typed_angle(given, float(target_rad))
 
 
 _BY_EYE: Final = frozenset({"turn", "read_temperature", "read_level", "read_supply"})
@@ -414,9 +452,9 @@ def _problem_with_choice(prompt: Prompt, given: str) -> str:
     for beginning in open_ended:
         reason = words[len(beginning) :]
         if words.lower().startswith(beginning) and reason:
-            return f"say why in place of {REASON}" if reason == REASON else ""
+            return f"give the reason instead of {REASON}" if reason == REASON else ""
     fits = words.lower() in prompt.choices if open_ended else given in prompt.choices
-    return "" if fits else f"choose one of {', '.join(prompt.choices)}, not {given!r}"
+    return "" if fits else message(f"choose one of {', '.join(prompt.choices)}, not {given!r}")
 
 
 def _problem_with_number(prompt: Prompt, given: str) -> str:
@@ -432,17 +470,17 @@ def _number(given: str, unit: str) -> float:
         return read_number(given.replace(",", ".").removesuffix(unit).strip())
     except ValueError:
         raise ValueError(
-            f"a number{' in ' + unit if unit else ''} is wanted, not {shortened(given)!r}"
+            message(f"a number{' in ' + unit if unit else ''} is wanted, not {shortened(given)!r}")
         ) from None
 
 
 def _between(prompt: Prompt, value: float) -> float:
     if prompt.minimum is not None and value < prompt.minimum:
-        raise ValueError(f"{value:g} is below the least, {prompt.minimum:g} {prompt.unit}".rstrip())
+        raise ValueError(message(f"{value:g} is below the least, {prompt.minimum:g} {prompt.unit}").rstrip())
     if prompt.maximum is not None and value > prompt.maximum:
-        raise ValueError(f"{value:g} is above the most, {prompt.maximum:g} {prompt.unit}".rstrip())
+        raise ValueError(message(f"{value:g} is above the most, {prompt.maximum:g} {prompt.unit}").rstrip())
     if not math.isfinite(value):
-        raise ValueError("a number is wanted")
+        raise ValueError("type a number")
     return value
 
 
@@ -466,7 +504,7 @@ def ask(person: Person, prompt: Prompt) -> str:
         put = replace(prompt, id=f"{prompt.id}#{attempt}", text=text)
         answer = person.ask(put)
         given = answer.text.strip() or (prompt.default or "")
-        problem = "the answer belongs to an earlier question" if answer.prompt_id != put.id else ""
+        problem = message("the answer belongs to an earlier question") if answer.prompt_id != put.id else ""
         problem = problem or problem_with_answer(prompt, given)
         if not problem:
             return given
@@ -480,7 +518,7 @@ def confirm(person: Person, prompt: Prompt) -> None:
     for wait in range(1, MOST_WAITS + 1):
         if ask(person, put).lower() not in NO:
             return
-        text = f"There is no hurry: say yes when it is done. {prompt.text}"
+        text = message(f"There is no hurry: say yes when it is done. {prompt.text}")
         put = replace(prompt, id=f"{prompt.id}#wait{wait}", text=text)
     raise BenchError("operator", f"answered no again and again to: {prompt.text}", "go on when it is done")
 
@@ -492,22 +530,22 @@ def agree(person: Person, prompt: Prompt) -> None:
 
 
 PICTURES: Final[Mapping[str, str]] = {
-    "1": """\
+    "1": message("""\
         z up                 head at 0°, seen from the end of the shaft:
         |   y                the block's z points up, its x lies level to the
         |  /  (shaft)        right, its y lies along the shaft
         | /
-        o------ x""",
-    "2": """\
+        o------ x"""),
+    "2": message("""\
         y up                 head at 0°, seen from the end of the shaft:
         |   z                the block's y points up, its x lies level to the
         |  /  (shaft)        left, its z lies along the shaft
         | /
-  x ----o""",
+  x ----o"""),
 }
 
 
-UNTOUCHED: Final = "untouched"
+UNTOUCHED: Final = message("untouched")
 
 
 def mount_prompt(step: Mount, *, chamber: bool) -> Prompt:
@@ -515,12 +553,12 @@ def mount_prompt(step: Mount, *, chamber: bool) -> Prompt:
 
     It has no default, so that an accidental Enter confirms nothing. With `chamber`, it asks to close the chamber.
     """
-    close = ", close the chamber" if chamber else ""
-    again = "" if step.series == 1 else f" (visit {step.series})"
+    close = message(", close the chamber") if chamber else ""
+    again = "" if step.series == 1 else message(f" (visit {step.series})")
     return Prompt(
         id=step.key,
         kind=PromptKind.CONFIRM,
-        text=f"Mount the block in installation {step.installation}{again}, clamp it{close}",
+        text=message(f"Mount the block in installation {step.installation}{again}, clamp it{close}"),
         action={"do": "mount", "installation": step.installation, "series": step.series},
         picture=PICTURES.get(step.installation, ""),
     )
@@ -528,9 +566,9 @@ def mount_prompt(step: Mount, *, chamber: bool) -> Prompt:
 
 def untouched_prompt(step: Mount) -> Prompt:
     """Return the prompt asking whether the block is still mounted as it was after `step`."""
-    text = (
+    text = message(
         f"The block was mounted in installation {step.installation}. Is it untouched since? "
         "If not, mount it again now, and say so"
     )
-    choices = (UNTOUCHED, "mounted again")
+    choices = (UNTOUCHED, message("mounted again"))
     return replace(mount_prompt(step, chamber=False), kind=PromptKind.CHOOSE, text=text, choices=choices)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Final
 
+from bench.base.languages import message
 from bench.base.text import duration
 from bench.config.bench_file.stand import DriftForm, RailSection, UnitSupplySection
 from bench.config.procedure.plan import SWITCHED_ON, Mount, Plan, Power, Read
@@ -35,7 +36,7 @@ IN_RUSH_S: Final = 2.0
 """Time from switching on to the first check of the rails, s; the inrush current has then decayed."""
 NAP_S: Final = 1.0
 
-ANEW: Final = "switch off and set anew"
+SET_AGAIN: Final = "switch off and set again"
 STAYED_ON: Final = "it stayed on"
 WAS_OFF: Final = "it was off"
 
@@ -107,7 +108,7 @@ class UnitPower:
                 self.on, self.in_charge, self.on_since_s = True, True, self.clock.now_s()
                 self._told("found on", self.look(key))
                 return
-            otherwise = f"of its rails only {', '.join(on)} is on"
+            otherwise = message(f"of its rails only {', '.join(on)} is on")
         self._ask_about(otherwise, key)
         self.switch_off(key)
         self._switch_on(key)
@@ -117,16 +118,17 @@ class UnitPower:
         prompt = Prompt(
             id=f"{key}/found",
             kind=PromptKind.CHOOSE,
-            text=f"The {self.supply.name} is on, and not as the bench file says: {otherwise}. What feeds on it? "
-            "It can be switched off and set as the bench file says, or left as it is, and the run stops",
-            choices=(ANEW, "leave it"),
+            text=f"The {self.supply.name} is on with other settings than the bench file states: "
+            f"{otherwise}. Check what it feeds. Switch it off and set it as the bench file says, or leave "
+            "it as it is and stop the run",
+            choices=(SET_AGAIN, "leave it"),
             action={"do": "ask"},
         )
-        if ask(self.person, prompt) != ANEW:
+        if ask(self.person, prompt) != SET_AGAIN:
             raise BenchError(
                 self.supply.name,
-                f"it is on, and not as the bench file says: {otherwise}",
-                "set it, or the bench file, and start again",
+                f"it is on with other settings than the bench file states: {otherwise}",
+                "correct its settings or the bench file, then start again",
             )
 
     def _switch_on(self, key: str, *, set_up: bool = False) -> None:
@@ -186,7 +188,7 @@ class UnitPower:
         for number, rail in enumerate(() if self.supply.asks_person else reversed(self.section.rails)):
             if number:
                 self.clock.sleep(self.section.pause)
-            by_hand = f"its rail {rail.name} did not go off by itself: find out why before the next run"
+            by_hand = f"its rail {rail.name} did not switch off: find the cause before the next run"
             rails.make(by_hand, partial(self.supply.switch, rail.output, False, key))
         told = rails.end()
         if told or self.supply.asks_person:
@@ -226,7 +228,7 @@ class UnitPower:
             raise RailFault(
                 self.supply.name,
                 "; ".join(wrong),
-                "find out why before going on; the block is warmed up anew then, and its mounting is another visit",
+                "find the cause before you continue; the block then warms up again and counts as mounted again",
             )
         self._seen = {
             rail.name: Rail(state.voltage_v, rail.voltage, state.current_a)
@@ -271,7 +273,7 @@ class UnitPower:
             prompt = Prompt(
                 id=f"{key}/since",
                 kind=PromptKind.CHOOSE,
-                text="The block was on when the run stopped. Has it been on all the time since?",
+                text=message("The block was on when the run stopped. Has it been on all the time since?"),
                 default=WAS_OFF,
                 choices=(STAYED_ON, WAS_OFF),
                 action={"do": "ask"},
@@ -310,7 +312,7 @@ class UnitPower:
         if rail.output not in states:
             has = ", ".join(states)
             raise InstrumentRefused(
-                self.supply.name, f"it has no output {rail.output} (it has {has})", "mend the bench file"
+                self.supply.name, f"it has no output {rail.output} (it has {has})", "correct the bench file"
             )
         return states[rail.output]
 
@@ -374,7 +376,7 @@ def _until_settled(
         raise NotSettled(
             moved.instrument,
             f"not warm {duration(wanted.timeout)} after it was switched on: {moved.cause}",
-            "look for what moves or warms it and resume, or lengthen the timeout of its warm-up in the bench file",
+            "find what moves or warms it and resume, or lengthen the timeout of its warm-up in the bench file",
             moved.state,
         ) from moved
 

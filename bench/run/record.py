@@ -44,7 +44,7 @@ from bench.run.resume import ENDS_A_POINT, PlanProgress, end_of_point, turn_befo
 
 
 class Events(Sequence[Event]):
-    """The valid events of a record, parsed anew from the file at each iteration."""
+    """The valid events of a record, parsed again from the file at each iteration."""
 
     def __init__(self, path: Path, count: int, last: Event | None) -> None:
         self._path, self._count, self._last = path, count, last
@@ -121,7 +121,7 @@ def read_history(folder: Path) -> History:
                 problems += reader.read(file)
     except OSError as error:
         raise RecordError(
-            f"{path}: cannot be read ({error.strerror}); take it from a copy of the run"
+            f"{path}: cannot be read ({error.strerror}); restore it from a copy of the run"
         ) from error
     return reader.history(path, problems)
 
@@ -245,8 +245,8 @@ def resume_point(plan: Plan, history: History) -> ResumePoint:
     known = progress.done | progress.skipped | progress.left_out
     if beyond := [step for step in known if step >= len(plan.steps)]:
         raise RecordError(
-            f"the record tells of step {max(beyond) + 1}, and the plan has {len(plan.steps)}: "
-            "they are not of one run; take both from a copy of it"
+            f"the record has step {max(beyond) + 1}, and the plan has {len(plan.steps)}: "
+            "they belong to different runs; restore both from a copy of the run"
         )
     last_s = history.events[-1].bench_s if history.events else 0.0
     step = next((i for i in range(len(plan.steps)) if not progress.settled(i)), len(plan.steps))
@@ -338,7 +338,10 @@ class Record:
         try:
             history = read_history(folder)
             if history.problems:
-                raise RecordError(f"{folder}: the record cannot be trusted: {'; '.join(history.problems)}")
+                raise RecordError(
+                    f"{folder}: the record cannot be trusted; restore it from a copy: "
+                    f"{'; '.join(history.problems)}"
+                )
             record._go_on_after(history)
         except BaseException:
             record.close()
@@ -392,13 +395,15 @@ class Record:
         """Raise `RecordError` if the next line would be lost, or would break another program's chain."""
         found = os.fstat(self._file.fileno())
         if self._half_written:
-            raise RecordError(f"{self.folder}: a half-written line cannot be cut off; free the disk")
+            raise RecordError(f"{self.folder}: a half-written line cannot be cut off; free disk space")
         if not found.st_nlink:
-            raise RecordError(f"{self.folder}: was deleted while the run went on; what it recorded is lost")
+            raise RecordError(
+                f"{self.folder}: was deleted during the run, and its readings are lost; run it again"
+            )
         if found.st_size != self._length:
             raise RecordError(
-                f"{self.folder}: another program has written into {EVENTS}; nothing more is recorded, and "
-                f"'bench show {self.folder.name} --verify' tells whether it is whole"
+                f"{self.folder}: another program wrote into {EVENTS}; recording ended; check it with "
+                f"'bench show {self.folder.name} --verify'"
             )
 
     def whereabouts(self) -> Path | None:
@@ -504,8 +509,8 @@ def _make_folder(folder: Path, files: dict[str, bytes]) -> None:
 def _refuse_taken(folder: Path) -> None:
     if os.path.lexists(folder):
         if (folder / MANIFEST).is_file():
-            raise RecordError(f"{folder}: there is a run of that name; choose another with --name")
-        raise RecordError(f"{folder}: there is a file or folder of that name; choose another with --name")
+            raise RecordError(f"{folder}: a run of that name exists; choose another with --name")
+        raise RecordError(f"{folder}: a file or folder of that name exists; choose another with --name")
 
 
 def _write_durably(path: Path, content: bytes) -> None:
@@ -516,8 +521,8 @@ def _write_durably(path: Path, content: bytes) -> None:
 
 
 def _cannot_write(folder: Path, error: OSError) -> RecordError:
-    remedy = "free the disk, or " if error.errno in _FULL else ""
+    remedy = "free disk space, or " if error.errno in _FULL else ""
     return RecordError(
-        f"{folder}: cannot be written ({error.strerror or error}); what was recorded before is kept; "
+        f"{folder}: cannot be written ({error.strerror or error}); what was recorded is kept; "
         f"{remedy}choose another folder with --runs"
     )

@@ -8,6 +8,7 @@ from copy import copy
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Final
 
+from bench.base.languages import message
 from bench.config.procedure.plan import Level, Mount, Plan, Read, SetTemperature, Step, Turn
 from bench.run.events import Event, EventType, Wish
 from bench.run.person import MOST_ATTEMPTS, REASON, OpenPrompt, OperatorWish, RunControl, problem_with_answer
@@ -222,12 +223,12 @@ def _is_of_pass(plan: Plan, turn: int, index: int) -> bool:
 
 GO_ON: Final = "go on"
 ANSWERS: Final = {
-    "redo point": Wish.REPEAT_POINT,
-    "redo pass": Wish.REPEAT_PASS,
-    "mount again": Wish.MOUNT_AGAIN,
+    message("redo point"): Wish.REPEAT_POINT,
+    message("redo pass"): Wish.REPEAT_PASS,
+    message("mount again"): Wish.MOUNT_AGAIN,
 }
 """The answers besides "go on REASON", with the wish that each expresses."""
-AGAIN: Final = "the same reading again after it was redone"
+AGAIN: Final = message("the same reading again after it was redone")
 
 
 def halt_prompt(doubt: Event, *, again: bool = False) -> Prompt:
@@ -235,17 +236,17 @@ def halt_prompt(doubt: Event, *, again: bool = False) -> Prompt:
 
     `again` says that the run stopped at this reading before, and that the reading has been redone since.
     """
-    why, first = "", "take the point again, take the pass again"
+    why, first = "", "redo the point, redo the pass"
     answers = [*ANSWERS]
     if again:
-        why = f"{AGAIN[0].upper()}{AGAIN[1:]}: an earlier setting of the pass may be what is wrong. "
-        first = "take the pass again, which is the first choice, take the point again"
+        why = f"{AGAIN[0].upper()}{AGAIN[1:]}: an earlier setting of the pass may be wrong. "
+        first = "redo the pass (try this first), redo the point"
         answers.sort(key=lambda answer: ANSWERS[answer] is not Wish.REPEAT_PASS)
     return Prompt(
         id=f"halt@{doubt.number}",
         kind=PromptKind.CHOOSE,
-        text=f"Stopped. {doubt.data['sentence']}. {why}Put it right, then say how to go on: {first}, "
-        "mount the block again and take the pass again, or go on with the readings as they are and say why",
+        text=f"Stopped. {doubt.data['sentence']}. {why}Correct the cause, then choose: {first}, "
+        "mount the block again and redo the pass, or keep the readings and give a reason",
         choices=(*answers, f"{GO_ON} {REASON}"),
         action={"do": "ask"},
     )
@@ -256,7 +257,7 @@ def pause_prompt(now_s: float) -> Prompt:
     return Prompt(
         id=f"pause@{now_s:.3f}",
         kind=PromptKind.CONFIRM,
-        text="Paused. Enter goes on; or :redo, :redo-pass, :remount, :skip REASON, :abort",
+        text="Paused. Press Enter to continue, or type :redo, :redo-pass, :remount, :skip REASON, :abort",
         default="yes",
         action={"do": "wait"},
     )
@@ -279,8 +280,8 @@ def how_to_go_on(person: Person, doubt: Event, *, again: bool = False) -> str:
             told = f"{doubt.data['sentence']} ({AGAIN})" if again else doubt.data["sentence"]
             raise NoAnswer(
                 "operator",
-                f"the run stopped: {told}; nobody said how to go on",
-                f"look at the bench, then resume and answer {answers}",
+                f"the run stopped: {told}; nobody chose how to continue",
+                f"check the bench, then resume and answer {answers}",
             ) from nobody
         given = " ".join(answer.text.split()) if answer.prompt_id == put.id else ""
         if given and not problem_with_answer(prompt, given):
@@ -288,7 +289,7 @@ def how_to_go_on(person: Person, doubt: Event, *, again: bool = False) -> str:
                 raise OperatorWish(RunControl(ANSWERS[given.lower()], by_person=True))
             return given[len(GO_ON) :].strip()
         trouble = f"Answer one of {answers}, not {given!r}. "
-    raise BenchError("operator", "no usable answer to how to go on", f"answer {answers}")
+    raise BenchError("operator", "no usable answer how to continue", f"answer {answers}")
 
 
 def step_in_doubt(plan: Plan, doubt: Event) -> int:

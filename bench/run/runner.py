@@ -295,7 +295,7 @@ class Runner:
                 if wish.control.wish is Wish.ABORT:
                     raise self._aborted(wish.control) from None
                 if wish.control.wish is not Wish.PAUSE:
-                    self._refuse(wish.control, 0, "no step goes on yet")
+                    self._refuse(wish.control, 0, "no step is running yet")
 
     # --- wishes --------------------------------------------------------------------------------------
 
@@ -326,7 +326,7 @@ class Runner:
             case Wish.REPEAT_POINT | Wish.REPEAT_PASS | Wish.MOUNT_AGAIN:
                 return self._redo(control, index)
             case Wish.SKIP if self.progress.doubt is not None:
-                return self._refuse(control, index, "the reading in doubt is to be settled first")
+                return self._refuse(control, index, "decide on the doubted reading first")
             case Wish.SKIP:
                 last = end_of_point(self.plan, index) - 1
                 self._emit(EventType.SKIPPED, first=index, last=last, **control.told())

@@ -38,7 +38,7 @@ def grubbs_critical(n: int) -> float:
     Raises `ValueError` for fewer than 3 samples, which cannot contain an outlier.
     """
     if n < 3:
-        raise ValueError(f"Grubbs' test needs 3 samples or more, not {n}")
+        raise ValueError(f"give Grubbs' test 3 samples or more, not {n}")
     t2 = float(stdtrit(n - 2, OUTLIER_LEVEL / (2 * n))) ** 2
     return (n - 1) / math.sqrt(n) * math.sqrt(t2 / (n - 2 + t2))
 
@@ -144,7 +144,7 @@ class Criterion:
         if self.timeout_s < self.window_s:
             raise ValueError(
                 f"settling: the timeout of {self.timeout_s:g} s is shorter than the window of "
-                f"{self.window_s:g} s; nothing could settle in it"
+                f"{self.window_s:g} s; nothing can settle in it; lengthen the timeout"
             )
         if self.interval_s > self.window_s:
             raise ValueError(
@@ -193,7 +193,7 @@ class Window:
         """
         taken = tuple(float(value) for value in values)
         if not taken:
-            raise ValueError("settling: a sample without a signal")
+            raise ValueError("settling: a sample has no signal; check the wiring")
         if self._samples:
             last_s, last = self._samples[-1]
             if time_s < last_s:
@@ -301,7 +301,7 @@ def _not_settled(criterion: Criterion, state: Settling, names: Sequence[str], un
         f"not settled after {criterion.timeout_s:g} s: it {what}, where {criterion.precision:.3g} {unit} "
         "is allowed"
     )
-    remedy = "look for what moves or warms it and repeat the step, or lengthen the timeout in the procedure"
+    remedy = "find what moves or warms it and repeat the step, or lengthen the timeout in the procedure"
     return NotSettled("block", cause, remedy, state)
 
 

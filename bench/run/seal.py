@@ -85,9 +85,9 @@ class Seal:
         texts = [data[name] for name in ("run", "head", "manifest_sha256", "sealed", "public_key")]
         files, events = data["files"], data["events"]
         if data["format"] != FORMAT or type(events) is not int or not isinstance(files, dict):
-            raise ValueError("not a seal that this version knows")
+            raise ValueError("not a seal of a known version")
         if not all(isinstance(text, str) for text in (*texts, *files, *files.values())):
-            raise ValueError("a text is none")
+            raise ValueError("a text is missing")
         run, head, manifest, sealed, key = texts
         signature, stamp = (
             base64.b64decode(data[name], validate=True) for name in ("signature", "time_stamp")
@@ -99,12 +99,12 @@ class Seal:
         now = seal_of(run, self.sealed)
         wrong = []
         if now.events != self.events:
-            wrong.append(f"sealed were {self.events} events, and there are {now.events}")
+            wrong.append(f"the seal covers {self.events} events, but the record has {now.events}")
         elif now.head != self.head:
-            wrong.append("the head of its chain is not the sealed one")
+            wrong.append("the last hash of its chain differs from the sealed one")
         if (now.run, now.manifest_sha256, now.files) != (self.run, self.manifest_sha256, self.files):
-            wrong.append(f"its inputs ({MANIFEST}) are not the sealed ones")
-        return tuple(f"the record is not what was sealed: {text}" for text in wrong)
+            wrong.append(f"its inputs ({MANIFEST}) differ from the sealed ones")
+        return tuple(f"the record changed after it was sealed: {text}" for text in wrong)
 
 
 def seal_of(run: Run, sealed: str) -> Seal:
@@ -127,11 +127,13 @@ def new_seal(run: Run, now: datetime) -> Seal:
     """
     state = run.trusted_history().state
     if (before := read_seal(run.folder)) is not None and (wrong := before.differences(run)):
-        raise RecordError(f"{run.folder}: {'; '.join(wrong)}; it is not sealed anew")
+        raise RecordError(f"{run.folder}: {'; '.join(wrong)}; it was not sealed again")
     if state not in ENDED and not run.imported:
-        raise RecordError(f"{run.name}: only a run that has ended can be sealed, and this one is {state}")
+        raise RecordError(f"{run.name}: only an ended run can be sealed; this one is {state}")
     if run.history.torn:
-        raise RecordError(f"{run.name}: the last line of its record is half written; seal a whole one")
+        raise RecordError(
+            f"{run.name}: the last line of its record is incomplete; resume or abort the run, then seal it"
+        )
     return seal_of(run, now.isoformat())
 
 
@@ -143,9 +145,9 @@ def read_seal(folder: Path) -> Seal | None:
     except FileNotFoundError:
         return None
     except OSError as error:
-        raise RecordError(f"{path}: cannot be read ({error.strerror})") from error
+        raise RecordError(f"{path}: cannot be read ({error.strerror}); check name and permissions") from error
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError, binascii.Error):
-        raise RecordError(f"{path}: damaged, not a seal; take it from a copy of the run") from None
+        raise RecordError(f"{path}: damaged (not a seal); restore it from a copy of the run") from None
 
 
 def write_seal(folder: Path, seal: Seal) -> Path:
@@ -181,7 +183,7 @@ def write_private(file: Path, key: Any, passphrase: bytes | None, beside: dict[P
     serialization, _ = _cryptography()
     for one in (file, *beside):
         if one.exists():
-            raise RecordError(f"{one}: there is a file of that name; a key is never written over")
+            raise RecordError(f"{one}: a file of that name exists; choose another name for the key")
     try:
         if not file.absolute().parent.is_dir():
             file.absolute().parent.mkdir(parents=True, mode=0o700)
@@ -195,7 +197,9 @@ def write_private(file: Path, key: Any, passphrase: bytes | None, beside: dict[P
         for path, text in beside.items():
             path.write_text(text, encoding="ascii")
     except OSError as error:
-        raise RecordError(f"{error.filename}: cannot be written ({error.strerror})") from error
+        raise RecordError(
+            f"{error.filename}: cannot be written ({error.strerror}); free disk space or check permissions"
+        ) from error
 
 
 def private_key(file: Path, passphrase: Callable[[], bytes]) -> Ed25519PrivateKey:
@@ -206,7 +210,7 @@ def private_key(file: Path, passphrase: Callable[[], bytes]) -> Ed25519PrivateKe
     _, ed25519 = _cryptography()
     key = read_private(file, passphrase, f"Ed25519, PEM; 'bench key {file}' makes one")
     if not isinstance(key, ed25519.Ed25519PrivateKey):
-        raise RecordError(f"{file}: a key of another kind; 'bench key FILE' makes one of Ed25519")
+        raise RecordError(f"{file}: not an Ed25519 key; 'bench key FILE' makes one")
     return cast("Ed25519PrivateKey", key)
 
 
@@ -220,17 +224,17 @@ def read_private(file: Path, passphrase: Callable[[], bytes], wanted: str) -> An
         pem = read_given(file)
         mode = file.stat().st_mode
     except OSError as error:
-        raise RecordError(f"{file}: cannot be read ({error.strerror})") from error
+        raise RecordError(f"{file}: cannot be read ({error.strerror}); check name and permissions") from error
     if os.name == "posix" and stat.S_IMODE(mode) & 0o077:
         raise RecordError(
-            f"{file}: others may use this private key (mode {stat.S_IMODE(mode):o}); chmod 600 {file}, and if "
-            "it may have been copied make another"
+            f"{file}: others may use this private key (mode {stat.S_IMODE(mode):o}); restrict it with "
+            f"chmod 600 {file}, and make a new key if it may have been copied"
         )
     _check_folder(file)
     try:
         return serialization.load_pem_private_key(pem, passphrase() if b"ENCRYPTED" in pem else None)
     except (ValueError, TypeError) as error:
-        raise RecordError(f"{file}: not a private key ({wanted}), or another passphrase") from error
+        raise RecordError(f"{file}: not a private key ({wanted}), or a wrong passphrase") from error
 
 
 def sign(key: Ed25519PrivateKey, message: bytes) -> tuple[str, bytes]:
@@ -244,9 +248,9 @@ def public_key(pem: str, where: str) -> Ed25519PublicKey:
     try:
         key = serialization.load_pem_public_key(pem.encode())
     except ValueError as error:
-        raise RecordError(f"{where}: not a public key (PEM)") from error
+        raise RecordError(f"{where}: not a public key (PEM); give the .pub file of 'bench key'") from error
     if not isinstance(key, ed25519.Ed25519PublicKey):
-        raise RecordError(f"{where}: a key of another kind than Ed25519")
+        raise RecordError(f"{where}: not an Ed25519 key; ask for the public key of 'bench key'")
     return cast("Ed25519PublicKey", key)
 
 
@@ -255,9 +259,9 @@ def read_public_key(file: Path) -> Ed25519PublicKey:
     try:
         return public_key(read_regular(file).decode("ascii"), str(file))
     except OSError as error:
-        raise RecordError(f"{file}: cannot be read ({error.strerror})") from error
+        raise RecordError(f"{file}: cannot be read ({error.strerror}); check name and permissions") from error
     except UnicodeDecodeError:
-        raise RecordError(f"{file}: not a public key (PEM)") from None
+        raise RecordError(f"{file}: not a public key (PEM); give the .pub file of 'bench key'") from None
 
 
 def is_signed(key: Ed25519PublicKey, signature: bytes, message: bytes) -> bool:
@@ -289,7 +293,7 @@ def _check_folder(file: Path) -> None:
     mode = stat.S_IMODE(folder.stat().st_mode)
     if os.name == "posix" and mode & 0o077:
         raise RecordError(
-            f"{folder}: a private key stands in a folder of its owner's alone, and others may enter this one "
+            f"{folder}: a private key needs a folder that only its owner can enter; others may enter this one "
             f"(mode {mode:o}); chmod 700 {folder}, or choose another"
         )
 
@@ -323,7 +327,7 @@ def check_server(url: str) -> None:
     """Raise `NoTimeStamp` for a text that is not an http or https address."""
     parts = urlsplit(url)
     if parts.scheme not in {"http", "https"} or not parts.hostname:
-        raise NoTimeStamp(f"--timestamp {url}: not the address of a server (http://… or https://…)")
+        raise NoTimeStamp(f"--timestamp {url}: give the address of a server (http://… or https://…)")
 
 
 def ask_time_stamp(url: str, message: bytes) -> bytes:
@@ -341,11 +345,16 @@ def ask_time_stamp(url: str, message: bytes) -> bytes:
         granted = response.status in {0, 1}
         told = response.tst_info if granted else None
     except ValueError as error:
-        raise NoTimeStamp(f"{url}: no time stamp (it answered with something else)") from error
+        raise NoTimeStamp(
+            f"{url}: no time stamp (unexpected answer); check the address of the server"
+        ) from error
     if told is None:
-        raise NoTimeStamp(f"{url}: no time stamp, the server refused ({', '.join(response.status_string)})")
+        raise NoTimeStamp(
+            f"{url}: no time stamp: the server refused it; try again or use another "
+            f"({', '.join(response.status_string)})"
+        )
     if told.nonce != asked.nonce or told.message_imprint.message != hashlib.sha256(message).digest():
-        raise NoTimeStamp(f"{url}: no time stamp (it answered for something else)")
+        raise NoTimeStamp(f"{url}: no time stamp (it stamped other data); ask again, or use another server")
     return answer
 
 
@@ -358,7 +367,9 @@ def _post(url: str, body: bytes) -> bytes:
             got: bytes = answer.read(MOST_BYTES)
     except (OSError, http.client.HTTPException, ValueError) as error:
         reason = error.reason if isinstance(error, urllib.error.URLError) else error
-        raise NoTimeStamp(f"{url}: no time stamp ({reason}); ask again when the server is there") from error
+        raise NoTimeStamp(
+            f"{url}: no time stamp ({reason}); try again when the server is reachable"
+        ) from error
     return got
 
 
@@ -377,22 +388,26 @@ def read_time_stamp(response: bytes, message: bytes, authority: Path | None) -> 
         decoded = rfc3161.decode_timestamp_response(response)
         told = decoded.tst_info
     except ValueError as error:
-        raise NoTimeStamp("its time stamp is damaged") from error
+        raise NoTimeStamp("its time stamp is damaged; restore the seal from a copy") from error
     if told.message_imprint.message != hashlib.sha256(message).digest():
-        raise NoTimeStamp("its time stamp is not one of this seal")
+        raise NoTimeStamp("its time stamp belongs to another seal")
     if authority is None:
         return TimeStamp(told.gen_time, trusted=False)
     try:
         roots = x509.load_pem_x509_certificates(read_given(authority))
     except OSError as error:
-        raise NoTimeStamp(f"{authority}: cannot be read ({error.strerror})") from error
+        raise NoTimeStamp(
+            f"{authority}: cannot be read ({error.strerror}); check name and permissions"
+        ) from error
     except ValueError as error:
-        raise NoTimeStamp(f"{authority}: not a certificate (PEM)") from error
+        raise NoTimeStamp(f"{authority}: not a certificate (PEM); give the authority's") from error
     builder = rfc3161.VerifierBuilder()
     for root in roots:
         builder = builder.add_root_certificate(root)
     try:
         builder.build().verify_message(decoded, message)
     except (rfc3161.VerificationError, ValueError) as error:
-        raise NoTimeStamp(f"its time stamp is not by the authority in {authority} ({error})") from error
+        raise NoTimeStamp(
+            f"its time stamp was not signed by the authority in {authority} ({error})"
+        ) from error
     return TimeStamp(told.gen_time, trusted=True)

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
+from bench.base.languages import message
 from bench.base.numbers import figures, scale_for
 from bench.base.text import visible
 from bench.config.procedure.plan import Plan
@@ -22,38 +23,41 @@ def sentence(event: Event) -> str:
     data = event.data
     match event.type:
         case EventType.EARLY_SIGN:
-            return f"{'stopped' if data.get('confident') else 'look'}: {data['sentence']}"
+            return message(f"{'stopped' if data.get('confident') else 'look'}: {data['sentence']}")
         case EventType.WENT_ON:
-            return f"gone on in spite of '{' or '.join(data['causes'])}': {data['reason']}"
+            return f"continued in spite of '{' or '.join(data['causes'])}': {data['reason']}"
         case EventType.SAME_SERIAL | EventType.CERTIFICATE:
-            return f"look: {data['words']}"
+            return message(f"look: {data['words']}")
         case EventType.STEP_FAILED:
-            return f"failed, tried again: {data['error']}"
+            return message(f"failed, tried again: {data['error']}")
         case EventType.CLOCK_JUMPED:
             ahead_s = data["ahead_s"]
             way = "ahead" if ahead_s > 0 else "back"
             return (
-                f"look: the computer's clock went {duration(abs(ahead_s))} {way}: it slept, or its time was set; "
-                "what drifts went on, so take the last point again where that matters"
+                f"look: the computer's clock went {duration(abs(ahead_s))} {way}: it slept, or its time "
+                "was set; redo the last point if drift matters"
             )
         case EventType.CHAMBER_SLOW:
-            return (
+            return message(
                 f"look: the {data['chamber']} has gone from {data['start_c']:.1f} °C to {data['air_c']:.1f} °C in "
-                f"{duration(data['after_s'])}, sent to {data['target_c']:g} °C: see that it conditions and is shut"
+                f"{duration(data['after_s'])}, sent to {data['target_c']:g} °C: check that it conditions "
+                "and is closed"
             )
         case EventType.POWER:
             return _power_in_words(data)
         case EventType.WARMED_UP if data.get("after_s") is not None:
-            return f"the block is warm, {duration(data['after_s'])} after it was switched on"
+            return message(f"the block is warm, {duration(data['after_s'])} after it was switched on")
         case EventType.REMOUNTED if data.get("why") == "power":
             return (
-                f"the block was without power: its further readings in installation {data['installation']} are "
-                f"another visit, series {data['now_series']}"
+                f"the block lost power: its further readings in installation {data['installation']} count "
+                f"as another visit, series {data['now_series']}"
             )
         case EventType.CHOSEN:
             return chosen_in_words(data)
         case EventType.LEFT_SAFE:
-            return "still to do: " + "; ".join(f"{name}: {what}" for name, what in data["to_do"].items())
+            return message("still to do: ") + "; ".join(
+                f"{name}: {what}" for name, what in data["to_do"].items()
+            )
     return _of_somebody(event) or event.type
 
 
@@ -62,7 +66,7 @@ def said(event: Event) -> str:
     by = _by(event.data) or (f" by {event.data['by']}" if event.data.get("by") else "")
     if event.type == EventType.ANSWERED:
         return f"answered{by}: {event.data['answer']}"
-    return f"an answer{by} is not taken: {event.data['why']}"
+    return f"an answer{by} is not accepted: {event.data['why']}"
 
 
 def _of_somebody(event: Event) -> str:
@@ -70,20 +74,20 @@ def _of_somebody(event: Event) -> str:
     data, by = event.data, _by(event.data)
     match event.type:
         case EventType.WISH_REFUSED:
-            return f"{data['wish']}{by} is not possible: {data['why']}"
+            return message(f"{data['wish']}{by} is not possible: {data['why']}")
         case EventType.ANSWERED | EventType.ANSWER_REFUSED if by:
             return said(event)
         case EventType.RUN_PAUSED | EventType.RUN_CONTINUED | EventType.REDO if by:
             return f"{_DONE[event.type]}{by}"
         case EventType.RUN_INTERRUPTED if by:
-            return f"stopped{by}"
+            return message(f"stopped{by}")
     return ""
 
 
 _DONE: Final[Mapping[str, str]] = {
     EventType.RUN_PAUSED: "paused",
-    EventType.RUN_CONTINUED: "gone on",
-    EventType.REDO: "taken again",
+    EventType.RUN_CONTINUED: "continued",
+    EventType.REDO: "repeated",
 }
 
 
@@ -93,9 +97,11 @@ def _by(data: Mapping[str, Any]) -> str:
     if where in ("", TERMINAL):
         return ""
     if where == "instrument":
-        return f" by the {data.get('by')}"
-    at = "by command" if where == "command" else f"in the {where}"
-    return f" {at} by {data['by']}" if data.get("by") else f" {at}"
+        return message(f" by the {data.get('by')}")
+    by = data.get("by")
+    if where == "command":
+        return message(f" by command by {by}") if by else message(" by command")
+    return message(f" in the {where} by {by}") if by else message(f" in the {where}")
 
 
 def _power_in_words(data: Mapping[str, Any]) -> str:
@@ -106,19 +112,19 @@ def _power_in_words(data: Mapping[str, Any]) -> str:
     )
     match data["power"]:
         case "on":
-            return f"the block is switched on: {rails}"
+            return message(f"the block is switched on: {rails}")
         case "found on":
-            return f"the block was found on, and as it is to be: {rails}"
+            return f"the block was found on with the stated settings: {rails}"
         case "off":
-            return "the block is switched off"
+            return message("the block is switched off")
         case _:
-            return f"stopped: {'; '.join(map(str, data.get('wrong', ())))}"
+            return message(f"stopped: {'; '.join(map(str, data.get('wrong', ())))}")
 
 
 def duration(seconds: float) -> str:
     """Return a rounded duration: 7500 -> "2 h 05 min", 180 -> "3 min", 40 -> "40 s"."""
     if not math.isfinite(seconds):
-        return "for ever"
+        return "without end"
     if seconds >= 3600:
         minutes = round(seconds / 60)
         return f"{minutes // 60} h {minutes % 60:02d} min"
@@ -129,33 +135,35 @@ def duration(seconds: float) -> str:
 
 _STOPS: Final[Mapping[str, str]] = {
     "reached": "enough",
-    "used up": "not reached, and nothing is left to measure",
+    "used up": "not reached; no setting is left to measure",
     "time": "the time is up",
 }
 
 
 def chosen_in_words(data: Mapping[str, Any]) -> str:
     """Return a sentence on a choice of points: the goal so far and the next points, or why measuring stops."""
-    so_far = f"{data['settings']} settings, {data['repeats']} repeats"
+    so_far = message(f"{data['settings']} settings, {data['repeats']} repeats")
     now = _goal_in_words(data.get("now"))
     if data["stop"]:
         why = _STOPS.get(data["stop"], data["stop"])
-        words = f"{why}: {now or 'the coefficients are not determined'}; {so_far}"
+        words = f"{why}: {now or 'the coefficients are not yet determined'}; {so_far}"
         needless = data.get("not_needed", 0)
-        return f"{words}; {needless} are not needed" if needless else words
+        return message(f"{words}; {needless} are not needed") if needless else words
     coming, in_all = data["next"], data["in_all"]
     place = coming["installation"] + ("" if coming["series"] == 1 else f"/{coming['series']}")
     count = len(coming["points"])
-    words = f"next: {count} point{'s' * (count != 1)} in installation {place}, {duration(coming['takes_s'])}"
+    words = message(
+        f"next: {count} point{'' if count == 1 else 's'} in installation {place}, {duration(coming['takes_s'])}"
+    )
     if coming.get("tells_apart"):
-        words += ", to tell apart what may explain the misfit"
+        words += ", to separate possible causes of the misfit"
     if (then := coming.get("then")) is not None:
         words += f", for {size_in_words(then['u'], then['unit'])}"
         if (gained := _per_minute(data.get("now"), coming)) is not None:
             words += f" ({gained} a minute)"
     further = in_all["settings"] - count
-    left = f"then about {further} more; " if further > 0 else ""
-    left += f"{duration(in_all['takes_s'])} to the end"
+    left = message(f"then about {further} more; ") if further > 0 else ""
+    left += message(f"{duration(in_all['takes_s'])} to the end")
     return "; ".join(filter(None, (now, so_far if data["settings"] else "", words, left)))
 
 
@@ -214,9 +222,9 @@ class RunLog:
 def in_words(event: Event, plan: Plan) -> str:
     """Return the log text for an event; `plan` is the run's plan."""
     if event.type == EventType.STEP_STARTED:
-        return f"begun: {plan.steps[event.step].describe()}"
+        return message(f"begun: {plan.steps[event.step].describe()}")
     if event.type == EventType.ASKED:
-        return f"asked: {event.data['text']}"
+        return message(f"asked: {event.data['text']}")
     if event.type in (EventType.ANSWERED, EventType.ANSWER_REFUSED):
         return said(event)
     if event.type != EventType.STEP_DONE:
@@ -227,7 +235,7 @@ def in_words(event: Event, plan: Plan) -> str:
         case Reading(mean=mean, unit=unit):
             text += "  " + "  ".join(f"{value:+.8f}" for value in mean) + f" {unit}"
         case Turned(angle_deg=angle):
-            text += f"  read {angle:.6f}°"
+            text += "  " + message(f"read {angle:.6f}°")
         case Answered(answer=answer):
             text += f"  {answer}"
     return text

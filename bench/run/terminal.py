@@ -16,10 +16,11 @@ from rich.progress import BarColumn, Progress, TextColumn
 from rich.text import Text
 
 from bench.base.computing import quiet
+from bench.base.languages import message, translated
 from bench.config.procedure.plan import Plan
 from bench.readings.reading import Reading
 from bench.run.events import HEARD, Event, EventType, RunState, Wish
-from bench.run.person import NOBODY_KNOWN, SIGN, WishAuthor, parse_wish, raised
+from bench.run.person import NOBODY_KNOWN, REASON, SIGN, WishAuthor, in_english, parse_wish, raised
 from bench.run.resume import steps_of
 from bench.run.samples import Settling
 from bench.run.sentences import duration, sentence
@@ -83,21 +84,21 @@ HELP: Final = "?"
 """The answer that requests help on the possible answers."""
 
 MEANINGS: Final = {
-    Wish.PAUSE: "wait; nothing on the bench moves until you go on",
-    Wish.CONTINUE: "go on after a pause",
-    Wish.REPEAT_POINT: "take the last point again; its last reading counts",
-    Wish.REPEAT_PASS: "take the last pass again from its first point",
-    Wish.MOUNT_AGAIN: "mount the block again, then take the last pass again",
+    Wish.PAUSE: "pause; nothing on the bench moves until you continue",
+    Wish.CONTINUE: "continue after a pause",
+    Wish.REPEAT_POINT: "redo the last point; its last reading counts",
+    Wish.REPEAT_PASS: "redo the last pass from its first point",
+    Wish.MOUNT_AGAIN: "mount the block again, then redo the last pass",
     Wish.SKIP: "leave this point out, with the reason in the record",
-    Wish.STOP: "leave the bench safe and stop, as Ctrl-C does; 'bench resume' goes on",
-    Wish.ABORT: "end the run for good; what was read is kept",
+    Wish.STOP: "make the bench safe and stop, as Ctrl-C does; 'bench resume' continues",
+    Wish.ABORT: "end the run for good; its readings are kept",
 }
 
 _ANSWERS: Final = {
-    PromptKind.CONFIRM: "yes (or y, ok, done) when it is done; no waits and asks again",
-    PromptKind.ANGLE: "the angle on the scale, such as 45 00 10 or 45°00′10″ or 45.0028",
-    PromptKind.NUMBER: "a number",
-    PromptKind.CHOOSE: "one of: ",
+    PromptKind.CONFIRM: message("yes (or y, ok, done) when it is done; no waits and asks again"),
+    PromptKind.ANGLE: message("the angle on the scale, such as 45 00 10 or 45°00′10″ or 45.0028"),
+    PromptKind.NUMBER: message("a number"),
+    PromptKind.CHOOSE: message("one of the answers named"),
 }
 
 
@@ -112,19 +113,21 @@ def heard_at(prompt: Prompt) -> tuple[Wish, ...]:
 def typing_help(prompt: Prompt, wishes: Collection[Wish]) -> str:
     """Return help text on what can be typed; if `wishes` is a mapping, its values replace `MEANINGS`."""
     meanings = wishes if isinstance(wishes, Mapping) else MEANINGS
-    answer = _ANSWERS[prompt.kind] + ", ".join(prompt.choices)
+    answer = _ANSWERS[prompt.kind]
+    if prompt.choices:
+        answer = message(f"one of: {', '.join(prompt.choices)}")
     if prompt.kind is PromptKind.CONFIRM and prompt.action["do"] in ("ask", "answer"):
-        answer = "yes, or no"
+        answer = message("yes, or no")
     if prompt.kind is PromptKind.NUMBER:
-        answer += f" in {prompt.unit}" if prompt.unit else ""
-        answer += "" if prompt.minimum is None else f", {prompt.minimum:g} at least"
-        answer += "" if prompt.maximum is None else f", {prompt.maximum:g} at most"
-    lines = ["What can be typed here:", f"  {answer}"]
+        answer += message(f" in {prompt.unit}") if prompt.unit else ""
+        answer += "" if prompt.minimum is None else message(f", {prompt.minimum:g} at least")
+        answer += "" if prompt.maximum is None else message(f", {prompt.maximum:g} at most")
+    lines = [translated(message("What can be typed here:")), f"  {translated(answer)}"]
     if prompt.default is not None:
-        lines.append(f"  Enter alone: {prompt.default}")
+        lines.append("  " + translated(message(f"Enter alone: {prompt.default}")))
     for wish in wishes:
-        typed = f"{SIGN}{wish.value}" + (" REASON" if wish is Wish.SKIP else "")
-        lines.append(f"  {typed}: {meanings[wish]}")
+        typed = f"{SIGN}{wish.value}" + (f" {translated(REASON)}" if wish is Wish.SKIP else "")
+        lines.append(f"  {typed}: {translated(meanings[wish])}")
     return "\n".join(lines)
 
 
@@ -176,8 +179,8 @@ def _from_each_on(step_s: Sequence[float]) -> list[float]:
 
 
 HINTS: Final = {
-    PromptKind.CONFIRM: "yes/no",
-    PromptKind.ANGLE: "degrees minutes seconds",
+    PromptKind.CONFIRM: message("yes/no"),
+    PromptKind.ANGLE: message("degrees minutes seconds"),
 }
 
 
@@ -231,7 +234,7 @@ class TerminalPerson:
         self._pause()
         try:
             if prompt.picture:
-                self._console.print(Text(prompt.picture, style="dim"))
+                self._console.print(Text(translated(prompt.picture), style="dim"))
             line = self._line(prompt)
             while line.startswith(SIGN) or line.strip() == HELP:
                 self._say(self._to_extra(prompt, line))
@@ -244,10 +247,10 @@ class TerminalPerson:
         if not line:
             raise NoAnswer(
                 "operator",
-                f"the answers ended at the question: {prompt.text}",
-                "answer the rest when the run goes on",
+                f"no answer is left for the question: {prompt.text}",
+                "resume the run and answer it",
             )
-        return Answer(prompt.id, line.strip())
+        return Answer(prompt.id, in_english(prompt, line.strip()))
 
     def _to_extra(self, prompt: Prompt, line: str) -> str:
         """Return the reply to `?` or to an invalid wish; raise `OperatorWish` or `Stopped` for a valid wish."""
@@ -255,11 +258,11 @@ class TerminalPerson:
         if line.strip() == HELP:
             return typing_help(prompt, wishes)
         if not wishes:
-            return "no wish is heard at this question; answer it, or Ctrl-C"
+            return "this question accepts no command; answer it, or press Ctrl-C"
         try:
             wish = replace(parse_wish(line), who=self.who)
         except ValueError as mistake:
-            return str(mistake)
+            return translated(str(mistake))
         raise raised(wish)
 
     def _say(self, text: str, style: str = "", end: str = "\n") -> None:
@@ -268,11 +271,11 @@ class TerminalPerson:
 
     def _line(self, prompt: Prompt) -> str:
         _forget_typed_ahead(self._answers)
-        self._say(f"» {prompt.text}", "bold")
+        self._say(f"» {translated(prompt.text)}", "bold")
         self._has_live_line = self.by_hand and self._console.is_terminal
         if self._has_live_line:
             self._console.print()  # the line in which the signals are shown
-        self._say(f"  [{self._hint(prompt)}] ", end="")
+        self._say(f"  [{translated(self._hint(prompt))}] ", end="")
         line = self._reader.read(self.meanwhile, self.slice_s)
         if line and not self._answers.isatty():
             self._console.print(Text(line.rstrip()))  # echo the line as a terminal does for typed input
@@ -288,8 +291,8 @@ class TerminalPerson:
     @staticmethod
     def _hint(prompt: Prompt) -> str:
         hint = HINTS.get(prompt.kind, prompt.unit) if not prompt.choices else ", ".join(prompt.choices)
-        default = f"Enter = {prompt.default}" if prompt.default is not None else ""
-        return "; ".join(part for part in (hint, default, f"{HELP} = help") if part)
+        default = message(f"Enter = {prompt.default}") if prompt.default is not None else ""
+        return "; ".join(part for part in (hint, default, message(f"{HELP} = help")) if part)
 
 
 def _forget_typed_ahead(answers: TextIO) -> None:
@@ -319,12 +322,17 @@ class ProgressBar:
         self._progress = Progress(
             TextColumn("{task.description}"),
             BarColumn(),
-            TextColumn("{task.percentage:>3.0f} %  {task.fields[left]} left"),
+            TextColumn(
+                "{task.percentage:>3.0f} %  {task.fields[left]} "
+                + translated(message("left", "time"), "time")
+            ),
             console=console,
             transient=True,
             disable=not console.is_terminal or quiet.get(),
         )
-        self._task = self._progress.add_task("opening the instruments", total=len(plan.steps), left="")
+        self._task = self._progress.add_task(
+            translated(message("opening the instruments")), total=len(plan.steps), left=""
+        )
 
     def __enter__(self) -> ProgressBar:
         self._progress.start()
@@ -338,7 +346,7 @@ class ProgressBar:
         self._progress.stop()
         self._asked = True
         if self._status:
-            self._console.print(Text(self._status, style="dim"), soft_wrap=False)
+            self._console.print(Text(translated(self._status), style="dim"), soft_wrap=False)
 
     def go_on(self) -> None:
         """Show the bar again after a prompt."""
@@ -350,9 +358,10 @@ class ProgressBar:
         if event.type == EventType.STEP_STARTED:
             index = event.step
             left = duration(self._time_left.at(index, event.bench_s))
-            text = f"step {index + 1}/{len(self._plan.steps)}  {self._plan.steps[index].describe()}"
-            self._status = f"{text}; {left} left"
-            self._progress.update(self._task, description=text, completed=index, left=left)
+            step = message(f"step {index + 1}/{len(self._plan.steps)}")
+            text = f"{step}  {self._plan.steps[index].describe()}"
+            self._status = f"{text}; {message(f'{left} left')}"
+            self._progress.update(self._task, description=translated(text), completed=index, left=left)
             self._print_line(index)
         elif event.type == EventType.STEP_DONE:
             self._progress.update(self._task, completed=event.step + 1)
@@ -365,7 +374,7 @@ class ProgressBar:
         elif (text := sentence(event)) != event.type:
             if self._asked:
                 self._console.print()  # leave the prompt's line, where the answer is to be typed
-            self._console.print(Text(text, style="bold yellow"), soft_wrap=False)
+            self._console.print(Text(translated(text), style="bold yellow"), soft_wrap=False)
 
     def recall(self, chosen: Sequence[Mapping[str, Any]]) -> None:
         """Apply the choices of points recorded before the run was resumed."""
@@ -374,16 +383,18 @@ class ProgressBar:
 
     def _say_chosen(self, event: Event) -> None:
         if not quiet.get():
-            self._console.print(Text(sentence(event), style="bold"), soft_wrap=False)
+            self._console.print(Text(translated(sentence(event)), style="bold"), soft_wrap=False)
 
     def settling(self, state: Settling) -> None:
         """Show the progress of settling or warming up in the bar."""
-        left = "" if state.left_s is None else f", about {duration(state.left_s)} to go"
+        left = "" if state.left_s is None else message(f", about {duration(state.left_s)} to go")
         if not state.spread:
-            self._progress.update(self._task, description=f"the block warms up{left}")
+            self._progress.update(self._task, description=translated(message(f"the block warms up{left}")))
             return
         moving = ", ".join(f"{spread:.2g}" for spread in state.spread)
-        self._progress.update(self._task, description=f"settling: moved by {moving} in the window{left}")
+        self._progress.update(
+            self._task, description=translated(message(f"settling: moved by {moving} in the window{left}"))
+        )
 
     def _show_reading(self, reading: Reading | None) -> None:
         """Print the reading above the bar, if the output is a terminal."""
@@ -399,7 +410,8 @@ class ProgressBar:
         if where is None:
             return
         number = getattr(step, "pass_number", None)
-        line = f"installation {where}" + (f", pass {number}" if number else "")
+        line = message(f"installation {where}") + (message(f", pass {number}") if number else "")
         if number and line != self._printed:
-            self._console.print(f"{line}  (step {index + 1}/{len(self._plan.steps)})", highlight=False)
+            step_of = message(f"(step {index + 1}/{len(self._plan.steps)})")
+            self._console.print(f"{translated(line)}  {translated(step_of)}", highlight=False)
             self._printed = line

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
@@ -11,6 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from bench.base.arrays import ARCSEC, CHANNELS
+from bench.base.languages import message
 from bench.config.procedure.plan import (
     Ask,
     Level,
@@ -100,22 +102,24 @@ class Levelling:
             found = self._measured(step, level, attempt)
             if max(abs(found.alpha1_arcsec), abs(found.alpha2_arcsec)) <= step.within_rad / ARCSEC:
                 return found
-            off = f"α1 = {found.alpha1_arcsec:+.1f}″ along the shaft and α2 = {found.alpha2_arcsec:+.1f}″ across it"
+            off = message(
+                f"α1 = {found.alpha1_arcsec:+.1f}″ along the shaft and α2 = {found.alpha2_arcsec:+.1f}″ across it"
+            )
         raise LimitExceeded(
             level.name,
             f"after {MOST_ATTEMPTS} attempts the platform is still off by {off}, more than "
             f"{step.within_rad / ARCSEC:g}″",
-            "free its screws and level it again, or allow more in the procedure",
+            "loosen its screws and level it again, or widen the limit in the procedure",
         )
 
     def _have_levelled(self, step: Level, attempt: int, off: str) -> None:
-        text = "Level the platform by its screws, along the shaft and across it, and confirm"
+        text = message("Level the platform by its screws, along the shaft and across it, and confirm")
         confirm(
             self.person,
             Prompt(
                 id=f"{step.key}/platform{attempt}",
                 kind=PromptKind.CONFIRM,
-                text=f"It is off by {off}. {text}" if off else text,
+                text=message(f"It is off by {off}. {text}") if off else text,
                 action={
                     "do": "level_platform",
                     "installation": step.installation,
@@ -169,11 +173,11 @@ class Levelling:
                 return first, second
         raise BadReading(
             level.name,
-            f"its zero came out otherwise each time, at last at {_arcsec(self.zero.along_rad):+.1f}″ along and "
+            f"its zero differed each time, at last {_arcsec(self.zero.along_rad):+.1f}″ along and "
             f"{_arcsec(self.zero.across_rad):+.1f}″ across"
             if self.zero
-            else "its zero is not known",
-            "let it and the platform come to one temperature, see that it sits firmly, then take this step again",
+            else "its zero is unknown; determine it in two positions",
+            "let level and platform reach one temperature, check that it sits firmly, then repeat this step",
         )
 
     def _read(self, level: interfaces.Level, key: str, *, turned: bool) -> Inclination:
@@ -183,14 +187,16 @@ class Levelling:
         """
         if not level.asks_person:
             how = (
-                "half a turn from its first position" if turned else "in its first position, along the shaft"
+                message("half a turn from its first position")
+                if turned
+                else message("in its first position, along the shaft")
             )
             confirm(
                 self.person,
                 Prompt(
                     id=f"{key}/place",
                     kind=PromptKind.CONFIRM,
-                    text=f"Put the level on the platform {how}, let go of it, and confirm",
+                    text=message(f"Put the level on the platform {how}, let go of it, and confirm"),
                     action={"do": "place_level", "turned": turned},
                 ),
             )
@@ -267,6 +273,7 @@ class Workbench:
     _level_zero: Inclination | None = field(default=None, init=False)
     _chamber_c: float | None = field(default=None, init=False)
     _before_glances: tuple[VoltmeterSettings | None] | None = field(default=None, init=False)
+    _glancing: bool = field(default=False, init=False)
 
     def __post_init__(self) -> None:
         self.instruments, self.clock = self.bench.instruments, self.bench.clock
@@ -310,8 +317,8 @@ class Workbench:
         if self.power is None:
             raise BenchError(
                 "power_supply",
-                f"{step.key}: the procedure switches the block, but the bench has no supply of it",
-                "say in the bench file how the block is supplied",
+                f"{step.key}: the procedure switches the block, but the bench has no supply for it",
+                "state in the bench file how the block is supplied",
             )
         match step.switch:
             case "off":
@@ -356,6 +363,7 @@ class Workbench:
     def do_wait(self, step: Wait) -> None:
         """Wait for the step's duration; handle the operator's commands and watch rails and chamber meanwhile."""
         end_s = self.clock.now_s() + step.duration_s
+        self._end_glances()
         while (left_s := end_s - self.clock.now_s()) > 0:
             self.between_naps()
             self.watch_rails(step.key)
@@ -378,8 +386,8 @@ class Workbench:
             if chamber.asks_person:
                 raise BenchError(
                     chamber.name,
-                    "a person cannot be asked for the temperature again and again",
-                    "take a plain soak in the procedure, such as 'soak: 4 h'",
+                    "a person cannot read the temperature repeatedly",
+                    "state a plain soak in the procedure, such as 'soak: 4 h'",
                 )
             state = wait_until_settled(
                 lambda: (self._air_c(chamber, step.key),),
@@ -408,19 +416,26 @@ class Workbench:
         return self.instruments.voltmeters
 
     def glance(self) -> tuple[float, ...]:
-        """Return the present signals x, y, z, V, between two readings and without a trace. Raises `BenchError`."""
+        """Return the present signals x, y, z, V, between two readings, and record nothing. Raises `BenchError`."""
         with self.bench.aside():
             if self._before_glances is None:
                 self._before_glances = (self._settings,)
-            return self._quick_signals()
+            self._glancing = True
+            try:
+                return self._quick_signals()
+            finally:
+                self._glancing = False
 
-    def end_of_glances(self) -> None:
-        """Restore the settings that the meters had before the first glance. Raises `BenchError`."""
+    def _end_glances(self) -> None:
+        """Restore the settings that the meters had before the first glance.
+
+        The next wait does it, which costs no time, or the next reading. A meter that refuses is reported there.
+        """
         if self._before_glances is None:
             return
         (settings,), self._before_glances = self._before_glances, None
         if settings is not None:
-            with self.bench.aside():
+            with self.bench.aside(), contextlib.suppress(BenchError):
                 self._configure(settings)
 
     def do_input(self, step: SelectInput) -> InputSelected:
@@ -428,7 +443,7 @@ class Workbench:
         prompt = Prompt(
             id=step.key,
             kind=PromptKind.CONFIRM,
-            text=f"{step.describe().capitalize()} (at the meters' terminals)",
+            text=message(f"{step.describe().capitalize()} (at the meters' terminals)"),
             default="yes",
             action={"do": "select_input", "source": step.source, "reference_v": step.reference_v},
         )
@@ -502,7 +517,7 @@ class Workbench:
             raise LimitExceeded(
                 "block",
                 f"it is at {self.temperature_c:g} °C, but may be given {low_c:g} to {high_c:g} °C only",
-                "find out why the chamber went there before going on",
+                "find out why the chamber went there, then continue",
             )
 
     @staticmethod
@@ -517,6 +532,8 @@ class Workbench:
         return samples
 
     def _configure(self, settings: VoltmeterSettings) -> None:
+        if not self._glancing:
+            self._end_glances()
         if settings == self._settings:
             return
         self._settings = None  # if a meter refuses, the settings are unknown

@@ -83,11 +83,11 @@ _A_SOURCE: Final = "a readings file, a run by name or path, or a table (Readings
 SOURCE: Final[Kind] = (_is_source, _A_SOURCE)
 BENCH: Final[Kind] = (
     lambda value: isinstance(value, BenchFile | BenchTaken) or _is_name(value),
-    "a bench file by path or name, or one that was loaded",
+    "a bench file by path or name, or a loaded one",
 )
 KINDS: Final[Mapping[Any, Kind]] = {
     shared.Data: SOURCE,
-    Sequence[shared.Data]: (_is_list_of(_is_source), f"a list, and in it {_A_SOURCE}"),
+    Sequence[shared.Data]: (_is_list_of(_is_source), f"a list of {_A_SOURCE}"),
     shared.Data | Sequence[shared.Data]: (
         lambda value: _is_source(value) or _is_list_of(_is_source)(value),
         f"{_A_SOURCE}, or a list of them",

@@ -10,6 +10,7 @@ from typing import Annotated, Final
 from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
 
 from bench.base.files import MEGABYTE, read_regular, to_text
+from bench.base.languages import message
 from bench.base.text import visible
 from bench.config.bench_file.file import BenchFile, load_bench, load_recorded_bench
 from bench.config.bench_file.learned import LearnedFile, load_learned
@@ -175,12 +176,12 @@ def origin_beside(readings: Path) -> OriginBeside:
         return OriginBeside(notes=(_mismatch(readings.name, file.name, about),))
     mended = "; ".join(about.mended)
     return OriginBeside(
-        about, (f"a copy of {about.run} with mistakes put right: {mended}",) if mended else ()
+        about, (f"a copy of {about.run} with corrected mistakes: {mended}",) if mended else ()
     )
 
 
 def is_told(file: Path) -> bool:
-    """Return whether a file is an origin file, for any readings file."""
+    """Return whether a file is an origin file; the readings file beside it is not checked."""
     try:
         _About.model_validate_json(_read(file) or b"")
     except ValidationError:
@@ -189,8 +190,7 @@ def is_told(file: Path) -> bool:
 
 
 _UNREADABLE: Final = (
-    "is none that this program writes beside a readings file: what it says of simulation, unit and bench is not "
-    "taken over"
+    "was not written by this program beside a readings file; its simulation, unit and bench are not used"
 )
 
 
@@ -203,8 +203,8 @@ class _About(Origin):
 def _mismatch(readings: str, file: str, about: Origin) -> str:
     kind = "SIMULATED instruments" if about.simulated else "real instruments"
     return (
-        f"{readings} was changed after it was exported: {file} is of another content (SHA-256), of run {about.run} "
-        f"on {kind}; what it says of simulation, unit and bench is not taken over"
+        f"{readings} was changed after it was exported: {file} has other content (SHA-256), of run {about.run} "
+        f"on {kind}; its simulation, unit and bench are not used"
     )
 
 
@@ -279,8 +279,8 @@ def bench_path(given: str | None) -> Path:
 def why_taken(given: str | None) -> str:
     """Return the reason for the choice that `bench_path` makes."""
     if given:
-        return "as asked for"
-    return "named by BENCH_FILE" if os.environ.get("BENCH_FILE") else _NONE_NAMED
+        return message("as asked for")
+    return message("named by BENCH_FILE") if os.environ.get("BENCH_FILE") else _NONE_NAMED
 
 
 def find_bench_file(given: str | Path | BenchFile | BenchTaken | None) -> BenchTaken:
@@ -326,12 +326,12 @@ def bench_of(
     if given is not None or os.environ.get("BENCH_FILE"):
         taken = find_bench_file(given)
         other = taken.sha256 != origin.bench.sha256
-        return taken, (f"evaluated with {taken.where} in place of {meant}",) if other else ()
+        return taken, (f"evaluated with {taken.where} instead of {meant}",) if other else ()
     path = origin.bench_file(Path(name))
     if path is None:
         taken = find_bench_file(None)
         return taken, (
-            f"{meant} is not here as it was (SHA-256 {origin.bench.sha256[:12]}…): taken is {taken.words}; name it "
+            f"{meant} was moved or changed (SHA-256 {origin.bench.sha256[:12]}…): used is {taken.words}; name it "
             "with --bench",
         )
     why = f"as {Path(name).name}{SUFFIX} names it, of run {origin.run}"
@@ -341,11 +341,13 @@ def bench_of(
 def _of_run(run: Run, given: str | BenchFile | None) -> tuple[BenchTaken, tuple[str, ...]]:
     if given is not None:
         taken = find_bench_file(given)
-        return taken, (f"evaluated with {taken.where} in place of the bench file that the run recorded",)
+        return taken, (f"evaluated with {taken.where} instead of the bench file that the run recorded",)
     path = run.folder / BENCH
     recorded = load_recorded_bench(path)
     chosen = run.manifest.get("bench_why", "")
-    return BenchTaken(recorded, str(path), recorded_sha256(run), "as the run recorded it", chosen), ()
+    return BenchTaken(
+        recorded, str(path), recorded_sha256(run), message("as the run recorded it"), chosen
+    ), ()
 
 
 def own_bench(run: Run) -> tuple[BenchFile, Path]:

@@ -13,15 +13,19 @@ from typing import Final
 import numpy as np
 
 from bench.base.arrays import Floats, Mask
+from bench.base.files import write_whole
+from bench.base.text import visible
 from bench.diagnosis.free_positions import all_free
 from bench.diagnosis.mistakes.search import Mistake
-from bench.readings.corrected import MistakeName
+from bench.readings.corrected import MistakeName, as_read
+from bench.readings.csv import format_csv
 from bench.readings.table import JoinedPart, Readings, together
 from bench.run.causes import STOP_ALARM
 from bench.run.early_warning import watcher_of
 from bench.run.events import EventType
 from bench.run.expectation import CABLINGS, EarlySign, Kind
 from bench.run.folder import Run
+from bench.services.bench_selection import SUFFIX
 from bench.services.errors import Refused
 from bench.services.own_effects import knowing_effects_in
 from bench.services.requests.evaluation import Diagnose
@@ -139,8 +143,8 @@ def _require_same_bench(first: Source, other: Source) -> None:
     different = [what for what, agrees in same.items() if not agrees]
     if different:
         raise Refused(
-            f"--together: {other.name} has another bench than {first.name} ({', '.join(different)}); say with "
-            "--bench FILE which one holds for both"
+            f"--together: {other.name} has another bench than {first.name} ({', '.join(different)}); name "
+            "one for both with --bench FILE"
         )
 
 
@@ -204,14 +208,16 @@ def told_in_words(run: Run) -> list[str]:
         if event.type == EventType.EARLY_SIGN:
             named.update(event.data["causes"][:1])
         elif event.type == EventType.WENT_ON:
-            lines.append(f"gone on in spite of '{' or '.join(event.data['causes'])}': {event.data['reason']}")
+            lines.append(
+                f"continued in spite of '{' or '.join(event.data['causes'])}': {event.data['reason']}"
+            )
     found = [
         f"the early warning named '{cause}' at {times} reading{'s' if times > 1 else ''}"
         for cause, times in named.most_common(MOST_TOLD)
     ]
     more = len(named) - len(found)
     found += [f"… and {more} other causes"] if more > 0 else []
-    return [*found, *lines, f"'bench diagnose {run.name}' goes by what was named"] if found or lines else []
+    return [*found, *lines, f"'bench diagnose {run.name}' uses these causes"] if found or lines else []
 
 
 def _signs(source: Source) -> list[_Named]:
@@ -288,7 +294,7 @@ class _Copy:
         self._series[rows] = before[0] if before[1] == actual else highest + 1
         words = (
             f"the block sat in installation {actual}, not in {mount[1]}, in its {int(rows.sum())} readings from "
-            f"pass {self._given.pass_number[first]}, point {self._given.point[first]} on; the copy says so"
+            f"pass {self._given.pass_number[first]}, point {self._given.point[first]} on; the copy is corrected"
         )
         p = min(one.sign.p for one in told)
         return _mistake(MistakeName.SWAPPED_INSTALLATIONS, (), mount[1], None, None, words, p)
@@ -305,7 +311,8 @@ class _Copy:
         name = MistakeName.REVERSED_POLARITY if "reversed" in cause else MistakeName.SWAPPED_CHANNELS
         words = (
             f"{cause} in installation {mount[1]} from pass {self._given.pass_number[told[0].row]}, point "
-            f"{self._given.point[told[0].row]} on ({int(rows.sum())} readings); the copy has their signals put back"
+            f"{self._given.point[told[0].row]} on ({int(rows.sum())} readings); the copy has their "
+            "signals exchanged back"
         )
         return _mistake(name, channels, mount[1], None, None, words, min(one.sign.p for one in told))
 
@@ -342,3 +349,27 @@ def _mistake(
 ) -> Mistake:
     told = f"{words} (as the early warning named it)"
     return Mistake(name, channels, (installation,), pass_number, point, told, p, ())
+
+
+def write_content(path: Path, content: str) -> Path:
+    """Write a text file, with its folder; return its path. Raises `OSError`."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(path, content)
+    return path
+
+
+def write_copy(body: Body, mistakes: Sequence[Mistake], corrected: Readings, path: Path) -> Path:
+    """Write the copy in which mistakes are corrected, and its origin file in the same folder.
+
+    The copy holds the values that the instruments showed; reading it with the same bench file gives exactly
+    `corrected`.
+    """
+    source = body.source
+    content = format_csv(as_read(corrected, source.traced.by))
+    if source.origin is not None and len(body.sources) == 1:
+        mended = tuple(visible(mistake.words) for mistake in mistakes)
+        origin = source.origin.model_copy(update={"mended": (*source.origin.mended, *mended)})
+        write_content(path, content)
+        write_content(path.with_name(path.name + SUFFIX), origin.text_beside(path, content.encode()))
+        return path
+    return write_content(path, content)

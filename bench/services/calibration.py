@@ -12,11 +12,13 @@ from rich.console import Console
 
 from bench.base.arrays import Floats
 from bench.base.files import write_whole
+from bench.base.languages import message
 from bench.base.tables import as_html, as_text
 from bench.calibration.budget.sources import assumed_stand
 from bench.calibration.budget.whole import sign
 from bench.calibration.calibrate import calibrate as estimate
 from bench.calibration.estimators import CLOSED_FORM, GLS
+from bench.calibration.intrinsic import Intrinsic, intrinsic_of
 from bench.calibration.mistakes import implausible, refuse_mixed_units, sheet_of
 from bench.calibration.result import COVERAGE_FACTOR, Calibration, CalibrationError
 from bench.calibration.temperature import separate_temperatures
@@ -95,7 +97,7 @@ def with_prior(
         )
     if joined.used:
         notes.append(
-            f"prior of type {prior.kind} ({len(prior.units)} units, {path}) counts beside the readings: they agree "
+            f"prior of type {prior.kind} ({len(prior.units)} units, {path}) is used with the readings: they agree "
             f"(p = {joined.p:.2g}); residuals and noise are those of the readings alone"
         )
     else:
@@ -103,7 +105,7 @@ def with_prior(
         off = ", ".join(f"{COEFFICIENTS[k]} by {joined.pull[k]:+.1f} u" for k in worst)
         notes.append(
             f"prior of type {prior.kind} NOT USED: it contradicts the readings (p = {joined.p:.1g}, below "
-            f"{CONFLICT_P:g}; {off}); this unit, its mounting or the type is another"
+            f"{CONFLICT_P:g}; {off}); check unit, mounting and type"
         )
     part = PriorPart.from_object(
         joined,
@@ -131,7 +133,7 @@ def _refuse_other(prior: Prior, found: Calibration, source: Source, path: Path) 
     name = " ".join(filter(None, (unit.type, unit.serial)))
     if found.triangular is not None:
         raise Refused(
-            "--prior: free positions alone leave the block's orientation open, and a prior states it"
+            "--prior: free positions alone leave the block's orientation open; add oriented readings"
         )
     if (unit.type or "") != prior.kind:
         raise Refused(
@@ -141,10 +143,10 @@ def _refuse_other(prior: Prior, found: Calibration, source: Source, path: Path) 
         raise Refused(f"{path}: coefficients in {prior.signal}/g, but the readings are in {found.unit}")
     if source.simulated != prior.simulated:
         its, here = ("simulated", "real") if prior.simulated else ("real", "simulated")
-        raise Refused(f"{path}: made of {its} calibrations, this one is {here}: they are not mixed")
+        raise Refused(f"{path}: made of {its} calibrations, this one is {here}: use one kind")
     if unit.serial and name in prior.units:
         raise Refused(
-            f"{path}: {name} is among the units behind it, and would count twice; make one without it: bench fleet "
+            f"{path}: {name} is among its units and would count twice; make one without it: bench fleet "
             f"prior 'type={prior.kind}' 'unit!={name}' --prior-out FILE"
         )
 
@@ -194,6 +196,14 @@ class CalibrationResult:
             name: Coefficient(value, u, coefficient_unit(name, found.unit), own, dof)
             for name, value, u, own, dof in rows
         }
+
+    @cached_property
+    def intrinsic(self) -> Intrinsic | None:
+        """The nine numbers that do not depend on the mounting: `names`, `values`, `u`, `U`, `covariance` (9, 9).
+
+        None for a block with a dead channel.
+        """
+        return intrinsic_of(self.calibration)
 
     @property
     def covariance(self) -> Floats:
@@ -249,12 +259,17 @@ class CalibrationResult:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as `bench calibrate --json` writes it."""
+        from bench.services.coefficients import TEMPERATURE_EFFECTS
+
         source = self.source
         return calibrate_result(
             self.calibration,
             **source.made_from(),
             **({} if source.run is None else {"record": source.run.record_head}),
             **({} if self.prior is None else {"prior": self.prior}),
+            temperature_effects=[
+                one.effect.name for one in source.model.effects if one.effect.name in TEMPERATURE_EFFECTS
+            ],
             meters=source.meters,
             notes=[*self._said, *source.readings.notes],
             skipped_rows=source.readings.skipped,
@@ -272,17 +287,23 @@ class CalibrationResult:
         return block_result(self.to_dict(), self.source.name)
 
     def write(
-        self, path: str | Path, form: str, *, nominal: tuple[float, float, float] | None = None
+        self,
+        path: str | Path,
+        form: str,
+        *,
+        nominal: tuple[float, float, float] | None = None,
+        without_temperature: bool = False,
     ) -> tuple[str, ...]:
         """Write the coefficients as `bench coefficients --as FORM` does; return what the form cannot hold.
 
         `form` is "json", "csv", "c", "excel", "kalibr", "px4" or "ardupilot". The last three are for signals in
-        m/s^2; `nominal` are the scale factors (unit/g) by which the signals were converted. Raises `Refused` for
-        another form, `OSError`.
+        m/s^2; `nominal` are the scale factors (unit/g) by which the signals were converted. A calibration whose
+        model takes temperature out is written only `without_temperature`. Raises `Refused` for another form,
+        `OSError`.
         """
         from bench.services.coefficients import write_form
 
-        return write_form(self.derived, Path(path), form, nominal)
+        return write_form(self.derived, Path(path), form, nominal, without_temperature=without_temperature)
 
     def print_on(self, out: Console) -> None:
         """Print the coefficients, the noise, the fit, and the notes."""
@@ -359,8 +380,8 @@ def _with_note_on_temperatures(source: Source) -> Source:
     if len(found) < SEVERAL_TEMPERATURES:
         return source
     note = (
-        f"readings span {found[-1] - found[0]:.0f} K at {len(found)} temperatures, and these coefficients mix "
-        "them: see bench compensate"
+        f"readings span {found[-1] - found[0]:.0f} K at {len(found)} temperatures, and these coefficients "
+        "mix them; use 'bench compensate'"
     )
     return replace(source, readings=replace(source.readings, notes=(*source.readings.notes, note)))
 
@@ -418,7 +439,7 @@ def report_page(
     source = result.source
     verdict = verification_of(source, result, asked) if len(source.readings.verification()) else None
     content = ReportContent(
-        title=f"Calibration of {source.block_name or source.name}",
+        title=message(f"Calibration of {source.block_name or source.name}"),
         calibration=result.calibration,
         verification=None if verdict is None else verdict.verification,
         compared=_closed_form(source),

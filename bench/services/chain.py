@@ -84,9 +84,11 @@ class Chain:
         try:
             content = read_regular(self.folder / MADE_FROM / digest)
         except OSError as error:
-            raise Refused(f"{self.folder / MADE_FROM / digest}: cannot be read ({error.strerror})") from error
+            raise Refused(
+                f"{self.folder / MADE_FROM / digest}: cannot be read ({error.strerror}); check name and permissions"
+            ) from error
         if hashlib.sha256(content).hexdigest() != digest:
-            raise Refused(f"{self.folder / MADE_FROM / digest}: was changed; take it from a copy")
+            raise Refused(f"{self.folder / MADE_FROM / digest}: was changed; restore it from a copy")
         return content
 
     def append(self, entry: Entry) -> None:
@@ -118,7 +120,7 @@ class Chain:
         """Read the lines added since, without changing any file. Raises `Refused` for a changed line."""
         path = self.folder / LINES
         if (path.stat().st_size if path.exists() else 0) < self.length:
-            raise Refused(f"{path}: lines were taken off its end; take it from a copy")
+            raise Refused(f"{path}: its last lines are missing; restore it from a copy")
         if path.exists():
             with open_regular(path) as file:
                 file.seek(self.length)
@@ -134,10 +136,10 @@ class Chain:
             kind, number = told.pop("type"), told.pop("number")
             entry = Entry(kind, number, told.pop("time"), told.pop("by"), told)
         except (ValueError, KeyError, TypeError, AttributeError) as error:
-            raise Refused(f"{where}: not a line of a register ({error}); take it from a copy") from None
+            raise Refused(f"{where}: not a line of a register ({error}); restore it from a copy") from None
         if previous != self.head or n != self.count + 1:
             raise Refused(
-                f"{where}: the chain is broken here (a line was changed or removed); take it from a copy"
+                f"{where}: the chain is broken here (a line was changed or removed); restore it from a copy"
             )
         self._note(entry, where)
         self.head = hashlib.sha256(line).hexdigest()
@@ -163,10 +165,13 @@ def opened(register: Of) -> Iterator[Of]:
             yield register
     except Timeout:
         raise Refused(
-            f"{folder}: another program keeps the register open; try again when it has ended"
+            f"{folder}: another program has the register open; try again when it has ended"
         ) from None
     except OSError as error:
-        raise Refused(f"{error.filename or folder}: cannot be written ({error.strerror})") from error
+        raise Refused(
+            f"{error.filename or folder}: cannot be written ({error.strerror}); free disk space or check "
+            "permissions"
+        ) from error
 
 
 def sync_folder(folder: Path) -> None:

@@ -17,10 +17,11 @@ from bench.base.arrays import Floats, u_of
 from bench.base.files import cache_folder, from_text, read_regular, write_whole
 from bench.base.text import duration
 from bench.base.yaml_files import load_document, part
+from bench.calibration.intrinsic import INTRINSIC
 from bench.calibration.result import CalibrationError
 from bench.config.bench_file.file import BenchFile
 from bench.config.bench_file.sections import LEAST_ARL, LEAST_SMOOTHING, MOST_ARL, CheckBlockSection
-from bench.history.control_chart import CheckRun, KnownDrift, Reference, control_chart
+from bench.history.control_chart import CheckRun, ControlChart, KnownDrift, Reference, control_chart
 from bench.model.geometry import COEFFICIENTS
 from bench.results.control_chart import CheckBlockChart
 from bench.run.events import MANIFEST, CheckedBefore, Manifest, RecordError, RunState, UnitUnderTest, sha256
@@ -87,19 +88,19 @@ class CheckValues:
         nothing = np.zeros_like(self.readings)
         own = [one for name, one in self.sources.items() if name.partition("[")[0] in between_runs]
         everything = sum(self.sources.values(), nothing)
-        anew = sum(own, nothing)
+        fresh = sum(own, nothing)
         return CheckRun(
             self.name,
             self.when,
             self.value,
-            self.readings + anew,
+            self.readings + fresh,
             self.noise,
             self.s,
             self.s_dof,
             self.design,
             self.meters,
             self.meters_limits,
-            everything - anew - self.meters_limits,
+            everything - fresh - self.meters_limits,
         )
 
 
@@ -203,24 +204,45 @@ def chart_of(
     """
     values, notes = _values(runs)
     if not values:
-        raise Refused(
-            "no run of the check block that gives a calibration; measure it: bench run … --unit SERIAL"
-        )
+        raise Refused("no run of the check block gives a calibration; measure it: bench run … --unit SERIAL")
     _refuse_mixed(values)
     g = values[0].g_m_s2
     taken = {one.name: one.per(g).check_run(section.between_runs) for one in values}
     baseline, later, reference = _parts(taken, section, of_bench, folder, g)
-    basis, on_basis = _basis(section.limits, len(baseline), reference)
-    design = ChartDesign(_arl(section), section.smoothing, basis)
     try:
-        chart = control_chart(
-            baseline, later, design, reference=reference, drift=_drift(section), restarted=_restarted(section)
+        (nine, on_basis), (twelve, _) = (
+            _charted(baseline, later, reference, section, in_nine=which) for which in (True, False)
         )
     except CalibrationError as reason:
         raise Refused(str(reason)) from reason
     return CheckBlockChart(
-        chart, values[-1].block, values[-1].unit, g, values[-1].simulated, (*notes, *on_basis)
+        nine, twelve, values[-1].block, values[-1].unit, g, values[-1].simulated, (*notes, *on_basis)
     )
+
+
+def _charted(
+    baseline: Sequence[CheckRun],
+    later: Sequence[CheckRun],
+    reference: Reference | None,
+    section: CheckBlockSection,
+    *,
+    in_nine: bool,
+    smoothing: float | None = None,
+) -> tuple[ControlChart, tuple[str, ...]]:
+    """Return the chart of the nine or of the twelve, with a note if its limits have another basis than wanted."""
+    drift = _drift(section)
+    if in_nine:
+        if drift is not None:
+            drift = drift.in_nine(reference.value if reference is not None else baseline[0].value)
+        reference = None if reference is None else reference.in_nine()
+        baseline, later = ([run.in_nine() for run in runs] for runs in (baseline, later))
+    count = len(INTRINSIC if in_nine else COEFFICIENTS)
+    basis, on_basis = _basis(section.limits, len(baseline), reference, count)
+    design = ChartDesign(_arl(section), section.smoothing if smoothing is None else smoothing, basis)
+    chart = control_chart(
+        baseline, later, design, reference=reference, drift=drift, restarted=_restarted(section)
+    )
+    return chart, on_basis
 
 
 def _values(runs: Iterable[Run]) -> tuple[list[CheckValues], tuple[str, ...]]:
@@ -229,7 +251,7 @@ def _values(runs: Iterable[Run]) -> tuple[list[CheckValues], tuple[str, ...]]:
         try:
             values.append(check_values(run))
         except CalibrationError as reason:
-            notes.append(f"{run.name} is left out, no calibration follows from it: {reason}")
+            notes.append(f"{run.name} is left out, because it gives no calibration: {reason}")
     return sorted(values, key=lambda one: one.when), tuple(notes)
 
 
@@ -241,7 +263,7 @@ def _refuse_mixed(values: Sequence[CheckValues]) -> None:
     ):
         if len(own) > 1:
             raise Refused(
-                f"these runs are of different {what} ({', '.join(sorted(own))}); a chart is of one: name its runs"
+                f"these runs are of different {what} ({', '.join(sorted(own))}); a chart shows one: name its runs"
             )
 
 
@@ -251,19 +273,21 @@ def _arl(section: CheckBlockSection) -> float:
     return DEFAULT_ARL if section.arl is None else section.arl
 
 
-def _basis(wanted: Basis, baseline: int, reference: Reference | None) -> tuple[Basis, tuple[str, ...]]:
-    """Return the basis of the chart limits that `baseline` runs allow, with a note if it is not the one wanted."""
+def _basis(
+    wanted: Basis, baseline: int, reference: Reference | None, count: int
+) -> tuple[Basis, tuple[str, ...]]:
+    """Return the basis that `baseline` runs allow for a chart of `count` numbers, with a note if not as wanted."""
     if reference is not None:
         return "stated", ()
     order: tuple[Basis, ...] = ("scatter", "scaled", "stated")
     for basis in order[order.index(wanted) :]:
-        if baseline >= least_runs(basis, len(COEFFICIENTS)):
+        if baseline >= least_runs(basis, count):
             break
     if basis == wanted:
         return basis, ()
-    need = least_runs(wanted, len(COEFFICIENTS))
+    need = least_runs(wanted, count)
     return basis, (
-        f"limits are from '{basis}' until the baseline has {need} runs, for '{wanted}': it has {baseline}",
+        f"give limits from '{basis}' until the baseline has {need} runs, for '{wanted}': it has {baseline}",
     )
 
 
@@ -275,7 +299,9 @@ def _parts(
     files = [name for name in section.reference if name.endswith(RESULT_FILE)]
     if files:
         if len(section.reference) > 1:
-            raise Refused("check_block: reference: one result of 'bench calibrate --json', or runs; not both")
+            raise Refused(
+                "check_block: reference: state one result of 'bench calibrate --json' or runs, not both"
+            )
         return [], runs, _reference((of_bench or Path()).parent / files[0], g_m_s2)
     if section.reference:
         named = [
@@ -289,7 +315,10 @@ def _parts(
     if days is not None:
         inside = [run for run in runs if days.first <= run.when.astimezone().date() <= days.last]
         if not inside:
-            raise Refused(f"no run of the check block from {days.first} to {days.last}; see baseline_days")
+            raise Refused(
+                f"no run of the check block from {days.first} to {days.last}; correct "
+                "'baseline_days' or measure it"
+            )
         return inside, [run for run in runs if run not in inside and run.when > inside[0].when], None
     return *_begun(runs, section), None
 
@@ -305,9 +334,7 @@ def _begun(runs: Sequence[CheckRun], section: CheckBlockSection) -> tuple[list[C
         if len(baseline) >= section.baseline:
             later.append(run)
             continue
-        basis, _ = _basis(section.limits, len(baseline), None)
-        design = ChartDesign(_arl(section), 1.0, basis)
-        fits = control_chart(baseline, [run], design, drift=_drift(section)).in_control
+        fits = _charted(baseline, [run], None, section, in_nine=True, smoothing=1.0)[0].in_control
         (baseline if fits else later).append(run)
     return baseline, [*later, *runs[1:][-1:]]
 
@@ -317,11 +344,14 @@ def _reference(path: Path, g_m_s2: float) -> Reference:
         data = from_text(read_regular(path).decode())
     except (OSError, ValueError) as error:
         raise Refused(
-            f"check_block: reference: {path}: no result of 'bench calibrate --json' ({error})"
+            f"check_block: reference: {path}: not a result of 'bench calibrate --json' ({error})"
         ) from error
     found = coefficients_of(data[0] if isinstance(data, list) and data else data, str(path))
     if not found.made_at:
-        raise Refused(f"check_block: reference: {path}: says no date (made_at); a drift could not be counted")
+        raise Refused(
+            f"check_block: reference: {path}: has no date (made_at), which its drift needs; "
+            "make it with 'bench calibrate --json'"
+        )
     factor = np.where(np.arange(len(COEFFICIENTS)) < 9, g_m_s2 / found.g_m_s2, 1.0)
     when = datetime.fromisoformat(found.made_at)
     return Reference(
@@ -350,11 +380,11 @@ def _with_options(section: CheckBlockSection, request: Chart) -> CheckBlockSecti
     """Return a section in which the options of a request replace the bench file's. Raises `Refused`."""
     smoothing, arl, limits = request.smoothing, request.arl, request.limits
     if smoothing is not None and not LEAST_SMOOTHING <= smoothing <= 1.0:
-        raise Refused(f"--smoothing {smoothing:g}: λ of an EWMA lies between {LEAST_SMOOTHING:g} and 1")
+        raise Refused(f"--smoothing {smoothing:g}: give a λ of the EWMA between {LEAST_SMOOTHING:g} and 1")
     if arl is not None and not LEAST_ARL <= arl <= MOST_ARL:
-        raise Refused(f"--arl {arl:g}: a mean run length between {LEAST_ARL:g} and {MOST_ARL:g}")
+        raise Refused(f"--arl {arl:g}: give a mean run length between {LEAST_ARL:g} and {MOST_ARL:g}")
     if limits is not None and limits not in BASES:
-        raise Refused(f"--limits {limits}: limits are from {', '.join(BASES)}")
+        raise Refused(f"--limits {limits}: give limits from {', '.join(BASES)}")
     asked = {"smoothing": smoothing, "limits": limits, "baseline": request.baseline, "arl": arl}
     update: dict[str, Any] = {name: value for name, value in asked.items() if value is not None}
     if "baseline" in update:
@@ -433,8 +463,8 @@ def _of_folder(folder: Path, bench: str | None, kinds: Sequence[bool]) -> tuple[
     if given:
         return given.file, Path(given.where), None
     raise NoCheckBlock(
-        f"{folder}: no run of a check block there; name the block in `check_block` of a bench file, and measure it "
-        "with bench run PROCEDURE --bench FILE --unit SERIAL"
+        f"{folder}: no run of a check block there; name the block in `check_block` of a bench file, then "
+        "measure it: bench run PROCEDURE --bench FILE --unit SERIAL"
     )
 
 
@@ -502,8 +532,8 @@ def _judged(
         (run, *_) = chart.chart.baseline
         return CheckBefore(
             "missing",
-            f"{run.name} is the first run of the check block {section.serial}: nothing is there yet to hold it "
-            "against; measure it once more",
+            f"{run.name} is the first run of the check block {section.serial}: there is nothing to "
+            "compare with; measure it again",
         )
     last = verdicts[-1]
     age_s = max(0.0, (now - last.when).total_seconds())
@@ -519,7 +549,7 @@ def _judged(
     hours = f"{age_s / HOUR_S:.1f} h"
     if age_s > section.max_age:
         counts = duration(section.max_age)
-        said = f"the last run of the check block, {last.run}, is {hours} old; it counts for {counts}"
+        said = f"the last run of the check block, {last.run}, is {hours} old; it is valid for {counts}"
         return CheckBefore("too old", said, last.run, age_s)
     return CheckBefore(IN_CONTROL, f"{last.run}, {hours} ago, was in control", last.run, age_s)
 
@@ -533,13 +563,11 @@ def checked_before(
     file forbids the run. A run of the check block itself is not checked.
     """
     if bench.check_block is None:
-        raise Refused(
-            f"{path}: states no check_block; --check-block and --despite-check go with one that does"
-        )
+        raise Refused(f"{path}: states no check_block; remove --check-block and --despite-check")
     if despite is not None and (not despite.strip() or not despite.isprintable()):
-        raise Refused("--despite-check: say in words why the run is begun all the same; the record keeps it")
+        raise Refused("--despite-check: give the reason in words, for the record")
     if is_check_block(bench, manifest["unit_under_test"]):
-        return ("this is a run of the check block: its chart follows it",)
+        return ("this is a run of the check block; remove --check-block and --despite-check",)
     rule = bench.check_block.rule
     found = check_before(bench, path, runs, utc_now(), simulated=bool(manifest["dry_run"]))
     told = refuse_or_tell(found, rule, despite)
@@ -552,10 +580,10 @@ def refuse_or_tell(found: CheckBefore, rule: str, reason: str | None) -> tuple[s
     if found.fine:
         return (f"check block: {found.sentence}",)
     if reason is not None:
-        return (f"check block: {found.sentence}; the run goes on, as {reason!r} is on record",)
+        return (f"check block: {found.sentence}; the run continues: {reason!r} is on record",)
     if rule == "warn":
-        return (f"CHECK BLOCK: {found.sentence}; the bench file's rule is to warn, and the run goes on",)
+        return (f"CHECK BLOCK: {found.sentence}; the bench file's rule is to warn, so the run continues",)
     raise Refused(
-        f"check block: {found.sentence}. The bench file refuses a run then: measure the check block "
-        "('bench chart' shows its chart), or say --despite-check 'REASON', which the record keeps"
+        f"check block: {found.sentence}. By the bench file, no run may start: measure the check block, or "
+        "give --despite-check 'REASON' for the record"
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -31,6 +31,9 @@ LARGEST: Final = 1e12
 WORST: Final = 1e9
 """Coefficients above `LARGEST`, or a K with a ratio of elements or a condition number above `WORST`, belong to no
 block."""
+
+TEMPERATURE_EFFECTS: Final = ("thermal_bias", "thermal_scale", "thermal_settling", "thermal_emf")
+"""Effects by which a model takes temperature out of the coefficients."""
 
 ROUNDING: Final = 1_000_000 * 2.0**-53
 """Largest rounding error of a correlation that is computed from a million readings."""
@@ -92,9 +95,11 @@ def coefficients_of(data: Any, where: str) -> Coefficients:
     except (ValueError, TypeError, IndexError, AttributeError) as error:
         raise Refused(f"{where}: not a result of 'bench calibrate --json' ({error})") from error
     if not isinstance(theirs, str) or per != "g" or not isinstance(simulated, bool):
-        raise Refused(f"{where}: not a result of 'bench calibrate --json': see its unit, per and simulated")
+        raise Refused(
+            f"{where}: not a result of 'bench calibrate --json': check its members unit, per and simulated"
+        )
     if noise < 0 or g_m_s2 <= 0:
-        raise Refused(f"{where}: holds a negative noise or gravity; calibrate again")
+        raise Refused(f"{where}: has a negative noise or gravity; calibrate again")
     _refuse_impossible(covariance, where)
     same_meters = _further_covariance(data, "covariance_same_meters", where)
     block = Block.from_vector(values)
@@ -148,7 +153,29 @@ def block_result(data: Any, where: str) -> BlockResult:
         covariance_readings=_further_covariance(data, "covariance_readings", where),
         gravity_u=_positive(data.get("gravity_u")),
         certificates=tuple(_certificates(data.get("corrections"))),
+        temperature=_temperature(data),
     )
+
+
+def _temperature(data: Any) -> str:
+    """Return in words which effects of temperature a result took out of its coefficients; empty for none."""
+    listed = data.get("temperature_effects")
+    fitted = data.get("effects") if isinstance(data.get("effects"), dict) else {}
+    names = [*(listed if isinstance(listed, list) else ()), *fitted]
+    used = [
+        effect for effect in TEMPERATURE_EFFECTS if any(str(n).partition(".")[0] == effect for n in names)
+    ]
+    return f"{' and '.join(used)} of its model, with which the coefficients count" if used else ""
+
+
+def require_temperature(results: Sequence[BlockResult], *, without: bool) -> None:
+    """Raise `Refused` if a result used temperature, which no form holds, unless it is asked for `without`."""
+    for result in results:
+        if result.temperature and not without:
+            raise Refused(
+                f"{result.source}: used temperature ({result.temperature}), which these forms do not hold: 'bench "
+                "compensate' writes coefficients over temperature, --without-temperature writes these without it"
+            )
 
 
 def _certificates(corrections: Any) -> Iterator[str]:
@@ -165,7 +192,7 @@ def _text(value: object) -> str:
 
 
 def _positive(value: object) -> float:
-    """Return a number of a result, negative ones as 0; 0 for anything that is no number."""
+    """Return a number of a result, negative ones as 0; 0 for anything that is not a number."""
     try:
         return max(_number(value), 0.0)
     except ValueError:
@@ -176,11 +203,13 @@ def _refuse_without_inverse(block: Block, covariance: Floats, where: str) -> Non
     """Raise `Refused` for a K without a usable inverse, and for numbers that no calibration gives."""
     largest = float(np.max(np.abs(block.vector)))
     if not largest < LARGEST or np.max(covariance) > LARGEST**2:
-        raise Refused(f"{where}: holds numbers beyond {LARGEST:g}; take the file as calibrate wrote it")
+        raise Refused(
+            f"{where}: holds numbers beyond {LARGEST:g}; write it again with 'bench calibrate --json'"
+        )
     scale = float(np.min(np.abs(np.diag(block.K))))
     if scale <= largest / WORST or np.linalg.cond(block.K) > WORST:
         raise Refused(
-            f"{where}: its K has no inverse that could be used; take the file as calibrate wrote it"
+            f"{where}: its matrix K cannot be inverted; write it again with 'bench calibrate --json'"
         )
 
 
@@ -210,9 +239,7 @@ def _block_terms(data: Any, where: str) -> Floats | None:
             f"{where}: not a result of 'bench calibrate --json': its block_terms: {error}"
         ) from error
     if any(len(row) != len(COEFFICIENTS) for row in rows):
-        raise Refused(
-            f"{where}: not a result of 'bench calibrate --json': its block_terms have not 12 columns"
-        )
+        raise Refused(f"{where}: not a result of 'bench calibrate --json': its block_terms need 12 columns")
     return np.array(rows).reshape(-1, len(COEFFICIENTS)).T
 
 
@@ -235,7 +262,9 @@ def _covariance(data: Any, name: str) -> Floats:
 def _refuse_impossible(covariance: Floats, where: str) -> None:
     problem = impossible(covariance)
     if problem:
-        raise Refused(f"{where}: {problem}; no calibration gives that: take the file as calibrate wrote it")
+        raise Refused(
+            f"{where}: {problem}; no calibration gives this; write it again with 'bench calibrate --json'"
+        )
 
 
 def _numbers(rows: Any) -> list[list[float]]:
@@ -250,13 +279,13 @@ def _numbers(rows: Any) -> list[list[float]]:
 def _number(value: Any) -> float:
     """Return a JSON number as a float. Raises `ValueError` for a text, a boolean or a number that is not finite."""
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise ValueError(f"{shortened(repr(value))} is no number")
+        raise ValueError(f"{shortened(repr(value))} is not a number")
     try:
         number = float(value)
     except OverflowError:
         number = math.inf
     if not math.isfinite(number):
-        raise ValueError("it holds what is no number")
+        raise ValueError("it has a value that is not a number")
     return number
 
 
@@ -327,7 +356,16 @@ def _snapshot(data: Any, name: str) -> Snapshot:
         found.meters,
         found.block_terms,
         found.wander,
+        _least_dof(data),
     )
+
+
+def _least_dof(data: Any) -> float:
+    """Return the least degrees of freedom of the nine in a result, or of the twelve; infinite if it states none."""
+    nine = data.get("intrinsic")
+    stated = nine["values"] if isinstance(nine, dict) and isinstance(nine.get("values"), dict) else None
+    rows = [one for one in (stated or data["coefficients"]).values() if isinstance(one, dict)]
+    return min((dof for dof in (_positive(one.get("dof")) for one in rows) if dof), default=math.inf)
 
 
 def date_of(text: str | None, where: str) -> datetime | None:
@@ -353,7 +391,7 @@ def forms_of(names: list[str]) -> list[ExportForm]:
     strange = [name for name in names if name not in FORMS and name != ALL]
     if strange:
         known = ", ".join([*FORMS, ALL])
-        raise Refused(f"--as {', '.join(strange)}: the forms are {known}")
+        raise Refused(f"--as {', '.join(strange)}: choose from {known}")
     return [FORMS[name] for name in (FORMS if ALL in names else dict.fromkeys(names))]
 
 
@@ -370,30 +408,36 @@ def nominal_of(text: str | None, results: list[BlockResult]) -> Floats | None:
         values = np.zeros(0)
     if values.shape != (3,) or not np.all(np.isfinite(values) & (values != 0)):
         raise Refused(
-            f"--nominal {text}: three scale factors in unit/g with their signs, such as -2.18,-2.14,-2.14"
+            f"--nominal {text}: give three scale factors in unit/g with their signs, such as -2.18,-2.14,-2.14"
         )
     for result in results:
         if result.unit in {"g", "m/s^2"}:
             raise Refused(
-                f"--nominal: the signals of {result.source} are in {result.unit} already; leave it out"
+                f"--nominal: the signals of {result.source} are in {result.unit} already; remove it"
             )
         found = np.diag(result.block.K)
         if np.any(found * values < 0):
             raise Refused(
-                f"--nominal {text}: {result.source} has scale factors of other signs "
+                f"--nominal {text}: {result.source} has scale factors of other signs; correct them "
                 f"({', '.join(f'{v:.4g}' for v in found)} {result.unit}/g)"
             )
     return values
 
 
 def write_form(
-    result: BlockResult, path: Path, form: str, nominal: tuple[float, float, float] | None
+    result: BlockResult,
+    path: Path,
+    form: str,
+    nominal: tuple[float, float, float] | None,
+    *,
+    without_temperature: bool = False,
 ) -> tuple[str, ...]:
     """Write a result in one form to a file; return what the form cannot hold. Raises `Refused`, `OSError`."""
     from bench.exchange.forms import FORMS
 
     if form not in FORMS:
-        raise Refused(f"{form!r}: the forms are {', '.join(FORMS)}")
+        raise Refused(f"{form!r}: choose from {', '.join(FORMS)}")
+    require_temperature([result], without=without_temperature)
     chosen = FORMS[form]
     factors = nominal_of(None if nominal is None else ",".join(map(repr, nominal)), [result])
     write_whole(path, chosen.write(result, factors))

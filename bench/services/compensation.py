@@ -17,15 +17,10 @@ from bench.calibration.budget.sources import assumed_stand
 from bench.calibration.budget.whole import sign
 from bench.calibration.calibrate import calibrate
 from bench.calibration.result import SourceOfError
-from bench.calibration.temperature import (
-    CompensationTable,
-    TemperatureModel,
-    c_header,
-    make_table,
-    table_csv,
-)
+from bench.calibration.temperature import CompensationTable, TemperatureModel, make_table
 from bench.calibration.temperature_fit import temperature_model
 from bench.calibration.tumble import DEFAULT, TumbleView, combine, tumble_view
+from bench.exchange.compensation import c_header, json_test, table_checks, table_csv
 from bench.exchange.result import BlockResult
 from bench.model.geometry import COEFFICIENTS
 from bench.results.compensation import CompensateResult, compensate_result
@@ -119,8 +114,7 @@ def compensated(request: Compensate, loaded: Sequence[Source]) -> Compensation:
     strangers = [source.name for source in loaded if source.g_m_s2 != first.g_m_s2]
     if strangers:
         raise Refused(
-            f"{', '.join(strangers)}: another local gravity than in {first.name}; "
-            "a temperature model is made on one bench"
+            f"{', '.join(strangers)}: local gravity differs from that in {first.name}; use runs of one bench"
         )
     tables = [source.readings for source in loaded]
     degree = _degree(request.degree)
@@ -128,12 +122,15 @@ def compensated(request: Compensate, loaded: Sequence[Source]) -> Compensation:
     signed = sign_model(shown, first)
     table = make_table(signed.combined, first.bench.unit_under_test.range, request.step)
     checks = tuple(check for source in loaded for check in _checks(source, signed.same_meters))
+    checked = table_checks(signed.combined, table)
     result = compensate_result(
         signed.combined,
         of_readings=shown.covariance,
         hidden=signed.sources,
         shown=table,
         checks=checks,
+        check=checked,
+        python=json_test(len(checked)),
         sources=names,
         bench=first.taken.part(),
         corrections=[part for source in loaded for part in source.traced.parts()],
@@ -147,7 +144,7 @@ def _degree(text: str) -> int | None:
         return None
     if text.isascii() and text.isdecimal() and 1 <= int(text) <= 6:
         return int(text)
-    raise Refused(f"--degree {text}: expected 'auto', or a whole number from 1 to 6")
+    raise Refused(f"--degree {text}: give 'auto' or a whole number from 1 to 6")
 
 
 def _checks(source: Source, model: TemperatureModel) -> Iterator[tuple[float, Verification]]:
@@ -217,7 +214,7 @@ def results_of(request: Request) -> list[CalibrationToWrite]:
     asked = (request.bench, request.model, request.g_m_s2)
     if names and (any(value is not None for value in asked) or request.skip_bad_rows):
         raise Refused(
-            f"{names[0]}: is a result already, made with its own bench file, model and gravity; leave out --bench, "
+            f"{names[0]}: is a result with its own bench file, model and gravity; remove --bench, "
             "--model, --g and --skip-bad-rows, or give its readings"
         )
     found: list[CalibrationToWrite] = []
@@ -229,7 +226,7 @@ def results_of(request: Request) -> list[CalibrationToWrite]:
             found.append(CalibrationToWrite(calibration_of(source).derived, Path(), source))
     files = [given.file("") for given in found]
     for file in repeated(map(str, files)):
-        raise Refused(f"--out: two sources would write {file}*; give each a folder of its own")
+        raise Refused(f"--out: two sources would write {file}*; give each its own folder")
     return found
 
 

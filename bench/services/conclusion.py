@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from bench.base.computing import versions
 from bench.base.files import read_given, read_regular, to_text, write_whole
+from bench.base.yaml_files import load_validated
 from bench.calibration import CalibrationError
 from bench.readings.csv import format_csv, read_csv
 from bench.run.events import Manifest, RecordError
@@ -27,6 +28,7 @@ from bench.services.verification import NOTHING_ASKED, VerificationResult
 from drivers.clock import utc_now
 
 if TYPE_CHECKING:
+    from bench.config.foreign_log import ConvertedLog
     from bench.results.control_chart import CheckBlockChart
 
 _MADE: Final = ("calibrate.json", "verify.json", "report.html", "chart.json")
@@ -76,9 +78,11 @@ class Conclusion:
 
 
 def make_results(run: Run, interrupts: Interrupts) -> Conclusion:
-    """Return the results of a finished run. A signal raises `Refused`; `bench resume` then makes the results."""
+    """Return the results of a finished run. A signal raises `Refused`; `bench resume` then computes the results."""
     kept = f"all readings are kept in {run.folder}"
-    again = f"stopped before the results were made; {kept}, and 'bench resume {run.name}' makes the results"
+    again = (
+        f"stopped before the results were ready; {kept}, and 'bench resume {run.name}' computes the results"
+    )
     try:
         interrupts.release(again)
         return conclude(run)
@@ -99,8 +103,8 @@ def conclude(run: Run) -> Conclusion:
         write_whole(run.folder / RESULTS, to_text({"made": made}))
     except OSError as error:
         raise Refused(
-            f"{error.filename}: cannot be written ({error.strerror}); the run is finished and kept: free the disk, "
-            f"then 'bench resume {run.name}' makes its results"
+            f"{error.filename}: cannot be written ({error.strerror}); the run is finished and kept; free "
+            f"disk space, then 'bench resume {run.name}' computes its results"
         ) from error
     return Conclusion(run, source, _looks(run), _is_short(run), **found)
 
@@ -191,9 +195,11 @@ def export_readings(request: asked.ExportReadings) -> Exported:
     csv = Path(request.csv or f"{Path(request.run).resolve().name}.csv")
     beside = Path(f"{csv}{SUFFIX}")
     if beside.exists() and not is_told(beside):
-        raise Refused(f"{beside}: another program wrote this file; export to another file with --csv FILE")
+        raise Refused(
+            f"{beside}: this program did not write this file; export to another file with --csv FILE"
+        )
     if request.csv is None and csv.exists() and not beside.exists():
-        raise Refused(f"{csv}: exists already; name the file to write with --csv FILE")
+        raise Refused(f"{csv}: exists; name another file with --csv FILE")
     write_whole(csv, text)
     if source.origin is None:
         return Exported(text, len(source.readings), csv)
@@ -201,19 +207,47 @@ def export_readings(request: asked.ExportReadings) -> Exported:
     return Exported(text, len(source.readings), csv, beside)
 
 
+COLUMNS: Final = "columns.yaml"
+"""The mapping by which a log was imported, in the run's folder."""
+
+
+def _given(file: Path) -> bytes:
+    """Return the content of a file, read once: a pipe cannot be read again. Raises `Refused`."""
+    try:
+        return read_given(file)
+    except OSError as error:
+        raise Refused(f"{file}: cannot be read ({error.strerror}); check the name") from error
+
+
+def _converted(request: asked.ImportReadings, content: bytes) -> ConvertedLog:
+    from bench.config.foreign_log import LogColumns, convert_log
+
+    assert request.columns is not None  # noqa: S101 - who converts has a mapping
+    mapping = load_validated(request.columns, LogColumns)
+    return convert_log(request.file, content, mapping, skip_bad_rows=request.skip_bad_rows)
+
+
+def preview_log(request: asked.ImportReadings) -> ConvertedLog:
+    """Return a log as the readings file that it would be imported as. Raises as `import_readings`."""
+    if request.columns is None:
+        raise Refused(
+            "--preview shows how a log is read; name the mapping of its columns with --columns FILE"
+        )
+    return _converted(request, _given(request.file))
+
+
 def import_readings(
     request: asked.ImportReadings, announce: Callable[[BenchTaken, Sequence[str]], None]
 ) -> Run:
     """Make a run of a readings file measured elsewhere; `announce` first receives its bench file and notes.
 
-    Raises `Refused` for a file that cannot be read, `ReadingsError` for bad rows, `RecordError` for a name that
-    is taken.
+    Raises `Refused` for a file that cannot be read, `ReadingsError` for bad rows, `FileMistakes` for a mapping
+    of columns with mistakes, `RecordError` for a name that is taken.
     """
     file, bench = request.file, None if request.bench is None else str(request.bench)
-    try:
-        content = read_given(file)  # read once: a pipe cannot be read again
-    except OSError as error:
-        raise Refused(f"{file}: cannot be read ({error.strerror}); check the name") from error
+    content = _given(file)
+    log = None if request.columns is None else _converted(request, content)
+    content = content if log is None else log.text.encode()
     told = origin_beside(file)
     taken, notes = bench_of(str(file), None, told, bench)
     announce(taken, notes)
@@ -231,6 +265,8 @@ def import_readings(
         "versions": versions(),
     }
     inputs = {IMPORTED: content, BENCH: read_regular(path)}
+    if request.columns is not None:
+        inputs[COLUMNS] = read_regular(request.columns)
     if told.origin is not None:
         manifest["dry_run"] = told.origin.simulated
         inputs[IMPORTED + SUFFIX] = read_regular(file.with_name(file.name + SUFFIX))

@@ -17,6 +17,9 @@ from bench.diagnosis.confirm import Confirmation, confirm
 from bench.diagnosis.free_positions import all_free, confirm_free
 from bench.diagnosis.free_records import OUTLIER, FreeDiagnosis
 from bench.diagnosis.mistakes.search import Mistake
+from bench.diagnosis.record_confirm import confirm_record
+from bench.diagnosis.record_diagnosis import RecordDiagnosis
+from bench.diagnosis.record_model import is_record
 from bench.results.confirm import confirm_result, print_confirmation
 from bench.services.bodies import put_right
 from bench.services.errors import Refused
@@ -56,14 +59,14 @@ class ConfirmationResult:
         diagnosis = self.found.diagnosis
         return (
             self.known
-            if isinstance(diagnosis, FreeDiagnosis)
+            if isinstance(diagnosis, FreeDiagnosis | RecordDiagnosis)
             else (*self.known, *diagnosis.mistakes.mistakes)
         )
 
     @property
     def notes(self) -> Iterator[str]:
         """Yield the notes on these readings, a sentence each."""
-        yield from (f"{one.name}: {one.words}; put right in a copy" for one in self.mistakes)
+        yield from (f"{one.name}: {one.words}; corrected in a copy" for one in self.mistakes)
         diagnosis = self.found.diagnosis
         if isinstance(diagnosis, FreeDiagnosis):
             yield from (f"{OUTLIER}: {words}" for words in diagnosis.apart)
@@ -100,19 +103,23 @@ def confirmation_of(source: Source) -> ConfirmationResult:
     path = source.request.model
     if path is None:
         raise Refused(
-            "say with --model FILE which model these readings are to confirm ('bench diagnose' writes it)"
+            "no model named; give the model to confirm with --model FILE ('bench diagnose' writes it)"
         )
     if not source.model.effects:
-        raise Refused(f"--model {path}: it has no effects, so that there is nothing to confirm")
+        raise Refused(
+            f"--model {path}: it has no effects to confirm; give a model that 'bench diagnose' wrote"
+        )
     file = load_model(path, source.model.installations)
     if data_sha256(source.as_read) in (file.data_sha256 or "").split():
         raise Refused(
-            f"--model {path}: it was found in these very readings ({source.name}), which cannot confirm it; "
-            "take new ones"
+            f"--model {path}: it was found in these same readings ({source.name}), which cannot confirm "
+            "it; measure new ones"
         )
     if all_free([source.readings]):
         with knowing_effects_of(source):
             return ConfirmationResult(source, confirm_free([source.readings], source.model), ())
+    if is_record(source.readings):
+        return ConfirmationResult(source, confirm_record(source.readings, source.model.effects), ())
     bench = source.bench
     readings, known = put_right(source)
     found = confirm(

@@ -19,8 +19,8 @@ from rich.console import Console
 
 from bench.base.computing import tracked
 from bench.base.files import cache_folder, write_whole
+from bench.base.languages import message
 from bench.base.tables import as_text
-from bench.base.text import visible
 from bench.base.yaml_files import FileMistakes
 from bench.calibration.result import CalibrationError
 from bench.config.formulas import effects_in, files_of_environment
@@ -31,6 +31,8 @@ from bench.diagnosis.free_records import FreeDiagnosis
 from bench.diagnosis.mistakes.search import Mistake, MistakesLeaveTooLittle
 from bench.diagnosis.next_measurement import Proposal
 from bench.diagnosis.pipeline import FullDiagnosis, MistakesAlone, diagnose_fully
+from bench.diagnosis.record_diagnosis import RecordDiagnosis, diagnose_record
+from bench.diagnosis.record_model import is_record
 from bench.diagnosis.result import Diagnosis
 from bench.diagnosis.show import label
 from bench.model import CATALOGUE, AppliedEffect
@@ -40,16 +42,16 @@ from bench.readings.table import Readings
 from bench.results import diagnosis as text
 from bench.results import diagnosis_words as words
 from bench.results import free_diagnosis as free
+from bench.results import record_diagnosis as of_record
 from bench.results.diagnosis_words import NO_FILES, Files
-from bench.services.bench_selection import SUFFIX
-from bench.services.bodies import Body, put_right, whole_body
+from bench.services.bodies import Body, put_right, whole_body, write_content, write_copy
 from bench.services.errors import Refused
 from bench.services.own_effects import knowing_effects_in, knowing_effects_of
 from bench.services.requests.evaluation import Diagnose
 from bench.services.source import Failed, Source, attempted, data_sha256, done, provenance
 
 T = TypeVar("T")
-Found = FullDiagnosis | MistakesAlone | FreeDiagnosis
+Found = FullDiagnosis | MistakesAlone | FreeDiagnosis | RecordDiagnosis
 
 
 # --- results ----------------------------------------------------------------------------------------
@@ -115,7 +117,7 @@ class _Result(ABC):
         except OSError as error:
             if self.source.request.out is not None:
                 raise
-            note = f"{what} is not written ({error.strerror}); use --out DIR"
+            note = f"{what} was not written ({error.strerror}); use --out DIR"
             return None, replace(self, not_written=(*self.not_written, note))
 
     def _with_copy(self, mistakes: Sequence[Mistake], corrected: Readings) -> Self:
@@ -124,7 +126,7 @@ class _Result(ABC):
             return self
         place = self.body.output("-corrected.csv")
         path, result = self._tried(
-            "the corrected copy of the readings", lambda: _write_copy(self.body, mistakes, corrected, place)
+            "the corrected copy of the readings", lambda: write_copy(self.body, mistakes, corrected, place)
         )
         return result if path is None else replace(result, files=Files(copies=(path,)))
 
@@ -144,7 +146,7 @@ class _WithPage(_Result):
     def _with_report(self) -> Self:
         # the page does not contain its own path, so it can be rendered before it is written
         page, file = self.html(), self.body.output(".html")
-        path, result = self._tried(str(file), lambda: _write(file, page))
+        path, result = self._tried(str(file), lambda: write_content(file, page))
         return replace(result, files=replace(result.files, report=path))
 
 
@@ -209,7 +211,10 @@ class DiagnosisResult(_WithPage):
         from bench.results.diagnosis_page import render_diagnosis
 
         source = self.source
-        title, limit_g = f"Diagnosis of {source.block_name or source.name}", source.bench.verification_limit_g
+        title, limit_g = (
+            message(f"Diagnosis of {source.block_name or source.name}"),
+            source.bench.verification_limit_g,
+        )
         with knowing_effects_of(source):
             return render_diagnosis(self.found, self.files, title, limit_g, provenance(source))
 
@@ -233,8 +238,8 @@ class DiagnosisResult(_WithPage):
         """
         if not self.model_is_due(accept_first=accept_first):
             tied = self.diagnosis.of_copy == "confounded"
-            why = words.why_no_model(self.diagnosis) if tied else "where nothing was found that has a name"
-            raise Refused(f"{path}: no model file is written {why}")
+            why = words.why_no_model(self.diagnosis) if tied else "without a named effect"
+            raise Refused(f"{path}: no model file was written {why}")
         with knowing_effects_of(self.source):
             self._write_model(Path(path))
         return Path(path)
@@ -242,11 +247,11 @@ class DiagnosisResult(_WithPage):
     def write_next(self, path: str | Path) -> Path:
         """Write the procedure to carry out next; return its path. Raises `Refused` where nothing is proposed."""
         if self.next_measurement is None:
-            raise Refused(f"{path}: no procedure would tell more")
+            raise Refused(f"{path}: no procedure would show more; repeat the same one with more passes")
         return self.next_measurement.write(Path(path)).procedure
 
     def written(self, *, accept_first: bool = False, report: bool = True) -> Self:
-        """Write copy, model, next procedure and page; return the result with their paths."""
+        """Write corrected readings, model, next procedure and page; return the result with their paths."""
         mistakes, body = self.diagnosis.mistakes, self.body
         result = self._with_copy(mistakes.mistakes, mistakes.corrected)
         if self.model_is_due(accept_first=accept_first):
@@ -331,7 +336,7 @@ class FreeDiagnosisResult(_WithPage):
 
     def html(self) -> str:
         """Return the HTML page."""
-        title = f"Diagnosis of {self.source.block_name or free.readings_named(self.found)}"
+        title = message(f"Diagnosis of {self.source.block_name or free.readings_named(self.found)}")
         simulated = any(source.simulated for source in self.body.sources)
         with knowing_effects_of(self.source):
             return free.render_free(
@@ -350,7 +355,7 @@ class FreeDiagnosisResult(_WithPage):
         """
         models = self.models_of(accept_first=accept_first)
         if not models:
-            raise Refused(f"{path}: no model file is written {free.why_no_model(self.found)}")
+            raise Refused(f"{path}: no model file was written {free.why_no_model(self.found)}")
         place = Path(path)
         many = len(models) > 1
         paths = [
@@ -365,7 +370,7 @@ class FreeDiagnosisResult(_WithPage):
         result, copies, written = self, [], []
         for number, readings in self.corrected().items():
             place = self.body.output("-corrected.csv", number)
-            path, result = result._tried(str(place), partial(_write, place, format_csv(readings)))
+            path, result = result._tried(str(place), partial(write_content, place, format_csv(readings)))
             copies += [path] * (path is not None)
         models = self.models_of(accept_first=accept_first)
         for number, effects in enumerate(models, start=1):
@@ -389,7 +394,61 @@ class FreeDiagnosisResult(_WithPage):
         )
 
 
-Diagnosed = DiagnosisResult | FreeDiagnosisResult | MistakesResult
+@dataclass(frozen=True, repr=False)
+class RecordDiagnosisResult(_WithPage):
+    """What meters and reference of a record at a known input follow, and how well it predicts what is held out."""
+
+    found: RecordDiagnosis
+
+    @property
+    def verdict(self) -> str:
+        """One of agrees, named, confounded, unknown."""
+        return self.found.verdict
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the result as `bench diagnose --json` writes it."""
+        source = self.source
+        return of_record.record_result(
+            self.found, self.files, source.taken.part(), source.traced.parts(),
+            simulated=source.simulated, skipped_rows=source.readings.skipped,
+        ).to_dict()  # fmt: skip
+
+    def html(self) -> str:
+        """Return the HTML page."""
+        title, told = f"Diagnosis of {self.source.name}", provenance(self.source)
+        return of_record.render_record(self.found, self.files, title, told, simulated=self.source.simulated)
+
+    def print_on(self, out: Console) -> None:
+        """Print the diagnosis, the verdict last."""
+        of_record.print_record(self.found, self.files, out)
+
+    def _model_is_due(self, *, accept_first: bool) -> bool:
+        return self.verdict == "named" or (accept_first and self.verdict == "confounded")
+
+    def write_model(self, path: str | Path, *, accept_first: bool = False) -> Path:
+        """Write the model file with the effects found; return its path. Raises `Refused`, `FileMistakes`."""
+        if not self._model_is_due(accept_first=accept_first):
+            raise Refused(f"{path}: no model file is written where nothing was found that has one name")
+        effects = (*self.source.model.effects, *self.found.applied)
+        name = " + ".join([self.source.model.name, *map(label, self.found.applied)])
+        evidence = of_record.evidence_in_words(self.found)
+        write_model_file(
+            Path(path), name, effects, parent=self.source.model.name, evidence=evidence,
+            data_sha256=" ".join(self.body.sha256),
+        )  # fmt: skip
+        return Path(path)
+
+    def written(self, *, accept_first: bool = False, report: bool = True) -> Self:
+        """Write model and page; return the result with their paths."""
+        result, file = self, self.body.output("-model.yaml")
+        if self._model_is_due(accept_first=accept_first):
+            write = partial(self.write_model, accept_first=accept_first)
+            model, result = self._tried(str(file), partial(_by_unused_name, file, write))
+            result = replace(result, files=Files(models=() if model is None else (model,)))
+        return result._with_report() if report else result
+
+
+Diagnosed = DiagnosisResult | FreeDiagnosisResult | MistakesResult | RecordDiagnosisResult
 
 
 def print_diagnosed(results: Sequence[Diagnosed | Failed], out: Console) -> None:
@@ -406,13 +465,7 @@ def print_diagnosed(results: Sequence[Diagnosed | Failed], out: Console) -> None
 # --- files ------------------------------------------------------------------------------------------
 
 
-def _write(path: Path, content: str) -> Path:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(path, content)
-    return path
-
-
-def _by_unused_name(path: Path, write: Callable[[Path], None]) -> Path:
+def _by_unused_name(path: Path, write: Callable[[Path], object]) -> Path:
     """Write a file under an unused name: `path`, or `path` with a number from 2 on."""
     path.parent.mkdir(parents=True, exist_ok=True)
     for number in count(1):
@@ -422,23 +475,6 @@ def _by_unused_name(path: Path, write: Callable[[Path], None]) -> Path:
                 write(free_path)
                 return free_path
     raise AssertionError
-
-
-def _write_copy(body: Body, mistakes: Sequence[Mistake], corrected: Readings, path: Path) -> Path:
-    """Write the copy in which mistakes are corrected, and its origin file in the same folder.
-
-    The copy holds the values that the instruments showed; reading it with the same bench file gives exactly
-    `corrected`.
-    """
-    source = body.source
-    content = format_csv(as_read(corrected, source.traced.by))
-    if source.origin is not None and len(body.sources) == 1:
-        mended = tuple(visible(mistake.words) for mistake in mistakes)
-        origin = source.origin.model_copy(update={"mended": (*source.origin.mended, *mended)})
-        _write(path, content)
-        _write(path.with_name(path.name + SUFFIX), origin.text_beside(path, content.encode()))
-        return path
-    return _write(path, content)
 
 
 # --- diagnosing -------------------------------------------------------------------------------------
@@ -485,6 +521,8 @@ def _found(body: Body) -> Found:
     if all_free([one.readings for one in body.sources]):
         tables = [replace(one.readings, source=one.name) for one in body.sources]
         return diagnose_free(tables, body.one_block, source.model)
+    if is_record(source.readings):
+        return diagnose_record(source.readings)
     readings, known = put_right(source)
     try:
         return diagnose_fully(
@@ -511,11 +549,11 @@ def _found(body: Body) -> Found:
 def _result(
     body: Body, found: Found, files: Files = NO_FILES, not_written: tuple[str, ...] = ()
 ) -> Diagnosed:
-    if isinstance(found, FreeDiagnosis):
-        return FreeDiagnosisResult(body, found, files, not_written)
-    if isinstance(found, MistakesAlone):
-        return MistakesResult(body, found, files, not_written)
-    return DiagnosisResult(body, found, files, not_written)
+    kinds: dict[type[Any], type[Any]] = {
+        FreeDiagnosis: FreeDiagnosisResult, MistakesAlone: MistakesResult, RecordDiagnosis: RecordDiagnosisResult,
+    }  # fmt: skip
+    made: Diagnosed = kinds.get(type(found), DiagnosisResult)(body, found, files, not_written)
+    return made
 
 
 _Done = tuple[Found, Files, tuple[str, ...]]

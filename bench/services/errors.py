@@ -66,7 +66,7 @@ def sentence(error: Exception) -> str:
         return missing(error) or str(error)
     if isinstance(error, OSError):
         return f"{error.filename or 'a file'}: {error.strerror or error}"
-    return f"stopped by a mistake of the program ({kind_and_words(error)})"
+    return f"stopped by an error of the program ({kind_and_words(error)})"
 
 
 def quantity(option: str, text: str, kind: QuantityKind, *, plain: bool = True) -> float:
@@ -91,5 +91,5 @@ def named(option: str, text: str, example: str) -> tuple[str, str]:
     """Return name and value of an option "NAME=VALUE". Raises `Refused` with an example for any other text."""
     name, equals, value = text.partition("=")
     if not equals or not name.strip() or not value.strip():
-        raise Refused(f"{option} {text}: a name and its value, such as {example}")
+        raise Refused(f"{option} {text}: give a name and its value, such as {example}")
     return name.strip(), value.strip()

@@ -17,6 +17,7 @@ from rich.console import Console
 
 from bench.base.computing import quiet, versions
 from bench.base.files import read_regular, to_text, write_whole
+from bench.base.languages import message
 from bench.config.bench_file.file import BenchFile, foreign_drivers, load_bench, missing_drivers
 from bench.config.devices.sections import ControlledChamberForm
 from bench.config.model_file import load_model
@@ -101,7 +102,7 @@ def new_run(request: RunRequest) -> NewRun:
     """
     dry_run, unit, operator = request.dry_run, request.unit, request.operator
     if re.search("[\ud800-\udfff]", operator):
-        raise Refused("--operator: this is not UTF-8 text; type the name again, or set the terminal to UTF-8")
+        raise Refused("--operator: the name is not UTF-8 text; set the terminal to UTF-8 and type it again")
     bench = None if request.bench is None else str(request.bench)
     procedure_path, bench_file_path = find_procedure(str(request.procedure)), bench_path(bench)
     verdict = _judged(request, bench_file_path)
@@ -112,7 +113,7 @@ def new_run(request: RunRequest) -> NewRun:
     if unit is not None and (not unit.strip() or not unit.isprintable()):
         problems = [
             *problems,
-            f"--unit {unit!r}: a serial number is text that can be printed, such as 17-042",
+            f"--unit {unit!r}: give a serial number of printable characters, such as 17-042",
         ]
     if problems:
         raise Refused("\n".join(problems))
@@ -240,7 +241,7 @@ def is_away(answers: str | None, *, panel: bool) -> bool:
     Raises `Refused` for an unknown place in `answers`.
     """
     if answers not in (None, "terminal", "folder"):
-        raise Refused(f"--answers {answers}: questions are answered at the terminal or in the folder")
+        raise Refused(f"--answers {answers}: give 'terminal' or 'folder'")
     return answers == "folder" or (panel and answers is None and not sys.stdin.isatty())
 
 
@@ -248,13 +249,13 @@ def refuse_contradictions(request: RunRequest) -> None:
     """Raise `Refused` for options that do not go together, and for a real run without a bench file."""
     if not (request.bench or os.environ.get("BENCH_FILE") or request.dry_run):
         raise Refused(
-            "a run on real instruments needs a bench file: say --bench FILE (or set BENCH_FILE), "
-            "or try it first with --dry-run"
+            "a run on real instruments needs a bench file; give --bench FILE or set BENCH_FILE, or try it "
+            "with --dry-run"
         )
     if request.model is not None and not request.dry_run:
-        raise Refused("--model says what the simulated bench contains; it goes with --dry-run")
+        raise Refused("--model describes the simulated bench; add --dry-run or remove it")
     if request.follow and is_away(request.answers, panel=request.panel):
-        raise Refused("--follow asks at the terminal before it measures further: it wants --answers terminal")
+        raise Refused("--follow asks at the terminal before it continues; add --answers terminal")
 
 
 @contextmanager
@@ -298,7 +299,7 @@ def resumed(
             WishListener(ControlFile(run.folder)) as wishes,
         ):
             if history.torn and not quiet.get():
-                print("note: the last line of the record was half written and is dropped", file=sys.stderr)
+                print("note: the last line of the record was incomplete and was dropped", file=sys.stderr)
             if history.state is not RunState.FINISHED:
                 heard = heard_in(run, record, history, wishes, out, away=away)
                 accept_changes(run, heard.asker, out)
@@ -312,11 +313,11 @@ def accept_changes(run: Run, asker: Asker | None, out: Console) -> None:
     for kind, copy in (("procedure", PROCEDURE), ("bench", BENCH)):
         original = Path(str(run.manifest.get(kind)))
         if original.is_file() and read_regular(original) != read_regular(run.folder / copy):
-            changes.append(f"{original} was changed since the run began")
+            changes.append(message(f"{original} was changed since the run began"))
     for change in changes:
-        out.print(f"note: {change}; the run goes on with the copy in its folder")
+        out.print(f"note: {change}; the run continues with the copy in its folder")
     if changes and not run.simulated and asker is not None:
-        text = f"{'; '.join(changes)}. Go on as the run was begun, without these changes?"
+        text = f"{'; '.join(changes)}. Continue with the files of the start, without these changes?"
         agree(asker, Prompt(id="changed", kind=PromptKind.CONFIRM, text=text, action={"do": "answer"}))
 
 
@@ -349,7 +350,7 @@ def carry_out(
     if not quiet.get():
         where = "simulated instruments" if run.simulated else "the bench"
         out.print(
-            f"run {run.name} {'goes on' if resume else 'starts'} on {where}: {run.plan.name}, "
+            f"run {run.name} {'continues' if resume else 'starts'} on {where}: {run.plan.name}, "
             f"{len(run.plan.steps)} steps, recorded in {run.folder}"
         )
         out.print(f"procedure {run.manifest.get('procedure')}, bench file {run.manifest.get('bench')}")
@@ -488,11 +489,11 @@ def _refuse_renamed(record: Record) -> None:
     place = record.whereabouts()
     if place == record.folder:
         return
-    now = f"it is {place} now" if place else "it is not found beside the other runs"
+    now = f"it is {place} now" if place else "it is no longer beside the other runs"
     again = place or "FOLDER"
     raise Refused(
-        f"{record.folder}: the run is finished and recorded, but its folder was renamed or moved ({now}); "
-        f"'bench resume {again}' makes its results there"
+        f"{record.folder}: the run is finished, but its folder was moved ({now}); "
+        f"'bench resume {again}' computes its results there"
     )
 
 
@@ -500,7 +501,7 @@ def _recorded(record: Record) -> str:
     """Return a sentence on how many readings are kept, and where; the folder may have been renamed meanwhile."""
     place = record.whereabouts()
     if place is None:
-        return f"{record.folder} was moved or deleted while the run went on"
+        return f"{record.folder} was moved or deleted during the run"
     try:
         done = sum(taken is not None for taken in read_history(place).taken)
     except RecordError as error:
@@ -533,7 +534,7 @@ def unfinished_run(name: str | None, runs: Path, *, results_too: bool = False) -
         return waiting[-1]
     found = find_run(name, runs)
     if found.imported:
-        raise Refused(f"{found.name}: was imported from a readings file; it cannot be resumed")
+        raise Refused(f"{found.name}: was imported from a readings file; it cannot be resumed; calibrate it")
     return found
 
 
@@ -595,5 +596,5 @@ def give_up(run: Run, who: WishAuthor = NOBODY_KNOWN) -> tuple[str, ...]:
     finally:
         record.close()
     if history.progress.power in {"on", "found on", "fault"}:
-        return ("the supply of the block was on when the run stopped; switch it off",)
+        return ("the supply of the block stayed on when the run stopped; switch it off",)
     return ()

@@ -18,6 +18,7 @@ from bench.base.files import to_text
 from bench.base.tables import as_text
 from bench.calibration.budget.meters import may_move
 from bench.calibration.budget.sources import assumed_stand
+from bench.calibration.intrinsic import least_dof
 from bench.calibration.noise import METERS_DRIFT
 from bench.calibration.result import CalibrationError
 from bench.config.bench_file.file import BenchFile
@@ -61,11 +62,11 @@ USUAL_DAYS: Final = 365
 """Default number of days for which a learned file is valid."""
 HEAD_EFFECTS: Final = ("head_eccentricity", "head_ellipticity")
 ONE_STAND: Final = (
-    "the mean of an angle is taken for the stand's, the same in every installation; where installations have "
-    "brackets of their own, --by-installation gives each a mean of its own"
+    "each angle has one mean for all installations; if their brackets differ, --by-installation estimates "
+    "a mean for each"
 )
 OF_THE_REPEATS: Final = (
-    "noise and setting error are those of repeats alone, so that what a model lacks is not charged to them"
+    "noise and setting error come from repeats alone, so that model errors do not enlarge them"
 )
 
 
@@ -104,11 +105,10 @@ class LearningResult:
         """Notes for the reader, a sentence each."""
         own = [OF_THE_REPEATS] if self.by_installation else [ONE_STAND, OF_THE_REPEATS]
         if self.simulated:
-            own.append("these runs are simulated: what is learned counts for simulated runs alone")
+            own.append("these runs are simulated: the result applies to simulated runs only")
         if self.learned.too_many_contradict:
             own.append(
-                "more than a third of the runs contradict the others: this is not one bench, or it was changed in "
-                "between; learn from the runs of one of its states"
+                "more than a third of the runs contradict the others; learn from runs of one bench between changes"
             )
         return tuple(own)
 
@@ -139,11 +139,12 @@ class LearningResult:
         """
         path = Path(path)
         if path.exists():
-            raise Refused(
-                f"{path}: is there already, and a learned file is not overwritten; give another --out"
-            )
+            raise Refused(f"{path}: exists, and a learned file is not overwritten; name another with --out")
         if self.learned.too_many_contradict:
-            raise Refused(f"{path}: not written, for more than a third of the runs contradict the others")
+            raise Refused(
+                f"{path}: not written: more than a third of the runs contradict the others; "
+                "learn from runs of one bench between changes"
+            )
         write_learned(path, self._content(), self.effects)
 
     def _content(self) -> dict[str, Any]:
@@ -242,7 +243,7 @@ def _until(expires: datetime.date | str | None, made: datetime.date) -> datetime
                 f"--expires {expires}: expected a date such as 2027-01-31, or a number of days from now"
             ) from None
     if expires <= made:
-        raise Refused(f"--expires {expires}: is past; give a day to come, or a number of days")
+        raise Refused(f"--expires {expires}: is past; give a later day, or a number of days")
     return expires
 
 
@@ -265,13 +266,14 @@ def _effects_of_model(sources: Sequence[Source]) -> tuple[AppliedEffect, ...]:
     of_block = [a.effect.name for a in effects if a.effect.subsystem is Subsystem.BLOCK]
     if of_block:
         raise Refused(
-            f"{sources[0].request.model}: {', '.join(of_block)} is of a block and not of the bench; learn from a "
-            "model without it"
+            f"{sources[0].request.model}: {', '.join(of_block)} belongs to a block, not to the bench; "
+            "give a model without it"
         )
     own = [a for a in effects if a.installations and any("/" in label for label in a.installations)]
     if own:
         raise Refused(
-            f"{sources[0].request.model}: {own[0].effect.name} is of one mounting alone, and not of the bench"
+            f"{sources[0].request.model}: {own[0].effect.name} belongs to one mounting, not to the bench; "
+            "give a model without it"
         )
     return effects
 
@@ -302,12 +304,12 @@ def _require_one_bench(sources: Sequence[Source]) -> None:
     for source in sources[1:]:
         if learned_for(source.bench) != learned_for(first.bench):
             raise Refused(
-                f"{source.name} is of another bench than {first.name} (stand, head, installations or meters "
-                "differ); say with --bench FILE which one holds for all, or learn from the runs of one"
+                f"{source.name} has another bench than {first.name} (stand, head, installations or meters "
+                "differ); name one for all with --bench FILE, or learn from runs of one"
             )
         if source.simulated != first.simulated:
             raise Refused(
-                f"{source.name} is simulated or {first.name} is, and one of both is not; do not mix them"
+                f"{source.name} is simulated or {first.name} is, and the other is not; use one kind"
             )
     hashes: dict[str, str] = {}
     for source in sources:
@@ -321,13 +323,10 @@ def _require_one_bench(sources: Sequence[Source]) -> None:
 
 FEW_DOF: Final = 4.0
 NOT_RECORDED: Final = (
-    "differences between the voltmeters: no record says which voltmeter read which channel of which block; runs "
-    "do, and readings files that 'bench export' wrote from them"
+    "differences between the voltmeters: the sources do not say which voltmeter read which channel; use "
+    "runs, or readings files of 'bench export'"
 )
-BY_ADDRESS: Final = (
-    "; no record has their serial numbers, so that a voltmeter at another address passes for another (real runs "
-    "keep them; in a dry run only a bench file with certificates does)"
-)
+BY_ADDRESS: Final = "; no record has their serial numbers, so each address counts as another voltmeter"
 NOT_VOLTS: Final = "differences between the voltmeters: the signals are in {unit}"
 
 
@@ -373,12 +372,12 @@ def _meter_run(source: Source, meters: tuple[str, str, str], day: float) -> Mete
         found = calibration_of(source).calibration
     except CalibrationError:
         return None
-    anew = [s.covariance for s in found.sources if not s.cancels and s.of_block is None]
+    fresh = [s.covariance for s in found.sources if not s.cancels and s.of_block is None]
     forms = {c: meter for meter in source.bench.instruments.voltmeters for c in meter.channels}
     drift = [[may_move("voltmeter_gain", forms[c]), may_move("voltmeter_offset", forms[c])] for c in CHANNELS]
     return MeterRun.of(
         source.name, source.block_name, meters, day, found.block.vector,
-        sum(anew, found.covariance_readings), found.block_terms, np.array(drift), float(METERS_DRIFT.days),
+        sum(fresh, found.covariance_readings), found.block_terms, np.array(drift), float(METERS_DRIFT.days),
     )  # fmt: skip
 
 
@@ -465,7 +464,7 @@ def _snapshots(name: str, request: asked.Compare, taken: list[tuple[str, BenchTa
         Snapshot(
             name, date_of(source.made_at, name), source.block_name, found.unit, found.g_m_s2, found.block.vector,
             found.covariance, source.simulated, found.covariance_same_meters, source.meters,
-            found.block_terms if found.sources else None, found.wander,
+            found.block_terms if found.sources else None, found.wander, least_dof(found),
         )
     ]  # fmt: skip
 
@@ -473,7 +472,7 @@ def _snapshots(name: str, request: asked.Compare, taken: list[tuple[str, BenchTa
 def _dated(snapshots: list[Snapshot], dates: Sequence[str]) -> list[Snapshot]:
     if len(dates) != len(snapshots):
         raise Refused(
-            f"--date: {len(dates)} given for {len(snapshots)} calibrations; give one for each, in their order"
+            f"--date: {len(dates)} given for {len(snapshots)} calibrations; give one for each, in order"
         )
     return [replace(s, when=date_of(date, "--date")) for s, date in zip(snapshots, dates, strict=True)]
 
@@ -522,15 +521,14 @@ def at_rest(request: asked.Stability) -> RecordAtRest:
     """
     size, runs = request.size, runs_folder(request.runs)
     if size is not None and not (math.isfinite(size) and size > 0):
-        raise Refused(f"--size {size}: a size is a positive number in the unit of the signals")
+        raise Refused(f"--size {size}: give a positive number in the unit of the signals")
     taken, notes = _bench_of(request.record, runs, request.bench)
     bench = taken.file
     record, run, recorded_s = _record_at_rest(request.record, runs, bench)
     integration_s = request.integration or recorded_s or record.interval_s
     if not 0 < integration_s <= record.interval_s:
         raise Refused(
-            f"--integration {integration_s:g}: a sample cannot integrate longer than the {record.interval_s:.4g} s "
-            "from one to the next"
+            f"--integration {integration_s:g}: give at most the {record.interval_s:.4g} s between samples"
         )
     found = stability_of(
         record, integration_s, size, bench.line_frequency, bench.nplc_supported, bench.most_samples
@@ -564,10 +562,7 @@ def _record_at_rest(name: str, runs: Path, bench: BenchFile) -> tuple[StaticReco
     readings = run.readings()
     settings = set(zip(readings.installation, readings.series, readings.target_rad, strict=True))
     if len(settings) > 1:
-        raise Refused(
-            f"{name}: the block was turned in this run; a static record is one setting "
-            "(procedure 'stability')"
-        )
+        raise Refused(f"{name}: the block was turned in this run; record one setting (procedure 'stability')")
     integrated = {step.samples * step.nplc for step in run.plan.steps if isinstance(step, Read)}
     integration_s = min(integrated) / bench.line_frequency if integrated else None
     return from_columns(name, readings.unit, readings.time_s, readings.signal), run, integration_s

@@ -105,10 +105,10 @@ class InstrumentLook:
         """All faults, including that of the self-test."""
         found = [self.failure] if self.failure is not None else []
         if self.test_failed:
-            remedy = "take the cables off its input and test again; if it fails again, have it serviced"
+            remedy = "disconnect its input and test again; if it fails again, have it serviced"
             found.append(BenchError(self.name, f"its self-test failed: {self.self_test}", remedy))
         if self.to_do:
-            found.append(BenchError(self.name, "it was not left safe", self.to_do))
+            found.append(BenchError(self.name, "it could not be made safe", self.to_do))
         return found
 
     @property
@@ -171,7 +171,7 @@ def _look_at_all(
                 thread.join(max(0.0, deadline_s - clock.now_s()))
                 if thread.is_alive():
                     row.failure = InstrumentLost(
-                        row.name, f"did not come to an end within {_LONGEST_S:g} s", "switch it off and on"
+                        row.name, f"did not end within {_LONGEST_S:g} s", "switch it off and on"
                     )
         finally:
             for thread, instrument, row in zip(threads, instruments, rows, strict=True):
@@ -180,7 +180,7 @@ def _look_at_all(
     except KeyboardInterrupt:
         if to_do := [f"{row.name} {row.to_do}" for row in rows if row.to_do]:
             raise BenchError(
-                "instruments", "stopped, and not everything was left safe", "; ".join(to_do)
+                "instruments", "stopped, but not everything could be made safe", "; ".join(to_do)
             ) from None
         raise
 
@@ -201,7 +201,7 @@ def _look_at(instrument: Instrument, row: InstrumentLook, range_v: float) -> Non
         row.failure = error
     except Exception as error:  # one driver's mistake must not hide what the others show
         cause = f"the driver failed with {type(error).__name__} ({error})"
-        row.failure = BenchError(row.name, cause, "repeat it with --wire-log FILE and report what that shows")
+        row.failure = BenchError(row.name, cause, "repeat it with --wire-log FILE and report the log")
     finally:
         row.to_do = let_go(instrument)
 
@@ -289,8 +289,8 @@ def commission(setting: CommissioningPlan) -> dict[str, Any]:
             write_whole(setting.folder / PAGE, render_commissioning(result))
         except OSError as error:
             raise Refused(
-                f"{error.filename}: cannot be written ({error.strerror}); the bench is left safe, what was found "
-                "is on the screen"
+                f"{error.filename}: cannot be written ({error.strerror}); the bench is safe; the findings "
+                "are on the screen only"
             ) from error
     return result
 
@@ -298,7 +298,7 @@ def commission(setting: CommissioningPlan) -> dict[str, Any]:
 def _take(folder: Path) -> None:
     """Create the folder of a commissioning. Raises `Refused` if that fails or it holds another commissioning."""
     if (folder / PAGE).exists() or (folder / WIRE_LOG).exists():
-        raise Refused(f"{folder}: holds a commissioning already; name another folder with --out")
+        raise Refused(f"{folder}: already holds a commissioning; name another folder with --out")
     try:
         folder.mkdir(parents=True, exist_ok=True)
         (folder / WIRE_LOG).touch()

@@ -80,9 +80,7 @@ def accept_terms(request: Accept) -> tuple[Path, Path]:
     beside = model.with_name(f"{model.stem}-{name}{model.suffix}")
     for path in (place, beside):
         if path.exists():
-            raise Refused(
-                f"{path}: a file of that name is there and is not overwritten; say --out FILE or move it"
-            )
+            raise Refused(f"{path}: this file exists and was not overwritten; give --out FILE or move it")
     effects = [replace(a, effect=effect) if a.effect is accepted.effect else a for a in accepted.effects]
     try:
         place.write_text(yaml.safe_dump(effects_text([effect]), sort_keys=False, allow_unicode=True), "utf-8")
@@ -96,7 +94,7 @@ def accept_terms(request: Accept) -> tuple[Path, Path]:
             dark_uncertainty=file.dark_uncertainty,
         )
     except OSError as error:
-        raise Refused(f"{error.filename}: it cannot be written ({error.strerror}); say --out FILE") from None
+        raise Refused(f"{error.filename}: cannot be written ({error.strerror}); give --out FILE") from None
     except FileMistakes as mistakes:
         raise Refused(str(mistakes)) from None
     return place, beside
@@ -115,8 +113,8 @@ def simulated_truth(bench: BenchFile, model: Path | None) -> ForwardModel:
         passes = [label for label in applied.installations if PASS in label]
         if passes:
             raise Refused(
-                f"effect {applied.effect.name} of {', '.join(passes)}: the simulated bench has effects of whole "
-                "mountings and cannot have one of single passes; name the installations alone (such as "
-                f"'{passes[0].split(PASS)[0]}'), or leave it out"
+                f"effect {applied.effect.name} of {', '.join(passes)}: the simulated bench cannot have an "
+                "effect in single passes; name installations without passes (such as "
+                f"'{passes[0].split(PASS)[0]}'), or remove it"
             )
     return ForwardModel(installations, effects)

@@ -122,20 +122,20 @@ def _refuse_contradictions(request: PlanPoints) -> None:
     """Raise `Refused` for options that do not go together, before anything is computed."""
     if not request.has_goals and request.time is None:
         raise Refused(
-            "say what is to be reached (--u Kyx=20e-6, --u all=5e-5, --delta-g 1e-4, --modulus 1e-3 --up-to 5) "
-            "or how long it may take (--time 4h)"
+            "no goal given; give a goal (--u all=5e-5, --delta-g 1e-4, --modulus 1e-3 --up-to 5) or a "
+            "duration (--time 4h)"
         )
     if request.up_to is not None and request.modulus is None:
-        raise Refused("--up-to belongs to --modulus: the uncertainty of |a| up to so many g")
+        raise Refused("--up-to needs --modulus (the uncertainty of |a| up to so many g); add it")
     if request.least not in {"time", "settings"}:
-        raise Refused(f"--least is time or settings, not {request.least!r}")
+        raise Refused(f"--least: give time or settings, not {request.least!r}")
     if not 3 <= request.angles <= MOST_ANGLES:
-        raise Refused(f"--angles {request.angles}: between 3 and {MOST_ANGLES} angles a turn")
+        raise Refused(f"--angles {request.angles}: give 3 to {MOST_ANGLES} angles a turn")
     out = request.out
     if out is not None and out.exists():
-        raise Refused(f"--out {out}: this file exists and is not overwritten; give another name")
+        raise Refused(f"--out {out}: this file exists and was not overwritten; choose another name")
     if out is not None and not out.absolute().parent.is_dir():
-        raise Refused(f"--out {out}: there is no such folder")
+        raise Refused(f"--out {out}: no such folder; create it or name another")
 
 
 def stand_of(
@@ -172,7 +172,7 @@ def delta_g_of(stand: Stand, asked_g: float, option: str) -> list[Goal]:
     """
     if VERIFICATION not in stand.model.installations:
         raise Refused(
-            f"{option} needs the installation V of the verification points; state it in the bench file"
+            f"{option} needs the installation V of the verification points; add it to the bench file"
         )
     angles = np.radians(np.array(VERIFICATION_DEG, dtype=np.float64))
     turn = stand.model.installations[VERIFICATION].block_from_platform
@@ -191,7 +191,7 @@ def duration_s(option: str, text: str) -> float:
     """Return the time that an option states, s. Raises `Refused` for an invalid time."""
     seconds = quantity(option, text, DURATION, plain=False)
     if seconds < 0:
-        raise Refused(f"{option} {text}: a time is not negative")
+        raise Refused(f"{option} {text}: give a time of 0 or more")
     return seconds
 
 
@@ -204,7 +204,7 @@ def _times(request: PlanPoints) -> Times:
         duration_s("--warm-up", request.warm_up),
     )
     if times.turn_s <= 0:
-        raise Refused("--cost-setting: a setting takes some time; give at least 1 s")
+        raise Refused("--cost-setting: give at least 1 s for a setting")
     return times
 
 
@@ -218,7 +218,7 @@ def mountings(bench: BenchFile, installations: str | None, visits: int) -> list[
     if strange:
         raise Refused(
             f"--installations: {bench.name} has no installation {', '.join(strange)} for a calibration "
-            f"(it has {', '.join(known)}); state it in the bench file"
+            f"(it has {', '.join(known)}); add it to the bench file"
         )
     return [Mounting(series, label) for series in range(1, visits + 1) for label in labels]
 
@@ -257,7 +257,9 @@ def _write_procedure(
         with file.open("x", encoding="utf-8") as stream:
             stream.write(text)
     except FileExistsError:
-        raise Refused(f"--out {file}: this file exists and is not overwritten; give another name") from None
+        raise Refused(
+            f"--out {file}: this file exists and was not overwritten; choose another name"
+        ) from None
     problems = check_against(load_procedure(file).expand(), bench)
     if problems:
         raise Refused(f"{file}: " + "; ".join(problems))
@@ -428,7 +430,7 @@ def _target(request: Require, bench: BenchFile, *, reading: bool) -> tuple[Targe
     """Return the quantity with a required accuracy, its unit, and the kind of quantity that the accuracy is."""
     of, up_to = request.of, request.up_to
     if up_to is not None and of not in ACCELERATIONS:
-        raise Refused("--up-to belongs to --of acceleration and --of modulus")
+        raise Refused("--up-to needs --of acceleration or --of modulus; add one")
     if of == DELTA_G:
         return of_delta_g(reading=reading), "g", ACCELERATION
     if of in ACCELERATIONS:
@@ -447,29 +449,29 @@ def _up_to_g(up_to: str | None, bench: BenchFile) -> float:
         return bench.unit_under_test.range
     up_to_g = quantity("--up-to", up_to, ACCELERATION)
     if not (math.isfinite(up_to_g) and up_to_g > 0):
-        raise Refused(f"--up-to {up_to}: an acceleration above zero, such as 5g")
+        raise Refused(f"--up-to {up_to}: give an acceleration above 0, such as 5g")
     return up_to_g
 
 
 def _costs(share: str, given: Sequence[str], names: Sequence[str]) -> dict[str, float] | None:
     """Return the cost weights by error; None for equal parts of the variance. Raises `Refused` for invalid ones."""
     if share not in {"equal", "cost"}:
-        raise Refused(f"--share is equal or cost, not {share!r}")
+        raise Refused(f"--share: give equal or cost, not {share!r}")
     if given and share != "cost":
-        raise Refused("--cost belongs to --share cost")
+        raise Refused("--cost needs --share cost; add it")
     if share == "equal":
         return None
     costs = {}
     for text in given:
         name, weight = named("--cost", text, "mounting_error=4")
         if name not in names:
-            raise Refused(f"--cost {text}: no error {name!r} to share; there are {', '.join(names)}")
+            raise Refused(f"--cost {text}: no error {name!r} to share; choose from {', '.join(names)}")
         try:
             costs[name] = float(weight)
         except ValueError:
             costs[name] = math.nan
         if not (math.isfinite(costs[name]) and costs[name] > 0):
-            raise Refused(f"--cost {text}: a weight is a positive number")
+            raise Refused(f"--cost {text}: give a positive weight")
     return costs
 
 

@@ -116,8 +116,8 @@ def _state_and_next(run: Run, digest: Digest) -> tuple[str, str]:
 
 
 NOTHING_OUTSIDE = (
-    "nothing outside the folder stands for this: lines taken off the end, or a whole chain computed anew, would "
-    "not show; --head with the head from a result, a report or a seal kept elsewhere shows them"
+    "this does not reveal removed last lines or a recomputed chain; --head with the head from a result, a "
+    "report or a seal kept elsewhere does"
 )
 
 
@@ -151,7 +151,9 @@ def seal_run(request: SealRun, passphrase: Callable[[], bytes]) -> SealResult:
     try:
         return SealResult(seal, write_seal(run.folder, seal), missing)
     except OSError as error:
-        raise Refused(f"{error.filename}: cannot be written ({error.strerror}); nothing is sealed") from error
+        raise Refused(
+            f"{error.filename}: cannot be written ({error.strerror}); nothing was sealed"
+        ) from error
 
 
 def proof_of(run: Run, request: ShowRun) -> tuple[list[str], list[str]]:
@@ -162,26 +164,26 @@ def proof_of(run: Run, request: ShowRun) -> tuple[list[str], list[str]]:
     """
     head, key, authority = request.head, request.key, request.authority
     if head is not None and re.fullmatch(r"[0-9a-f]{64}", head.lower()) is None:
-        raise Refused(f"--head {head}: a head is the SHA-256 of a line, 64 hexadecimal digits")
+        raise Refused(f"--head {head}: give the SHA-256 of a line, 64 hexadecimal digits")
     given = None if key is None else read_public_key(key)
     told, problems = [f"head: {run.history.head}"], []
     outside = False
     if head is not None:
         if head.lower() == run.history.head:
             outside = True
-            told.append(
-                "the head is the one given: no line was changed, removed or added since that was noted"
-            )
+            told.append("the head equals the given one: no line was changed, removed or added since")
         else:
             problems.append(
-                "the head is not the one given: the record is not the one of which that was noted"
+                "the head differs from the given one: the record was changed, or the head is of another run"
             )
     try:
         seal = read_seal(run.folder)
         if seal is None:
             told.append("no seal")
             if key is not None or authority is not None:
-                problems.append("there is no seal that a key or an authority could stand for")
+                problems.append(
+                    "the run has no seal for the key or the authority to confirm; make one with 'bench seal'"
+                )
         else:
             outside |= _signature(seal, given, told, problems)
             outside |= _time_stamp(seal, authority, told, problems)
@@ -197,32 +199,37 @@ def _signature(seal: Seal, given: Ed25519PublicKey | None, told: list[str], prob
     """Add sentences on the signature to `told` or `problems`; return whether the given key signed the seal."""
     if not seal.signature:
         told.append(
-            f"sealed at {seal.events} events, not signed: who can write the folder can write such a seal"
+            f"sealed at {seal.events} events, not signed: anybody who can write the folder could have "
+            "made this seal"
         )
         if given is not None:
-            problems.append("the seal is not signed, so that the key given says nothing of it")
+            problems.append("the seal is not signed; the given key cannot confirm it")
         return False
     key = public_key(seal.public_key, "the seal")
     if not is_signed(key, seal.signature, seal.signed_bytes):
-        problems.append("the signature is not one of this seal")
+        problems.append("the signature does not belong to this seal")
         return False
     name = fingerprint(key)
     if given is None:
-        told.append(f"sealed at {seal.events} events, signed with the key {name}; whose that is, --key tells")
+        told.append(
+            f"sealed at {seal.events} events, signed with the key {name}; --key FILE tells whose key that is"
+        )
         return False
     if fingerprint(given) != name:
-        problems.append(f"the seal is signed with another key than the one given: {name}")
+        problems.append(f"the seal is signed with another key than the given one: {name}")
         return False
-    told.append(f"sealed at {seal.events} events, signed with the key given: by who has its private half")
+    told.append(
+        f"sealed at {seal.events} events, signed with the given key, by the owner of its private half"
+    )
     return True
 
 
 def _time_stamp(seal: Seal, authority: Path | None, told: list[str], problems: list[str]) -> bool:
     """Add sentences on the time stamp to `told` or `problems`; return whether a trusted authority made it."""
     if not seal.time_stamp:
-        told.append(f"no time stamp: that it was sealed at {seal.sealed} is what the computer's clock said")
+        told.append(f"no time stamp: that it was sealed at {seal.sealed} is by the computer's clock only")
         if authority is not None:
-            problems.append("the seal has no time stamp that the authority could stand for")
+            problems.append("the seal has no time stamp for the authority to confirm")
         return False
     try:
         stamp = read_time_stamp(seal.time_stamp, seal.stamped_bytes, authority)
@@ -231,7 +238,7 @@ def _time_stamp(seal: Seal, authority: Path | None, told: list[str], problems: l
         return False
     at = stamp.time.isoformat()
     if stamp.trusted:
-        told.append(f"time-stamped by the authority given: the record is not later than {at}")
+        told.append(f"time-stamped by the given authority: the record existed by {at}")
     else:
-        told.append(f"its time stamp says {at}; who stands for it, --authority FILE tells")
+        told.append(f"its time stamp says {at}; --authority FILE tells whose it is")
     return stamp.trusted

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from bench.base.computing import versions
+from bench.base.languages import message
 from bench.base.text import civil_minute, repeated, shown_path
 from bench.calibration.budget.meters import KnownMeters
 from bench.calibration.noise import KnownStand
@@ -57,7 +58,7 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 WHAT_IF = "what-if"
-NO_GRAVITY = "gives no local gravity; add 'gravity' to it, or say --g 9.81 (m/s²)"
+NO_GRAVITY = "gives no local gravity; add 'gravity' to it, or give --g 9.81 (m/s²)"
 LEAST_GRAVITY, MOST_GRAVITY = 9.75, 9.85
 
 
@@ -209,14 +210,14 @@ def load_sources(request: Request) -> list[Source]:
 def check_places(request: Request) -> None:
     """Raise `Refused` if two sources would write the same files, or if `out` is an existing file."""
     if request.out is not None and request.out.exists() and not request.out.is_dir():
-        raise Refused(f"--out {request.out}: a file of that name is there; give a folder")
+        raise Refused(f"--out {request.out}: this is a file; name a folder")
     places = []
     for name in request.sources:
         if isinstance(name, str):
             with suppress(Refused, RecordError, OSError):  # one that is not there writes nothing
                 places.append(_output(name, _run_of(name, request.runs), request.out, "", ""))
     for place in repeated(map(str, places)):
-        raise Refused(f"--out: two sources would write {place}*; give each a folder of its own")
+        raise Refused(f"--out: two sources would write {place}*; give each its own folder")
 
 
 def _output(name: str, run: Run | None, out: Path | None, command: str, suffix: str) -> Path:
@@ -327,7 +328,7 @@ def _on_check_block(run: Run) -> tuple[str, ...]:
     if told is None or "said" not in told or told.get("state") == "in control":
         return ()
     reason = told.get("despite")
-    went_on = f"the run was begun all the same: {reason}" if reason else "the bench file's rule is to warn"
+    went_on = f"the run was started nevertheless: {reason}" if reason else "the bench file's rule is to warn"
     return (f"check block: {told['said']}; {went_on}",)
 
 
@@ -361,7 +362,7 @@ def _of_model_file(
 ) -> tuple[ForwardModel, tuple[str, ...]]:
     """Return the model of a model file, with notes.
 
-    If the model was found in these readings, its values are estimated anew: as priors they would count the
+    If the model was found in these readings, its values are estimated again: as priors they would count the
     readings twice.
     """
     model = replace(plain, effects=file.applied_effects(), name=file.name)
@@ -369,11 +370,14 @@ def _of_model_file(
     if file.dark_uncertainty is not None:
         dark = (
             f"model {file.name} leaves {file.dark_uncertainty} in each reading unexplained (dark uncertainty): "
-            "it has terms without a name",
+            "it has unnamed terms",
         )
     if not _knows(file.data_sha256, readings):
         return model, dark
-    note = f"model {file.name} was found in these very readings: its values are estimated anew, not used as known"
+    note = (
+        f"model {file.name} was found in these same readings: its values are estimated again, not used as "
+        "prior values"
+    )
     return replace(model, effects=tuple(replace(a, u={}) for a in model.effects)), (note, *dark)
 
 
@@ -390,7 +394,7 @@ def _run_of(name: str, runs: Path) -> Run | None:
 def check_gravity(g_m_s2: float | None) -> None:
     """Raise `Refused` for a local gravity (m/s²) that does not occur on Earth."""
     if g_m_s2 is not None and not LEAST_GRAVITY <= g_m_s2 <= MOST_GRAVITY:
-        raise Refused(f"--g {g_m_s2:g}: local gravity lies between 9.75 and 9.85 m/s² on Earth")
+        raise Refused(f"--g {g_m_s2:g}: give local gravity between 9.75 and 9.85 m/s²")
 
 
 # --- several sources, each by itself: a failure does not stop the others -------------------------------
@@ -460,8 +464,8 @@ def provenance(source: Source) -> dict[str, str]:
     run, origin = source.run, source.origin
     stated = {
         "source": shown_path(source.name),
-        "unit under test": source.block_name or "not stated",
-        "bench": f"{source.taken.words} (SHA-256 {source.taken.sha256})",
+        "unit under test": source.block_name or message("not stated"),
+        "bench": message(f"{source.taken.words} (SHA-256 {source.taken.sha256})"),
         "model": source.model.name,
         **source.traced.stated(),
     }
@@ -479,7 +483,7 @@ def provenance(source: Source) -> dict[str, str]:
         stated["supply of the block"] = supply
     if run is not None:
         head = run.record_head
-        stated["record"] = f"{head['events']} events, chain of hashes whole, head {head['head']}"
+        stated["record"] = f"{head['events']} events, chain of hashes complete, head {head['head']}"
     if origin is not None:
         stated["measured with"] = _listed(origin.measured_with)
     stated["evaluated with"] = _listed(versions())
@@ -487,11 +491,11 @@ def provenance(source: Source) -> dict[str, str]:
 
 
 def _measured(origin: Origin) -> dict[str, str]:
-    """Return the facts known of the run that measured the readings: date, operator, unit and instruments."""
+    """Return the recorded date, operator, procedure and instruments of the run, by name, for a report."""
     stated = {"begun": civil_minute(origin.begun), "operator": origin.operator or "not stated"}
     if origin.procedure:
-        stated["procedure"] = f"{shown_path(origin.procedure)} (plan SHA-256 {origin.plan_hash})"
-        stated["instruments"] = "simulated" if origin.simulated else "real"
+        stated["procedure"] = message(f"{shown_path(origin.procedure)} (plan SHA-256 {origin.plan_hash})")
+        stated["instruments"] = message("simulated") if origin.simulated else message("real")
     return stated | origin.instruments
 
 

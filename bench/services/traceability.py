@@ -10,6 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from bench.base.languages import message
 from bench.calibration.budget.meters import KnownMeters, LearnedDifferences, LearnedMeters, known_meters
 from bench.calibration.noise import KnownNoise, KnownStand
 from bench.config.bench_file.file import (
@@ -78,19 +79,23 @@ class Traced:
 
     def stated(self) -> dict[str, str]:
         """Return a description of each certificate for the page, by its instrument."""
-        return {f"certificate of {s.instrument}": _in_words(s, why_not) for s, why_not in self.entries}
+        return {
+            message(f"certificate of {s.instrument}"): _in_words(s, why_not) for s, why_not in self.entries
+        }
 
 
 def _in_words(standing: Standing, why_not: str) -> str:
     certificate, answered = standing.certificate, standing.answered
     until = certificate.valid_until
-    parts = [f"{certificate.number} of {certificate.date}, {certificate.laboratory}"]
+    parts = [message(f"{certificate.number} of {certificate.date}, {certificate.laboratory}")]
     if until is not None:
-        parts.append(f"EXPIRED on {until}" if standing.expired else f"valid until {until}")
+        parts.append(message(f"EXPIRED on {until}") if standing.expired else message(f"valid until {until}"))
     if certificate.serial:
-        said = "not compared" if answered is None else f"{answered or 'none'} answered"
-        parts.append(f"serial number {certificate.serial} ({said})")
-    parts.append(f"nothing corrected: {why_not}" if why_not else f"corrected: {standing.correction}")
+        said = message("not compared") if answered is None else message(f"{answered or 'none'} answered")
+        parts.append(message(f"serial number {certificate.serial} ({said})"))
+    parts.append(
+        message(f"nothing corrected: {why_not}") if why_not else message(f"corrected: {standing.correction}")
+    )
     return "; ".join(parts)
 
 
@@ -144,11 +149,11 @@ def _why_not(standing: Standing, taken: BenchTaken, readings: Readings, origin: 
     if not standing.correction:
         return _NOTHING
     if readings.corrected:
-        return "the readings at hand are corrected already"
+        return "these readings are corrected already"
     if origin is not None and origin.simulated:
         same = origin.bench.sha256 == taken.sha256
         had_it = of_meter and same and taken.file.simulation.voltmeter.accuracy == CERTIFICATE
-        return "" if had_it else "the instruments were simulated without the errors that are stated there"
+        return "" if had_it else "the instruments were simulated without the errors in the certificates"
     if of_meter and readings.unit != VOLTS:
         return f"the signals are in {readings.unit}"
     return ""
@@ -238,24 +243,24 @@ def take_learned(
         return NOTHING_LEARNED
     told = f"what was learned of bench {file.bench} from {len(file.runs)} runs ({file.made})"
     if file.has(head, hashes):
-        why = "these readings are among them, and would count twice"
+        why = "these readings are among them and would count twice"
     elif file.expired(day):
-        why = f"it expired on {file.expires}; learn anew"
+        why = f"it expired on {file.expires}; learn again"
     elif simulated is False and file.simulated:
-        why = "it comes from simulated runs, and these readings do not"
+        why = "it comes from simulated runs; these readings are real"
     else:
-        notes = [f"{told} stands in place of the stated limits of the stand"]
+        notes = [f"{told} replaces the stated limits of the stand"]
         if simulated is None and file.simulated:
             notes.append(SIMULATED.format(bench=file.bench))
         if simulated and not file.simulated:
-            notes.append("these readings are simulated, what was learned is not")
+            notes.append("these readings are simulated; the learned file is from real runs")
         known = _known(file, unit)
         if known.noise is None:
             notes.append(
-                f"the learned noise is in {file.noise.unit}, these readings in {unit}: it does not count"
+                f"the learned noise is in {file.noise.unit}, these readings in {unit}: it is not used"
             )
         return LearnedTaken(known, file.applied_effects(), file.own_effects(), tuple(notes))
-    return LearnedTaken(notes=(f"{told} is not used: {why}; the stated limits count",))
+    return LearnedTaken(notes=(f"{told} is not used: {why}; the stated limits are used",))
 
 
 def learned_for_run(bench: BenchFile, path: Path, created: str, *, simulated: bool | None) -> LearnedTaken:
@@ -282,7 +287,10 @@ def with_meters(
     if file.meters is None:
         return found
     if not meters:
-        note = "how the voltmeters differ was learned, but not who read here: it does not count"
+        note = (
+            "differences of the voltmeters were learned, but these readings do not name their voltmeters: "
+            "not used"
+        )
         return replace(found, notes=(*found.notes, note))
     names = [meters[meter.channels[0]] for meter in bench.instruments.voltmeters]
     known, notes = known_meters(bench, day, names, learned_meters(file.meters))

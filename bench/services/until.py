@@ -127,7 +127,7 @@ def stated_aim(texts: Sequence[str], stand: Stand, bench: BenchFile) -> Aim:
     for combined, asked_of in sizes.items():
         wanted += [UntilGoal(goal, combined) for goal in coefficient_goals(asked_of)]
     if not wanted and limit_s is None:
-        raise Refused(f"--until: say what is to be reached, such as {EXAMPLE}")
+        raise Refused(f"--until: give a goal, such as {EXAMPLE}")
     if not wanted:
         return Aim((UntilGoal(vector_goal(stand.block, 1.0, NO_GOAL)),), limit_s)
     whole = UntilGoal(whole_goal(stand.block, [one.goal for one in wanted]))
@@ -136,15 +136,15 @@ def stated_aim(texts: Sequence[str], stand: Stand, bench: BenchFile) -> Aim:
 
 def _positive(text: str, size: float) -> float:
     if not size > 0:
-        raise Refused(f"--until {text}: a time is positive")
+        raise Refused(f"--until {text}: give a positive time")
     return size
 
 
 def _of_force(name: str, asked: float, stand: Stand, bench: BenchFile, combined: bool) -> list[UntilGoal]:
     if name == "delta-g" and combined:
         raise Refused(
-            "--until combined:delta-g: of Δg only what the readings show is chosen by, for gain and zero of the "
-            "meters act on calibration and check alike; say delta-g, and let 'bench verify' state the whole"
+            "--until combined:delta-g: gain and zero of the meters cancel in Δg; give delta-g, and read "
+            "the combined u from 'bench verify'"
         )
     goals: list[Goal] = []
     match name:
@@ -159,7 +159,7 @@ def _of_force(name: str, asked: float, stand: Stand, bench: BenchFile, combined:
 
 def _asked(size: float) -> float:
     if not size > 0:
-        raise Refused(f"--until vector={size:g}: the uncertainty asked for is a positive number")
+        raise Refused(f"--until vector={size:g}: give a positive uncertainty")
     return size
 
 
@@ -201,19 +201,19 @@ def _refuse_below_floor(found: Sequence[Floor]) -> None:
     )
     others = list(dict.fromkeys(f.wanted.name for f in found if f.wanted.name != worst.wanted.name))
     raise Refused(
-        f"--until: no number of readings at these points brings the {worst.wanted.name} below "
+        f"--until: no number of readings at these points lowers the {worst.wanted.name} below "
         f"{size_in_words(worst.u, unit)}, and {size_in_words(worst.wanted.goal.asked, unit)} is asked for; "
         f"what makes it: {parts}"
         + (f"; nor the {', '.join(others)}" if others else "")
-        + "; ask for less, or better these"
+        + "; relax the goal, or reduce these errors"
     )
 
 
 def _refuse_too_short(aim: Aim, pool: Pool) -> None:
     if aim.limit_s is not None and aim.limit_s <= pool.always_s + sum(v.time_s for v in pool.visits[:1]):
         raise Refused(
-            f"--until time: {aim.limit_s / 3600:.3g} h are too short: warm-up, verification points and one "
-            f"mounting take {(pool.always_s + pool.visits[0].time_s) / 3600:.3g} h"
+            f"--until time: {aim.limit_s / 3600:.3g} h are too short; give more, as warm-up, verification "
+            f"points and one mounting need {(pool.always_s + pool.visits[0].time_s) / 3600:.3g} h"
         )
 
 
@@ -333,7 +333,7 @@ def look_ahead(request: Check) -> Findings:
     """
     bench = None if request.bench is None else str(request.bench)
     plan, file = _load(request.procedure, bench)
-    found = _find(plan, file, runs_folder(request.runs))
+    found = findings_of(plan, file, runs_folder(request.runs))
     if not request.until:
         return found
     learned = learned_for_run(file, bench_path(bench), utc_now().isoformat(), simulated=None)
@@ -359,14 +359,15 @@ def _load(procedure: str, bench_name: str | None) -> tuple[Plan, BenchFile]:
     return plan, bench
 
 
-def _find(plan: Plan, bench: BenchFile, runs: Path) -> Findings:
+def findings_of(plan: Plan, bench: BenchFile, runs: Path) -> Findings:
+    """Return the findings of `bench check` on a plan; `runs` is the folder whose free space counts."""
     supply = bench.unit_under_test.supply
     needed, free = disk_needed_bytes(plan), _free_bytes(runs)
     problems = check(plan, bench)
     if needed > free:
         problems.append(
-            f"{runs}: a run needs about {disk_space(needed)} of disk, and {disk_space(free)} are free; make "
-            "room or choose another folder with --runs"
+            f"{runs}: a run needs about {disk_space(needed)} of disk, and {disk_space(free)} are free; "
+            "free disk space or choose another folder with --runs"
         )
     open_at = {at_c: undetermined(force) for at_c, force in orientations(plan, bench).items()}
     outlook = _outlook(plan, bench) if () in open_at.values() else None
@@ -402,8 +403,8 @@ def _hints(bench: BenchFile) -> Iterator[str]:
     for meter in bench.instruments.voltmeters:
         if is_serial(meter.resource) and meter.interface == "lan":
             yield (
-                f"{meter.name}: {meter.resource} is a serial port, and a meter there takes commands only when put "
-                "into remote: say 'interface: rs232' (without it, it is taken for a meter of bench simulate)"
+                f"{meter.name}: {meter.resource} is a serial port, where a real meter needs remote mode; "
+                "state 'interface: rs232' (without it, it counts as a meter of 'bench simulate')"
             )
 
 

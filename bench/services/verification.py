@@ -78,7 +78,7 @@ class VerdictOptions:
         """Raise `Refused` with all invalid values among limit, rule, guard band and population."""
         mistakes = []
         if self.limit_g is not None and not (math.isfinite(self.limit_g) and self.limit_g > 0):
-            mistakes.append(f"--limit {self.limit_g}: a limit is a positive number of g, such as 3e-4")
+            mistakes.append(f"--limit {self.limit_g}: give a positive limit in g, such as 3e-4")
         try:
             DecisionRule.of(self.rule, self.guard_band)
         except CalibrationError as mistake:
@@ -305,13 +305,15 @@ def _of_another_day(taken: Coefficients, source: Source) -> tuple[Floats, tuple[
         )  # fmt: skip
         joint = weight * found if same else joint + weight * found
     if taken.same_meters is None:
-        said = "the coefficients' uncertainty is that of an earlier version's result: of its readings alone"
+        said = "the coefficients' uncertainty, from an earlier version, covers its readings alone"
     elif part == 0.0:
         said = "the same meters as at the calibration, on one day: their gain and offset cancel"
     elif part < 1.0:
-        said = f"the same meters as at the calibration: {part:.0%} of their limits counts, for their drift"
+        said = (
+            f"the same meters as at the calibration: {part:.0%} of their limits is included, for their drift"
+        )
     else:
-        said = "not known to be the meters of the calibration: the gain and offset of both are in u"
+        said = "perhaps other meters than at the calibration: u includes gain and offset of both"
     if taken.g_m_s2 != source.g_m_s2:
         there = {error.name: error.u for error in hidden_sources(source.bench, source.model)}.get(
             "gravity", 0.0

@@ -57,16 +57,20 @@ def allan_curve(signal: Floats, interval_s: float, multiples: Sequence[int] | No
     sample is not a number.
     """
     if not np.all(np.isfinite(signal)):
-        raise CalibrationError("a sample is not a number; an Allan deviation needs a record without holes")
+        raise CalibrationError(
+            "a sample is not a number; an Allan deviation needs a record without gaps; cut it there"
+        )
     if np.ptp(signal) == 0.0:
         raise CalibrationError(
-            "a signal is the same in every sample; check its cable, and that the record has enough digits"
+            "a signal is the same in every sample; check its cable and the digits of the record"
         )
     most = len(signal) // LONGEST_PART
     asked = 2 ** np.arange(int(np.log2(most)) + 1) if multiples is None else np.unique(multiples)
     found = asked[(asked > 0) & (2 * asked < len(signal))].astype(np.int64)
     if not len(found):
-        raise CalibrationError(f"{len(signal)} samples are too few for two differences of such averages")
+        raise CalibrationError(
+            f"{len(signal)} samples are too few for two differences of such averages; average fewer"
+        )
     # without the mean: in running sums a large mean would swallow the last digits of the noise
     sums = np.concatenate([[0.0], np.cumsum(signal - signal.mean())])
     deviation = [_deviation(sums, m) for m in found.tolist()]

@@ -188,7 +188,7 @@ def centre_of(values: Floats, covariances: Floats, basis: Basis) -> Centre:
     if runs < (least := least_runs(basis, p)):
         raise CalibrationError(
             f"limits from '{basis}' need a baseline of {least} runs for {p} coefficients, and there are {runs}; "
-            "measure the check block more often, or let the limits be from 'stated'"
+            "measure the check block more often, or choose limits from 'stated'"
         )
     if basis == "scatter":
         mean = values.mean(axis=-2)

@@ -235,10 +235,11 @@ def _curved(kept: Sequence[Weighed], G: Floats, h: Floats, X: Floats) -> tuple[F
 class CalibrationSpread:
     """Scatter of a laboratory's calibrations without the units' own drift, 1 sigma each.
 
-    `scatter` is beyond the stated u: its root mean square weighted by the likelihood, so that few calibrations make
-    it larger. It lies between `scatter_least` and `scatter_most` with 90 %. `bench` is the spread of benches of
-    maximum likelihood, `bench_most` its upper 95 % limit. `rate` (a year) and `walk` (in a year) are the drifts of
-    units, zero unless significant; `p` is the p-value of no drift.
+    `scatter` is what exceeds the stated u: a root mean square over sizes weighted by their likelihood, which is
+    larger for few calibrations. `scatter_least` and `scatter_most` are its 90 % limits. `bench` is the
+    maximum-likelihood spread of the benches, `bench_most` its upper 95 % limit.
+    `rate` (a year) and `walk` (in a year) are the drifts of units, zero unless significant; `p` is the p-value
+    of no drift.
     """
 
     scatter: float

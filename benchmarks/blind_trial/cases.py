@@ -298,16 +298,10 @@ def _true_visibility(row: Row, *, verification: bool = False) -> Visibility:
 def _hidden(truth: Truth, run: Run, row: Row) -> HiddenEffect:
     change = signature(run, truth)
     return HiddenEffect(
-        truth.name,
-        truth.channels,
-        truth.mounts,
-        truth.shape,
-        float(truth.amplitude),
-        {k: float(v) for k, v in truth.parameters.items()},
-        _true_visibility(row).rho(change),
-        _true_visibility(row, verification=True).rho(change),
-        change,
-    )
+        truth.name, truth.channels, truth.mounts, truth.shape, float(truth.amplitude),
+        {k: float(v) for k, v in truth.parameters.items()}, _true_visibility(row).rho(change),
+        _true_visibility(row, verification=True).rho(change), change,
+    )  # fmt: skip
 
 
 def _truths(rng: np.random.Generator, row: Row, run: Run, index: int) -> list[Truth]:
@@ -355,12 +349,9 @@ def _equal_k2(rng: np.random.Generator, run: Run) -> Truth:
     """The same K2 in all three channels, as a type of accelerometer has it."""
     sign = rng.choice([-1.0, 1.0])
     return Truth(
-        "quadratic_nonlinearity",
-        "block",
-        lambda _, force, x: sign * 30e-6 * x * force**2,
-        channels=CHANNELS,
-        shape="equal",
-    )
+        "quadratic_nonlinearity", "block", lambda _, force, x: sign * 30e-6 * x * force**2,
+        channels=CHANNELS, shape="equal",
+    )  # fmt: skip
 
 
 def _next(

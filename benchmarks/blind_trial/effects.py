@@ -155,12 +155,9 @@ def _shaped(name: str, size: float, shapes: dict[str, Form]) -> Draw:
         weights, channels = channel_weights(rng)
         form = shapes[shape]
         return Truth(
-            name,
-            "block",
-            lambda r, force, x: x * size * weights * form(r, force),
-            channels=channels,
+            name, "block", lambda r, force, x: x * size * weights * form(r, force), channels=channels,
             shape=shape,
-        )
+        )  # fmt: skip
 
     return draw
 

@@ -209,21 +209,13 @@ WITHOUT_MEAN: Final = ("random_walk", "flicker_noise", "noise_burst")
 """What is another course in each run: no form of its mean predicts what was not read."""
 
 OUTSIDE: Final[dict[str, Draw]] = {
-    "bias_jump": _bias_jump,
-    "random_walk": _random_walk,
-    "cable_torque": _cable_torque,
-    "single_installation_pickup": _pickup,
-    "sticking_angle": _sticking_angle,
-    "quadratic_drift": _quadratic_drift,
-    "third_harmonic_wobble": _third_harmonic_wobble,
-    "dead_band": _dead_band,
-    "gear_ratio_error": _gear_ratio,
-    "flicker_noise": _flicker,
-    **{f"{name} (unknown)": _unknown(draw) for name, draw in OWN.items()},
-    "fifth_power": _fifth_power,
-    "two_time_constants": _two_time_constants,
-    "noise_burst": _noise_burst,
-}
+    "bias_jump": _bias_jump, "random_walk": _random_walk, "cable_torque": _cable_torque,
+    "single_installation_pickup": _pickup, "sticking_angle": _sticking_angle,
+    "quadratic_drift": _quadratic_drift, "third_harmonic_wobble": _third_harmonic_wobble,
+    "dead_band": _dead_band, "gear_ratio_error": _gear_ratio, "flicker_noise": _flicker,
+    **{f"{name} (unknown)": _unknown(draw) for name, draw in OWN.items()}, "fifth_power": _fifth_power,
+    "two_time_constants": _two_time_constants, "noise_burst": _noise_burst,
+}  # fmt: skip
 
 
 # --- a block that is fed by two rails whose voltages are recorded ----------------------------------------

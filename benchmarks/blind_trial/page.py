@@ -1,7 +1,4 @@
-"""The trial's result as it is stored (counts, in JSON), and the part of docs/diagnosis-trial.md that is made of it.
-
-python -m benchmarks.blind_trial.page          # write that part again from the stored result
-"""
+"""The trial's result as it is stored (counts, in JSON), and the tables of it that the site shows."""
 
 from __future__ import annotations
 
@@ -16,11 +13,7 @@ from benchmarks.blind_trial.cases import Row
 from benchmarks.blind_trial.score import NOT_SHRUNK, Outcome
 from benchmarks.campaign import Share
 
-_DOCS: Final = Path(__file__).parents[2] / "docs"
-PAGE: Final = _DOCS / "diagnosis-trial.md"
-STORED: Final = _DOCS / "blind-trial.json"
-BEGIN: Final = "<!-- begin: written by make blind-trial from blind-trial.json -->"
-END: Final = "<!-- end -->"
+STORED: Final = Path(__file__).parents[2] / "docs" / "blind-trial.json"
 
 Stored = dict[str, Any]
 
@@ -146,21 +139,11 @@ def _within_kind(row: Stored) -> str:
     return str(row["row"]).removeprefix(row["kind"]).lstrip(" :")
 
 
-def current_part(page: Path = PAGE) -> str:
-    """Return what stands on the page between the marks. Raises `ValueError` where they do not stand once."""
-    before, _, rest = page.read_text(encoding="utf-8").partition(f"{BEGIN}\n\n")
-    inside, mark, _ = rest.partition(f"\n\n{END}\n")
-    if not before or not mark:
-        raise ValueError(f"{page}: the marks of the blind trial's part are not there")
-    return inside
+def shown() -> str:
+    """Return the tables of the stored result, as the build of the site puts them on its page."""
+    return part(json.loads(STORED.read_text(encoding="utf-8")))
 
 
-def write(result: Stored, page: Path = PAGE, stored_at: Path = STORED) -> None:
-    """Store a result and write its part of the page."""
+def write(result: Stored, stored_at: Path = STORED) -> None:
+    """Store a result."""
     stored_at.write_text(json.dumps(result, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
-    text = page.read_text(encoding="utf-8")
-    page.write_text(text.replace(current_part(page), part(result)), encoding="utf-8")
-
-
-if __name__ == "__main__":
-    write(json.loads(STORED.read_text(encoding="utf-8")))

@@ -105,25 +105,17 @@ FULL: Final[tuple[Row, ...]] = (
     *(Row("single", rho=MANY_RHO, runs=20, blocks=blocks, count=10) for blocks in (False, True)),
 )
 SHORT: Final[tuple[Row, ...]] = (
-    Row("null", count=60),
-    Row("null", noise_factor=1.3, count=30),
-    *(Row("single", rho=rho, count=27) for rho in (5, 10, 20)),
-    Row("single", "both", 10, count=27),
-    Row("single", "turn-12", 10, count=27),
-    Row("pair", rho=10, count=20),
-    Row("outside", rho=20, count=20),
-    Row("own", rho=10, count=12),
-    Row("hidden", count=10),
-    Row("equal_k2", rho=12, count=5),
-    Row("mounting_roll", rho=10, count=5),
-    *(Row("null", noise=noise, count=10) for noise in NOISES[1:]),
+    Row("null", count=60), Row("null", noise_factor=1.3, count=30),
+    *(Row("single", rho=rho, count=27) for rho in (5, 10, 20)), Row("single", "both", 10, count=27),
+    Row("single", "turn-12", 10, count=27), Row("pair", rho=10, count=20), Row("outside", rho=20, count=20),
+    Row("own", rho=10, count=12), Row("hidden", count=10), Row("equal_k2", rho=12, count=5),
+    Row("mounting_roll", rho=10, count=5), *(Row("null", noise=noise, count=10) for noise in NOISES[1:]),
     *(Row(kind, "return" if kind in RETURNS else "paper", 30, count=5) for kind in SLIPS),
-    *(Row(f"mistake:{name}", count=5) for name in MISTAKES),
-    *(replace(row, count=5) for row in KNOWN_ROWS),
+    *(Row(f"mistake:{name}", count=5) for name in MISTAKES), *(replace(row, count=5) for row in KNOWN_ROWS),
     *(replace(row, count=3) for row in FREE_ROWS if row.rho != 12),
     *(Row(kind, rho=20, count=5) for kind in SUPPLIED),
     *(Row("single", rho=MANY_RHO, runs=20, blocks=blocks, count=4) for blocks in (False, True)),
-)
+)  # fmt: skip
 
 
 _CODE: Final = ("bench", "drivers", "benchmarks/blind_trial", "benchmarks/campaign.py")
@@ -156,7 +148,7 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         only={"metavar": "KIND", "help": "null, single, own, pair, outside, hidden, mistake, many, ..."},
         ties={"choices": ["signature", "table"], "default": "signature"},
         json={"metavar": "FILE", "help": "score and outcomes; - for standard output"},
-        page=(False, "write docs/blind-trial.json and docs/diagnosis-trial.md"),
+        page=(False, "write docs/blind-trial.json, which the site shows"),
         keep=(Path, "keep diagnoses here; called again, go on where it stopped"),
         ledger=(Path, "append the seals of the cases here"),
         perturb=(False, "what changes with each constant of the diagnosis 30 %% smaller and larger"),

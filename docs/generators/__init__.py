@@ -6,14 +6,17 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
+from benchmarks.blind_trial.page import shown as blind_trial_shown
 from docs.generators import (
     bench_files,
     commands,
+    constants,
     effects,
+    errors,
     estimators,
     example_certificate,
     instruments,
-    panel_pictures,
+    measured,
     procedure_files,
     python_face,
     readings,
@@ -33,8 +36,11 @@ PAGES: Final[dict[str, Callable[[], str]]] = {
     "instruments.md": instruments.page,
     "estimators.md": estimators.page,
     "example-certificate.md": example_certificate.page,
+    "measured.md": measured.page,
     "_rooms.md": rooms.fragment,
-    "_panel.md": panel_pictures.fragment,
+    "_errors.md": errors.fragment,
+    "_constants.md": constants.fragment,
+    "_blind-trial.md": blind_trial_shown,
 }
 """By file name what makes it; names that begin with `_` are parts of other pages."""
 

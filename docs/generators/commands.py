@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import cache
 from typing import Any, Final
 
 import typer
@@ -28,6 +29,7 @@ makes your shell complete commands, options, runs and procedures (it writes into
 """
 
 
+@cache
 def commands() -> dict[str, Any]:
     """Return the commands by name, each imported; those of groups as "group name"."""
     return dict(_all(typer.main.get_command(app), ""))

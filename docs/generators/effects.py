@@ -15,7 +15,7 @@ ENTRY_TITLES: Final = {
     "EffectEntry": "Entry of effects",
     "FormulaEntry": "Entry of formulas",
     "FormulaParameter": "Parameter of a formula",
-    "OpenShape": "What is left open of a shape",
+    "OpenShape": "Free part of a shape",
 }
 
 _INTRODUCTION: Final = """\
@@ -101,7 +101,7 @@ def _row(parameter: Parameter) -> tuple[str, ...]:
         f"a shape; {written(parameter.default)} where not stated"
         if parameter.is_shape
         else written(parameter.plausible),
-        "each channel" if parameter.per_channel else "all alike",
+        "each channel" if parameter.per_channel else "one for all",
         grid or "–",
     )
 

@@ -48,6 +48,9 @@ def write_example(reference: Path) -> None:
     for number, picture in enumerate(pages, 1):
         (folder / f"page-{number}.png").write_bytes(picture)
     names = [f"![Page {n} of the certificate]({_FILES}/page-{n}.png)" for n in range(1, len(pages) + 1)]
+    for scheme in ("light", "dark"):  # paper is white in both
+        (reference / "pictures").mkdir(exist_ok=True)
+        (reference / "pictures" / f"certificate-{scheme}.png").write_bytes(pages[0])
     headline = verify_certificate(folder / "certificate.pdf", None, folder / "none").headline
     part = _PART.format(headline=headline, files=_FILES, pictures="\n\n".join(names))
     (reference / "_example-certificate.md").write_text(part, encoding="utf-8")

@@ -1,4 +1,4 @@
-"""The page on instruments: what each driver is for, what it is told, what it can do."""
+"""The page on instruments: what each driver is for, its settings, what it can do."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def _section(device: Device) -> str:
 
 
 def _facts(device: Device, facts: ModuleType | None) -> Iterator[tuple[str, str]]:
-    """Yield what is told of an instrument, as far as its facts say it."""
+    """Yield label and text of each fact known of an instrument."""
     if device.simulation is None:
         yield "connected by", "a person; nothing stands for it in a dry run but the scripted operator"
     else:

@@ -1,8 +1,7 @@
-"""Pictures of the panel's pages, taken from a dry run in the system's Chromium; without one the page says so."""
+"""Pictures of the panel's pages, taken from dry runs in the system's Chromium, in the light and the dark theme."""
 
 from __future__ import annotations
 
-import shutil
 import sys
 import tempfile
 from pathlib import Path
@@ -10,44 +9,45 @@ from typing import Any, Final
 
 from bench.panel.access import Role
 
-THERE: Final = Path(__file__).parents[1] / "reference"
-FOLDER: Final = "panel"
+SCHEMES: Final = ("light", "dark")
 TURNS: Final = 13
 """So many angles are answered before the picture of the live page."""
-
-PICTURES: Final = {
-    "sign-in": "Signing in with a token.",
-    "runs": "The runs: state, verdict, unit, bench, operator, and how to go on.",
-    "start": "A run is chosen, then checked and tried on simulated instruments before anything moves.",
-    "mount": "A question: the mounting is a drawing made from the installation of the bench file.",
-    "live": "The live page at a turn, for the one in control.",
-    "watching": "The same run on a telephone, in dark, for a viewer.",
-    "verdict": "The verdict of a finished run.",
+ENDED: Final = {
+    "panel-sign-in": "/sign-in",
+    "panel-runs": "/",
+    "panel-start": "/start",
+    "panel-benches": "/bench",
+    "panel-verdict": "/runs/unit-17/verdict",
+    "panel-plots": "/runs/unit-17/plots",
 }
-WIDE: Final[Any] = {"width": 1600, "height": 1000}
+"""Pages that are there once a run has ended, by the name of their picture."""
+WAITED: Final = {"panel-plots": "#plots-sections svg"}
+"""What a page must have before its picture is taken."""
+PICTURES: Final = {
+    "panel-sign-in": "The page to sign in: a field for the token.",
+    "panel-runs": "The list of runs: state, verdict, unit, bench, operator, and a button to resume.",
+    "panel-start": "The page to start a run: a card for each procedure with its points, duration and mountings.",
+    "panel-benches": "The list of bench files, and the shipped files that a new one may begin from.",
+    "panel-verdict": "The verdict of a finished run: passed, the risk, and the error at each verification point.",
+    "panel-plots": "Residuals against angle and time for each channel, with buttons to choose and to save.",
+    "panel-mount": "A question: mount the block in installation 2, with a drawing of platform, block and axes.",
+    "panel-live": "The live page at a turn: the task with its drawing, angle, controls, last reading, residuals.",
+    "panel-watching": "The same run on a telephone, for somebody who may only look and stop.",
+}
+WIDE: Final[Any] = {"width": 1280, "height": 1000}
 NARROW: Final[Any] = {"width": 390, "height": 844}
 
 
 def write_pictures(folder: Path) -> None:
-    """Write the pictures into a folder of their own, which is empty where they cannot be taken; say then why."""
+    """Write the pictures into a folder; none, and a line on standard error, where no Chromium is found."""
     from tests.support.browsers import what_is_missing
 
-    shutil.rmtree(folder / FOLDER, ignore_errors=True)
     if missing := what_is_missing():
         sys.stderr.write(f"no pictures of the panel: {missing}\n")
         return
-    (folder / FOLDER).mkdir(parents=True)
+    folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as runs:
-        _take(Path(runs), folder / FOLDER)
-
-
-def fragment() -> str:
-    """Return the pictures as a part of a page."""
-    if not all((THERE / FOLDER / f"{name}.png").is_file() for name in PICTURES):
-        return "*There are no pictures here: no Chromium was found when this site was built.*"
-    return "\n\n".join(
-        f"![{words}](reference/{FOLDER}/{name}.png)\n\n*{words}*" for name, words in PICTURES.items()
-    )
+        _take(Path(runs), folder)
 
 
 def _take(runs: Path, folder: Path) -> None:
@@ -66,20 +66,29 @@ def _take(runs: Path, folder: Path) -> None:
             browser = playwright.chromium.launch(executable_path=find_chromium(), args=["--no-sandbox"])
             page = browser.new_page(viewport=WIDE)
             page.goto(f"{panel.url}/sign-in")
-            page.screenshot(path=folder / "sign-in.png")
+            _shoot(page, folder, "panel-sign-in")
             panel.sign_in(page)
-            for name, path in (("runs", "/"), ("start", "/start"), ("verdict", "/runs/unit-17/verdict")):
-                page.goto(panel.url + path)
-                page.screenshot(path=folder / f"{name}.png")
+            for name, path in ENDED.items():
+                if name != "panel-sign-in":
+                    page.goto(panel.url + path)
+                    page.wait_for_selector(WAITED.get(name, "main"))
+                    _shoot(page, folder, name)
             _walk(page, f"{panel.url}/runs/unit-18/", going, folder)
-            viewer = browser.new_page(viewport=NARROW, color_scheme="dark")
+            viewer = browser.new_page(viewport=NARROW)
             panel.sign_in(viewer, "vera", Role.VIEWER)
             viewer.goto(f"{panel.url}/runs/unit-18/")
             viewer.wait_for_selector("#plots[data-newest]")
-            viewer.screenshot(path=folder / "watching.png")
+            _shoot(viewer, folder, "panel-watching")
             browser.close()
     finally:
         going.close()
+
+
+def _shoot(page: Any, folder: Path, name: str) -> None:
+    """Take a page in both themes."""
+    for scheme in SCHEMES:
+        page.emulate_media(color_scheme=scheme)
+        page.screenshot(path=folder / f"{name}-{scheme}.png")
 
 
 def _walk(page: Any, address: str, run: Any, folder: Path) -> None:
@@ -93,8 +102,8 @@ def _walk(page: Any, address: str, run: Any, folder: Path) -> None:
         asked_id = prompt_of(page, asked_id)
         asked = run.of_type("asked")[-1]
         if asked["action"]["do"] == "mount":
-            page.screenshot(path=folder / "mount.png")
+            _shoot(page, folder, "panel-mount")
         answer_on(page, typed_for(asked, number))
     prompt_of(page, asked_id)
     page.wait_for_selector("#plots[data-newest]")
-    page.screenshot(path=folder / "live.png", full_page=True)
+    _shoot(page, folder, "panel-live")

@@ -33,6 +33,11 @@ COLUMNS: Final[dict[str, tuple[str, str]]] = {
     "reference_v": ("V", "voltage at a reference input, for `R`"),
     "temperature_source": ("–", "what told `temperature_c`, where that was a thermometer at the block"),
     "chamber_c": ("°C", "air of the chamber, beside it"),
+    "meter_temperature_c": (
+        "°C",
+        "of the voltmeters, for `voltmeter_thermal_gain` and `_offset`; may be empty",
+    ),
+    "room_c": ("°C", "of the room; stands for the voltmeters' where their own is not recorded"),
     "alpha1_arcsec": ("″", "tilt of the shaft's axis in this mounting, as a level showed it"),
     "alpha2_arcsec": ("″", "as `alpha1_arcsec`, about the shaft: what the head's zero is off the vertical"),
     "u_alpha1_arcsec": ("″", "standard uncertainty of `alpha1_arcsec`"),
@@ -70,6 +75,9 @@ Of each rail that feeds the block there may be three columns: `rail_NAME_v` and 
 in V and A, and `rail_NAME_nominal_v`, from which the effect `supply_sensitivity` counts; empty where nothing was
 measured.
 
+A **record at a known input** has rows `R` alone: `installation,time_s,reference_v,ux_v,uy_v,uz_v`. `pass` and
+`point` may be absent, and one or two of the signals may be absent or empty throughout.
+
 A text in an unknown column, or its name, that begins like a formula (`=`, `+`, `-`, `@`, a tab or a line end)
 is exported with an apostrophe in front, so that a spreadsheet keeps it as text; control characters are exported
 as escapes such as `\\x1b`, backslashes in such a cell twice. Reading the file undoes both. Numbers stay numbers.
@@ -78,8 +86,9 @@ as escapes such as `\\x1b`, backslashes in such a cell twice. Reading the file u
 run, the unit, the bench file with its SHA-256, the identities of the instruments, and the SHA-256 of the
 readings file. As long as this is the readings file's, an analysis of the file is as marked as one of the run, and
 takes the bench file that the run had (its copy in the run's folder, or where it was) unless `--bench` or
-`BENCH_FILE` names another. A readings file that was changed is told, and nothing is taken over. Which bench
-file was taken, and why, stands in the first line that an analysis prints and in its result (`bench`).
+`BENCH_FILE` names another. If a readings file changed since its export, a note says so, and nothing
+is taken over. The first line that an analysis prints names the bench file and why it was taken; the result has
+it, too (`bench`).
 """
 
 

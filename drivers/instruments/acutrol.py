@@ -45,7 +45,8 @@ class AcutrolHead(MotorisedHead):
     ) -> None:
         if math.degrees(travel.tolerance_rad) < facts.FINEST_DEMAND_DEG:
             raise ValueError(
-                f"the tolerance of the head is finer than the {facts.FINEST_DEMAND_DEG:g}° to which a demand is "
+                f"widen the tolerance of the head: it is finer than the {facts.FINEST_DEMAND_DEG:g}° to "
+                "which a demand is "
                 "rounded"
             )
         super().__init__(name, session, clock, travel, identity=Identity(facts.MAKER, facts.MODEL))
@@ -110,7 +111,7 @@ class AcutrolHead(MotorisedHead):
         if not (attempts.make("", rate_0) and attempts.make("", rate_mode)):
             attempts.make("", self._switch_off)
         attempts.refuse_failed(
-            self.name, "it did not take rate 0 and its axis was told to go off", SEE_IT_STANDS
+            self.name, "it did not take rate 0 and its axis was commanded off", SEE_IT_STANDS
         )
 
     # --- messages -----------------------------------------------------------------------------------

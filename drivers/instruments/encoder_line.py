@@ -24,7 +24,7 @@ class EncoderLine(ReadOutHead):
     """A `DividingHead` with an encoder on a counter that its bench file describes; `model` names it in the record.
 
     The counter answers `request` with one line, which must match `pattern`. The group `angle` of the pattern is the
-    number; `per_turn` units make a turn. `errors` maps lines in place of an angle to their meanings.
+    number; `per_turn` units make a turn. `errors` maps lines instead of an angle to their meanings.
     """
 
     def __init__(
@@ -71,15 +71,15 @@ class EncoderLine(ReadOutHead):
         if (meaning := self._errors.get(said)) is not None:
             raise InstrumentRefused(
                 self.name,
-                f"its counter says {said!r} in place of an angle: {meaning}",
-                "mend that, cross the encoder's reference mark again, then take this point again",
+                f"its counter says {said!r} instead of an angle: {meaning}",
+                "clear that fault, cross the encoder's reference mark again, then redo this point",
             )
         match = self._pattern.fullmatch(said)
         number = match[facts.ANGLE] if match else ""
         if _NUMBER.fullmatch(number) is None:
             raise BadReading(
                 self.name,
-                f"the angle in {said!r} is {number!r}, which is no number",
+                f"the angle in {said!r} is {number!r}, which is not a number",
                 "correct the pattern in the bench file",
             )
         return float(number.replace(" ", "")) * self._rad

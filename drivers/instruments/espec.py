@@ -125,7 +125,7 @@ class EspecChamber(ControlledChamber):
             raise InstrumentRefused(
                 self.name,
                 f"the chamber has the alarm {' and '.join(code.strip() for code in codes) or 'lamp on'}",
-                "see its meaning in the chamber's manual, mend it and reset the alarm at the chamber",
+                "look it up in the chamber's manual, remove the cause and reset the alarm",
             )
 
     def _refuse_program(self) -> None:
@@ -137,7 +137,7 @@ class EspecChamber(ControlledChamber):
         return InstrumentRefused(
             self.name,
             f"its operation is {mode}, not {wanted}",
-            "end programs, check that nobody else controls the chamber, then take this step again",
+            "end programs, check that nobody else controls the chamber, then repeat this step",
         )
 
     def _ask(self, command: str, pattern: str, expected: str) -> str:
@@ -152,7 +152,7 @@ class EspecChamber(ControlledChamber):
             raise InstrumentRefused(
                 self.name,
                 f"it answers {command} with {reply!r}, not {wanted}",
-                "check that no other program uses the chamber, then take this step again",
+                "check that no other program uses the chamber, then repeat this step",
             )
 
     def _accepted(self, command: str, reply: str) -> str:

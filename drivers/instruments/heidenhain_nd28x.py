@@ -73,7 +73,7 @@ class HeidenhainNd28x(ReadOutHead):
             1:
         ]
         for what, place, wanted in (
-            ("it shows the distance to go, not the actual value", facts.MODE, facts.ACTUAL_VALUE),
+            ("it shows the distance to go instead of the actual value", facts.MODE, facts.ACTUAL_VALUE),
             ("its scaling factor is switched on", facts.SCALING, facts.UNSCALED),
             ("it does not show decimal degrees", facts.UNIT, facts.DEGREES),
         ):
@@ -91,9 +91,8 @@ class HeidenhainNd28x(ReadOutHead):
         if match is None or len(shown) < facts.SHORTEST_VALUE:
             raise InstrumentRefused(
                 self.name,
-                f"its display shows {shown.strip()!r} in place of an angle in decimal degrees",
-                "clear a message with C or CL and check the encoder's signal, cross the reference mark again, then "
-                "take this point again",
+                f"its display shows {shown.strip()!r} instead of an angle in decimal degrees",
+                "clear it with C or CL, check the encoder, cross the reference mark and redo this point",
             )
         return math.radians(float(f"{match[1].strip()}{match[2]}"))
 
@@ -108,8 +107,8 @@ class HeidenhainNd28x(ReadOutHead):
         if not referenced:
             raise InstrumentRefused(
                 self.name,
-                "its reference mark was not crossed since it was switched on: what it shows is relative, no angle",
-                "turn the head across the reference mark until REF glows, then take this point again",
+                "it shows a relative angle, as its reference mark was not crossed",
+                "turn the head across the reference mark until REF glows, then redo this point",
             )
         if of_281b and said[facts.INCH_281B] != facts.DARK:
             raise InstrumentRefused(self.name, "it shows inches", "set it to decimal degrees (P01)")

@@ -43,7 +43,7 @@ class Keysight34970A(ScpiVoltmeter):
     does not have, for duplicates, and for an invalid delay.
     """
 
-    not_live = "a scanner's relays wear with every look, so it is read at readings only"
+    not_live = "a scanner's relays wear with every query, so it is read at readings only"
     models = facts.MODELS
     called = "a 34970A or 34972A"
 
@@ -61,7 +61,7 @@ class Keysight34970A(ScpiVoltmeter):
         pairs = list(channels.items()) if isinstance(channels, Mapping) else list(channels)
         pairs.sort(key=lambda pair: pair[1])
         if wrong := [*_wrong_channels(pairs), *_wrong_delay(channel_delay_s)]:
-            raise LimitExceeded(name, f"cannot do {', '.join(wrong)}", "mend its lines in the bench file")
+            raise LimitExceeded(name, f"cannot do {', '.join(wrong)}", "correct its lines in the bench file")
         signals = tuple(signal for signal, _ in pairs)
         super().__init__(name, signals, session, clock, interface=interface, line_hz=line_hz)
         self._numbers = tuple(number for _, number in pairs)
@@ -88,7 +88,7 @@ class Keysight34970A(ScpiVoltmeter):
                 raise InstrumentRefused(
                     self.name,
                     f"slot {slot} of {self._session.resource} {there}, not a {facts.CARD} multiplexer",
-                    "put the card in, with the meter switched off, or mend the channels in the bench file",
+                    "put the card in, with the meter switched off, or correct the channels in the bench file",
                 )
         return identity
 
@@ -193,11 +193,11 @@ class _Probe(ScpiVoltmeter):
             raise InstrumentRefused(
                 self.name,
                 f"slot {slot} of {self._session.resource} holds {reply!r}, not a {facts.CARD} multiplexer",
-                "put the card in, with the meter switched off, or mend the channel in the bench file",
+                "put the card in, with the meter switched off, or correct the channel in the bench file",
             )
         return identity
 
-    def anew(self) -> None:
+    def renew(self) -> None:
         """Have the channel configured again before its next reading."""
         self._connection = None
 
@@ -254,7 +254,9 @@ class Keysight34970AThermometer:
         known = PAIRED if probe.pair else facts.CARD_CHANNELS
         if channel // 100 not in facts.SLOTS or channel % 100 not in known:
             raise LimitExceeded(
-                name, f"cannot have {probe.words} on channel {channel}", "mend its channel in the bench file"
+                name,
+                f"cannot have {probe.words} on channel {channel}",
+                "correct its channel in the bench file",
             )
         self.name = name
         self.sensor = f"{probe.words}, channel {channel}"
@@ -282,7 +284,7 @@ class Keysight34970AThermometer:
 
         Raises `BadReading` for an open sensor or an impossible value, `InstrumentRefused`, `InstrumentLost`.
         """
-        self._probe.anew()
+        self._probe.renew()
         self._probe.configure(_TEMPERATURE)
         try:
             self._probe.start()

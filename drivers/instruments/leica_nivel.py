@@ -47,7 +47,9 @@ class LeicaNivel:
         averages: int = facts.AVERAGES,
     ) -> None:
         if along[1] == across[1]:
-            raise ValueError(f"{name}: along and across are both axis {along[1]} of the sensor")
+            raise ValueError(
+                f"{name}: along and across need different axes, not both {along[1]} of the sensor"
+            )
         self.name = name
         self._clock = clock
         self._address = f"N{sensor}"
@@ -94,7 +96,7 @@ class LeicaNivel:
         if self._ask("G P", "OK|F", "OK or F") != "OK":
             raise BadReading(
                 self.name,
-                f"it is out of its range of ±{facts.RANGE_RAD / facts.MRAD:g} mrad",
+                f"the inclination exceeds its range of ±{facts.RANGE_RAD / facts.MRAD:g} mrad",
                 "level the platform by the circular level on the sensor, then read again",
             )
         said = self._ask("G A", _ALL, f"inclinations such as {_EXAMPLE}")
@@ -152,7 +154,7 @@ class LeicaNivel:
                 raise BadReading(
                     self.name,
                     f"the reply to {command} is {said!r}, not {expected} with its check sum",
-                    "take it again, and check cable, address and baud rate if it comes again",
+                    "repeat it; if the fault returns, check cable, address and baud rate",
                 )
             return said.removeprefix(sender).strip()
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from typing import Final
 
@@ -16,6 +17,7 @@ from drivers.interfaces import (
     LevelAxis,
     LevelSizes,
     LimitExceeded,
+    message,
 )
 from drivers.person import APPROACH, ATTEMPTS, Person, Prompt, PromptKind, ask_until
 
@@ -83,13 +85,15 @@ class ManualHead(ByHand):
                 self.name,
                 f"no reading within {format_dms(self._tolerance_rad)} of {scale_text(target_rad)} "
                 f"in {self._max_attempts} attempts ({trouble})",
-                "check the clamp, the scale and the procedure's angle, then take this point again",
+                "check the clamp, the scale and the procedure's angle, then redo this point",
             ) from None
         return HeadPosition(angle_rad, direction)
 
     def _prompt(self, target_rad: float, direction: Direction, prompt_id: str, trouble: str) -> Prompt:
         target = scale_text(target_rad)
-        task = f"Turn the head to {target}: {APPROACH[direction]}; clamp; read again and type the angle read."
+        task = message(
+            f"Turn the head to {target}: {APPROACH[direction]}; clamp; read again and type the angle read."
+        )
         return Prompt(
             id=prompt_id,
             kind=PromptKind.ANGLE,
@@ -108,10 +112,10 @@ class ManualHead(ByHand):
 # --- the level --------------------------------------------------------------------------------------
 
 _ENDS: Final[dict[tuple[LevelAxis, bool], str]] = {
-    ("along", False): "along the shaft, its marked end away from you",
-    ("along", True): "along the shaft the other way round, its marked end towards you",
-    ("across", False): "across the shaft, its marked end to your right",
-    ("across", True): "across the shaft the other way round, its marked end to your left",
+    ("along", False): message("along the shaft, its marked end away from you"),
+    ("along", True): message("along the shaft the other way round, its marked end towards you"),
+    ("across", False): message("across the shaft, its marked end to your right"),
+    ("across", True): message("across the shaft the other way round, its marked end to your left"),
 }
 
 
@@ -154,15 +158,17 @@ class ManualLevel(ByHand):
         return Inclination(self._read(key, "along", turned), self._read(key, "across", turned))
 
     def _read(self, key: str, axis: LevelAxis, turned: bool) -> float:
+        task = message(
+            f"Looking at the end of the shaft, lay the level {_ENDS[axis, turned]}; when the bubble stands, "
+            f"type by "
+            "how many divisions it is off the middle, + towards the marked end (or so many arcsec)."
+        )
+
         def prompt(prompt_id: str, trouble: str) -> Prompt:
             return Prompt(
                 id=prompt_id,
                 kind=PromptKind.NUMBER,
-                text=(
-                    f"{trouble} Looking at the end of the shaft, lay the level {_ENDS[axis, turned]}; when the "
-                    "bubble stands, type by how many divisions it is off the middle, + towards the marked end "
-                    "(or so many arcsec)."
-                ).lstrip(),
+                text=f"{trouble} {task}".lstrip(),
                 unit="divisions",
                 action={
                     "do": "read_level",
@@ -184,7 +190,7 @@ class ManualLevel(ByHand):
             raise BadReading(
                 self.name,
                 f"no reading on its scale in {ATTEMPTS} attempts ({trouble})",
-                "level the platform roughly, check the divisions in the bench file, then take this step again",
+                "level the platform roughly, check the divisions in the bench file, then repeat this step",
             ) from None
 
 
@@ -192,19 +198,20 @@ class ManualLevel(ByHand):
 
 
 def ask_temperature(
-    person: Person, key: str, text: str, low_c: float, high_c: float, outside: str
+    person: Person, key: str, text: str, low_c: float, high_c: float, outside: Callable[[float], str]
 ) -> float | None:
     """Ask for a temperature from `low_c` to `high_c`, °C; return None if no attempt gives one.
 
-    `key` names the question, `text` says what to do. `outside` is the complaint about a value out of range, such
-    as "is not plausible ({low:g} to {high:g} °C)". Raises `NoAnswer` if nobody can answer.
+    `key` names the question, `text` says what to do. `outside` returns the complaint about a value out of range.
+    Raises `NoAnswer` if nobody can answer.
     """
+    task = message(f"{text} and type the temperature in °C.")
 
     def prompt(prompt_id: str, trouble: str) -> Prompt:
         return Prompt(
             id=prompt_id,
             kind=PromptKind.NUMBER,
-            text=f"{trouble} {text} and type the temperature in °C.".lstrip(),
+            text=f"{trouble} {task}".lstrip(),
             unit="°C",
             minimum=low_c,
             maximum=high_c,
@@ -214,7 +221,7 @@ def ask_temperature(
     def read(typed: str) -> float:
         temperature_c = typed_temperature(typed)
         if not low_c <= temperature_c <= high_c:
-            raise ValueError(f"{temperature_c:g} °C {outside.format(low=low_c, high=high_c)}.")
+            raise ValueError(outside(temperature_c))
         return temperature_c
 
     try:
@@ -272,7 +279,7 @@ class ManualChamber(ByHand):
                 Prompt(
                     id=f"{key}#{attempt}",
                     kind=PromptKind.CONFIRM,
-                    text=f"Set the chamber to {target_c:g} °C and confirm.",
+                    text=message(f"Set the chamber to {target_c:g} °C and confirm."),
                     default="yes",
                     action={"do": "set_temperature", "target_c": target_c},
                 )
@@ -293,20 +300,21 @@ class ManualChamber(ByHand):
 
         Raises `BadReading` after the last attempt, `NoAnswer` if nobody can answer.
         """
+        low_c, high_c = self._minimum_c - _PLAUSIBLE_K, self._maximum_c + _PLAUSIBLE_K
         found_c = ask_temperature(
             self._person,
             key,
-            "Read the thermometer",
-            self._minimum_c - _PLAUSIBLE_K,
-            self._maximum_c + _PLAUSIBLE_K,
-            "is not plausible ({low:g} to {high:g} °C)",
+            message("Read the thermometer"),
+            low_c,
+            high_c,
+            lambda typed_c: message(f"{typed_c:g} °C is not plausible ({low_c:g} to {high_c:g} °C)."),
         )
         if found_c is not None:
             return found_c
         raise BadReading(
             self.name,
             f"no plausible temperature in {ATTEMPTS} attempts",
-            "check the thermometer and the chamber's limits in the bench file, then take this step again",
+            "check the thermometer and the chamber's limits in the bench file, then repeat this step",
         )
 
     def _ask(self, prompt: Prompt) -> str | None:
@@ -338,15 +346,17 @@ class ManualThermometer(ByHand):
         found_c = ask_temperature(
             self._person,
             f"{key}/thermometer",
-            "Read the thermometer at the block",
+            message("Read the thermometer at the block"),
             self._minimum_c,
             self._maximum_c,
-            "is outside the thermometer's {low:g} to {high:g} °C",
+            lambda typed_c: message(
+                f"{typed_c:g} °C is outside the thermometer's {self._minimum_c:g} to {self._maximum_c:g} °C."
+            ),
         )
         if found_c is not None:
             return found_c
         raise BadReading(
             self.name,
             f"no temperature within its range in {ATTEMPTS} attempts",
-            "check the thermometer and its range in the bench file, then take this step again",
+            "check the thermometer and its range in the bench file, then repeat this step",
         )

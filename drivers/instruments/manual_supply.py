@@ -78,7 +78,7 @@ class ManualSupply(ByHand):
                     raise SetOtherwise(
                         self.name,
                         f"its output {output} is on, and {' and '.join(different)}",
-                        "switch it off, or set it as the bench file has it, and say so again",
+                        "switch it off or set it as the bench file states, then confirm again",
                     )
             else:
                 self._have_set(output, wanted, key)
@@ -112,7 +112,7 @@ class ManualSupply(ByHand):
         if self._is_on(output, f"{key}/after") != on:
             self._on[output] = not on
             raise InstrumentRefused(
-                self.name, f"its output {output} is not {word}", "see whether a protection has tripped"
+                self.name, f"its output {output} is not {word}", "check whether a protection has tripped"
             )
         if on:
             self._refuse_other_voltage(output, key)
@@ -162,7 +162,7 @@ class ManualSupply(ByHand):
         raise InstrumentRefused(
             self.name,
             f"its output {output} was not set in {ATTEMPTS} attempts: {' and '.join(different)}",
-            "check what the display shows, then take this step again",
+            "check what the display shows, then repeat this step",
         )
 
     def _differences(self, output: str, wanted: OutputSettings, key: str) -> list[str]:
@@ -181,7 +181,7 @@ class ManualSupply(ByHand):
             raise InstrumentRefused(
                 self.name,
                 f"its output {output} gives {given_v:g} V, not {wanted_v:g} V within {self._tolerance_v:g} V",
-                "see whether it limits its current, and check the cable to the unit",
+                "check its current limit and the cable to the unit",
             )
 
     def _is_on(self, output: str, key: str) -> bool:
@@ -220,7 +220,7 @@ class ManualSupply(ByHand):
         raise BadReading(
             self.name,
             f"no number for {called.format(output)} in {ATTEMPTS} attempts",
-            "read the display, then take this step again",
+            "read the display, then repeat this step",
         )
 
     def _text(

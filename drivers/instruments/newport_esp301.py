@@ -30,12 +30,12 @@ _ERROR_EXAMPLE: Final = "an error such as 0, 451322, NO ERROR DETECTED"
 _HOME: Final = (
     "home it with the space around it clear and leave its motor on, or allow homing in the bench file"
 )
-_CHECK_HEAD: Final = "free the head, check its load, home it, then take this step again"
+_CHECK_HEAD: Final = "free the head, check its load, home it, then repeat this step"
 _AXIS_REMEDIES: Final = {
     facts.FOLLOWING_ERROR: _CHECK_HEAD,
     **dict.fromkeys(facts.LIMITS, "check the limits in the bench file against those of the stage"),
     facts.NOT_CONNECTED: "check the stage's cable and the axis in the bench file",
-    facts.TOO_FAST: "choose a speed in the bench file that the stage can have",
+    facts.TOO_FAST: "state a speed in the bench file that the stage can reach",
     facts.MOTOR_OFF: _HOME,
 }
 
@@ -71,7 +71,7 @@ class NewportHead(MotorisedHead):
             self.stop()
             self._mover.wait_while(self._turns, self._travel.time_limit_s(0.0))
         self._forget_errors()
-        self._refuse_other_settings("was switched off or set otherwise since")
+        self._refuse_other_settings("was switched off or its settings changed")
         if not self._motor_on():
             self._home()
 
@@ -101,7 +101,7 @@ class NewportHead(MotorisedHead):
     def _home(self) -> None:
         if not self._allow_homing:
             raise InstrumentRefused(
-                self.name, "its motor is off: it may have lost its reference, and cannot be asked", _HOME
+                self.name, "its motor is off: it may have lost its reference, which it cannot report", _HOME
             )
         self._tell(f"{self._axis}MO")
         self._tell(f"{self._axis}OR1")
@@ -115,7 +115,7 @@ class NewportHead(MotorisedHead):
         self._forget_errors()
         speed = f"{math.degrees(self._travel.speed_rad_s):.{facts.DEMAND_DECIMALS}f}"
         self._tell(f"{self._axis}VA{speed}")
-        self._refuse_other_settings(f"has not taken {self._axis}VA{speed}")
+        self._refuse_other_settings(f"did not accept {self._axis}VA{speed}")
         decimals = len(self._angle_text().partition(".")[2])
         shown_rad = math.radians(10.0**-decimals)
         if shown_rad > self._travel.tolerance_rad:
@@ -204,7 +204,7 @@ class NewportHead(MotorisedHead):
         raise InstrumentRefused(
             self.name,
             f"the controller {how} error {code}, {text}",
-            remedy or "check the axis in the bench file and the controller's settings, see its manual",
+            remedy or "check the axis in the bench file and, by its manual, the controller's settings",
         )
 
 

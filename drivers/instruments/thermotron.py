@@ -84,5 +84,5 @@ class ThermotronChamber(ControlledChamber):
             raise InstrumentRefused(
                 self.name,
                 f"its mode is {mode}, not {wanted}",
-                "end programs, check alarms and that nobody else controls the chamber, then take this step again",
+                "end programs, check alarms and that nobody else controls the chamber, then repeat this step",
             )

@@ -55,7 +55,7 @@ class WatlowF4TChamber(ControlledChamber):
             raise InstrumentRefused(
                 self.name,
                 f"the control loop reports {state}",
-                "see the controller's display (a sensor broken or not connected), mend it and reset it there",
+                "check the sensor and its cable, then reset the fault at the controller's display",
             )
 
     def _demand(self, target_c: float) -> None:
@@ -104,8 +104,7 @@ class WatlowF4TChamber(ControlledChamber):
             raise InstrumentRefused(
                 self.name,
                 f"the controller does not say whether it speaks °C or °F ({error.cause})",
-                "update its firmware to 04:05:0007 or later (older firmware speaks °F only), or, if it is "
-                "new enough, check the cable",
+                "update its firmware to 04:05:0007 or later (older ones speak °F only), or check the cable",
             ) from error
 
     def _fahrenheit(self) -> bool:

@@ -28,12 +28,12 @@ _EXPECTED: Final = "a reply such as @01 0 07 OK IDLE -- 0, with the number of th
 
 _FINE: Final = "--"
 _NOT_HOMED: Final = ("WR", "WH")
-_CHECK_HEAD: Final = "free the head, check its load, then take this step again"
+_CHECK_HEAD: Final = "free the head, check its load, then repeat this step"
 _TROUBLES: Final = {
     "FF": ("reports a critical fault of the controller", "switch it off and have it serviced"),
     "FD": ("has switched its motor driver off", "switch the controller off and on and home the head"),
     "FO": ("has switched its motor driver off (overload)", "switch the controller off and on"),
-    "FQ": ("cannot trust its encoder", "check the encoder's cable, home the head, then take this step again"),
+    "FQ": ("cannot trust its encoder", "check the encoder's cable, home the head, then repeat this step"),
     "FS": ("has stalled", _CHECK_HEAD),
     "FE": ("ran into a limit", _CHECK_HEAD),
     "FB": ("could not follow its path", _CHECK_HEAD),
@@ -50,7 +50,7 @@ _REJECTIONS: Final = {
     "BADCOMMAND": "the controller does not know the command",
     "BADDATA": "the value is outside what the controller allows",
     "BADAXIS": "it has no such axis",
-    "STATUSBUSY": "it moves",
+    "STATUSBUSY": "it is moving",
     "PARKED": "the axis is parked",
     "DRIVERDISABLED": "the motor driver is off",
 }
@@ -168,8 +168,8 @@ class ZaberHead(MotorisedHead):
             raise InstrumentRefused(
                 self.name,
                 f"its resolution is {resolution} microsteps, but the steps per degree in the bench file "
-                f"hold for {self._resolution}",
-                "set the one or the other right",
+                f"assume {self._resolution}",
+                "correct one of them",
             )
         speed_deg_s = math.degrees(self._travel.speed_rad_s)
         speed = round(speed_deg_s * abs(self._steps_per_degree) * facts.SPEED_UNITS)
@@ -179,7 +179,7 @@ class ZaberHead(MotorisedHead):
             raise InstrumentRefused(
                 self.name,
                 f"its maxspeed is {taken} after it was set to {speed}",
-                "choose a speed in the bench file that the stage can have",
+                "state a speed in the bench file that the stage can reach",
             )
         serial, version = self._if_known("get system.serial"), self._if_known("get version")
         self._identity = Identity(facts.MAKER, device_id, serial, version)
@@ -226,7 +226,7 @@ class ZaberHead(MotorisedHead):
             raise InstrumentRefused(
                 self.name,
                 f"the controller rejected '{text}' with {content}: "
-                f"{_REJECTIONS.get(content, 'see its manual')}{_with_flag(flag)}",
+                f"{_REJECTIONS.get(content, 'look it up in its manual')}{_with_flag(flag)}",
                 "check device, axis and limits in the bench file, and the controller's settings",
             )
         return _Reply(status == "BUSY", flag, content)
@@ -237,8 +237,8 @@ class ZaberHead(MotorisedHead):
         if wrong:
             raise BadReading(
                 self.name,
-                f"the reply {line!r} to '{text}' has no right checksum",
-                "take it again, and check the cable if it comes again",
+                f"the reply {line!r} to '{text}' has a wrong checksum",
+                "repeat it; if the fault returns, check the cable",
             )
 
     def _trouble(self, flag: str) -> InstrumentRefused:
@@ -246,10 +246,10 @@ class ZaberHead(MotorisedHead):
             return InstrumentRefused(
                 self.name,
                 f"the head has lost its reference (flag {flag})",
-                "home it, then take this point again",
+                "home it, then redo this point",
             )
         cause, remedy = _TROUBLES.get(
-            flag, ("shows a warning that is not known here", "see the protocol manual for its meaning")
+            flag, ("shows an unknown warning", "see the protocol manual for its meaning")
         )
         return InstrumentRefused(self.name, f"the head {cause} (flag {flag})", remedy)
 
@@ -261,15 +261,15 @@ def _with_flag(flag: str) -> str:
 def _checked(steps_per_degree: float, travel: Travel) -> float:
     """Return `steps_per_degree`. Raises `ValueError` if whole steps cannot express the limits or the tolerance."""
     if not math.isfinite(steps_per_degree) or steps_per_degree == 0.0:
-        raise ValueError(f"the head needs a number of steps per degree, not {steps_per_degree:g}")
+        raise ValueError(f"state a number of steps per degree for the head, not {steps_per_degree:g}")
     farthest_deg = math.degrees(max(abs(travel.minimum_rad), abs(travel.maximum_rad)))
     if farthest_deg * abs(steps_per_degree) > facts.MOST_STEPS:
         raise ValueError(
-            f"at {steps_per_degree:g} steps per degree the limits of the head are more than "
+            f"at {steps_per_degree:g} steps per degree narrow the limits of the head: they are more than "
             f"{facts.MOST_STEPS} steps"
         )
     if 0.5 / abs(steps_per_degree) > math.degrees(travel.tolerance_rad):
         raise ValueError(
-            f"at {steps_per_degree:g} steps per degree a step of the head is coarser than its tolerance"
+            f"at {steps_per_degree:g} steps per degree a step of the head is coarser than its tolerance; widen it"
         )
     return steps_per_degree

@@ -124,7 +124,7 @@ class AdapterConnection:
     @contextlib.contextmanager
     def _talking(self) -> Iterator[Connection]:
         if self._interrupted.is_set():
-            raise WireError("was closed while it was in use", "open the instrument and take this step again")
+            raise WireError("was closed while it was in use", "open the instrument and repeat this step")
         with self._adapter.talking(self._link_number) as link:
             yield link
 
@@ -132,7 +132,7 @@ class AdapterConnection:
 class _Adapter:
     """An adapter, shared by its instruments.
 
-    After any failure the link is dropped, and made anew when an instrument is opened. Commands that other
+    After any failure the link is dropped, and made again when an instrument is opened. Commands that other
     instruments sent over the old link may be lost, so their connections become invalid (`has_link`).
     """
 
@@ -174,7 +174,7 @@ class _Adapter:
         with self._lock:
             if self._link is None or not self.has_link(link_number):
                 raise WireError(
-                    "lost the adapter's connection", "check that the adapter is on, then take this step again"
+                    "lost the adapter's connection", "check that the adapter is on, then repeat this step"
                 )
             try:
                 if not _is_quiet(self._link):
@@ -238,7 +238,7 @@ class _Adapter:
             )
         chunk = link.take_all()
         if not chunk:
-            raise WireError("broke the connection", "check that the adapter is on, then take this step again")
+            raise WireError("broke the connection", "check that the adapter is on, then repeat this step")
         return chunk
 
     def _drop(self) -> None:
@@ -273,7 +273,7 @@ def parse(resource: str) -> tuple[str, int]:
     match = _RESOURCE.fullmatch(resource)
     if match is None or int(match["address"]) > _HIGHEST_ADDRESS:
         raise WireError(
-            "is not an address that can be understood",
+            "is not a valid address",
             "write it like prologix://192.0.2.10:1234/22 or prologix:///dev/ttyUSB0/22, "
             f"with a GPIB address of 0 to {_HIGHEST_ADDRESS}",
         )

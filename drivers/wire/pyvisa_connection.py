@@ -39,11 +39,11 @@ Cause = tuple[str, str]
 """What happened, and what to do about it."""
 
 _PORT_GONE: Final = (
-    "is gone: the port failed",
+    "was lost: the port failed",
     "check that the serial adapter is plugged in and start again",
 )
 _CLOSED_IN_USE: Final = ("was closed while it was in use", "open the instrument and take this step again")
-_CHECK_POWER: Final = "check that it is on and its cable sits, then start again"
+_CHECK_POWER: Final = "check its power and its cable, then start again"
 
 _BY_ERRNO: Final[dict[int, Cause]] = {
     errno.ECONNREFUSED: (
@@ -62,7 +62,7 @@ _BY_ERRNO: Final[dict[int, Cause]] = {
     ),
     errno.EACCES: (
         "may not be opened by this user",
-        "give the user the right to it (on Linux: the group dialout) and log in again",
+        "give the user access (on Linux: the group dialout) and log in again",
     ),
     errno.EBUSY: ("is in use by another program", "close the other program and start again"),
     errno.EBADF: _CLOSED_IN_USE,
@@ -79,7 +79,7 @@ _BY_STATUS: Final[dict[int, Cause]] = {
         "check that the instrument is on and its address in the bench file is right",
     ),
     StatusCode.error_invalid_resource_name: (
-        "is not an address that can be understood",
+        "is not a valid address",
         "write it like TCPIP::192.0.2.5::5025::SOCKET, GPIB0::22::INSTR or ASRL/dev/ttyUSB0::INSTR",
     ),
     StatusCode.error_resource_locked: (
@@ -102,7 +102,7 @@ _BY_LIBRARY: Final[dict[str, Cause]] = {
 
 _BY_CLASS: Final[dict[str, Cause]] = {  # by name: termios cannot be imported where there are no terminals
     "termios.error": (
-        "does not take these serial settings",
+        "does not accept these serial settings",
         "use a real serial port, or 8 data bits without parity on the instrument and in the bench file",
     ),
     "serial.serialutil.SerialException": _PORT_GONE,
@@ -110,7 +110,7 @@ _BY_CLASS: Final[dict[str, Cause]] = {  # by name: termios cannot be imported wh
 }
 
 _UNKNOWN_HOST: Final = (
-    "names a host that is not known",
+    "names an unknown host",
     "check the host name in the bench file, or write the numerical address",
 )
 
@@ -134,7 +134,7 @@ def probable_cause(error: BaseException) -> Cause:
         cause = _known(link)
         if cause is not None:
             return cause
-    first_line = (str(error).splitlines() or [""])[0] or "no more is known"
+    first_line = (str(error).splitlines() or [""])[0] or "no details"
     return f"failed with {type(error).__name__} ({first_line})", _CHECK_POWER
 
 

@@ -78,7 +78,7 @@ class WireLog:
             except OSError as error:
                 self._ended = True
                 print(
-                    f"note: the wire log {self.path} ends here ({error.strerror or error}); the run goes on",
+                    f"note: the wire log {self.path} ends here ({error.strerror or error}); the run continues",
                     file=sys.stderr,
                 )
 
@@ -172,7 +172,9 @@ def read_log(path: Path, instrument: str) -> list[Logged]:
         except ValueError as error:  # includes `UnicodeDecodeError`
             mistakes.append(f"{path}, line {number}: {error}")
     if rest:
-        mistakes.append(f"{path}, line {len(lines) + 1}: it has no end; if the log broke off here, delete it")
+        mistakes.append(
+            f"{path}, line {len(lines) + 1}: the line is incomplete; if the log broke off here, delete it"
+        )
     if not mistakes and instrument not in logged:
         mistakes.append(f"{path}: nothing of {instrument}; it has {', '.join(sorted(logged)) or 'no line'}")
     if mistakes:

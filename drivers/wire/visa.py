@@ -1,6 +1,6 @@
 """The transport of all message-based instruments: a session with locking, reply checks and reconnection.
 
-After anything but a complete, expected reply the connection is dropped and made anew before the next exchange.
+After anything but a complete, expected reply the connection is dropped and made again before the next exchange.
 A late or partial reply is thus never mistaken for the answer to another command.
 """
 
@@ -163,7 +163,7 @@ class MessageSession:
             raise BadReading(
                 self.name,
                 f"the reply to {command} is {_shown(reply)}, not {expected}",
-                "take it again, and check cable and terminations if it comes again",
+                "repeat it; if the fault returns, check cable and terminations",
             )
         return reply
 
@@ -235,7 +235,7 @@ class MessageSession:
         if not quiet:
             raise InstrumentLost(
                 self.name,
-                f"{self.resource} does not stop sending",
+                f"{self.resource} keeps sending",
                 "switch the instrument off and on and start again",
             )
 
@@ -262,7 +262,7 @@ class MessageSession:
         if not connection.send((command + self._write_termination).encode("ascii"), self.timeout_s):
             raise InstrumentLost(
                 self.name,
-                f"{self.resource} took nothing of {command} within {self.timeout_s:g} s",
+                f"{self.resource} accepted nothing of {command} within {self.timeout_s:g} s",
                 "switch the instrument off and on and start again",
             )
 
@@ -302,7 +302,7 @@ class MessageSession:
                 raise BadReading(
                     self.name,
                     f"more than one reply came to {command}, the first {_shown(_text(data).rstrip())}",
-                    "take it again, and check that no other program uses the instrument",
+                    "repeat it, and check that no other program uses the instrument",
                 )
         return data
 
@@ -334,21 +334,21 @@ class MessageSession:
             return InstrumentLost(
                 self.name,
                 f"{self.resource} did not answer {command} within {allowed_s:g} s",
-                "check that it is on and set to this interface, and that the cable sits",
+                "check its power, its interface setting and the cable",
             )
         self._log("<", _text(data))
         return BadReading(
             self.name,
             f"the reply to {command} was cut short after {_shown(_text(data))}, "
             f"no end of line within {allowed_s:g} s",
-            "take it again, and check cable and terminations if it comes again",
+            "repeat it; if the fault returns, check cable and terminations",
         )
 
     def _closed(self, when: str) -> InstrumentLost:
         return InstrumentLost(
             self.name,
             f"{self.resource} closed the connection {when}",
-            "check that the instrument is on and nobody else uses it, then take this step again",
+            "check that the instrument is on and nobody else uses it, then repeat this step",
         )
 
     def _refuse_leftovers(self, connection: Connection | AdapterConnection, command: str) -> None:
@@ -362,7 +362,7 @@ class MessageSession:
         raise BadReading(
             self.name,
             f"{_shown(_text(data).rstrip())} came unasked before {command}",
-            "take this step again, and check that no other program uses the instrument",
+            "repeat this step, and check that no other program uses the instrument",
         )
 
     def _log(self, direction: str, text: str) -> None:

@@ -131,19 +131,19 @@ class Fault:
     def __post_init__(self) -> None:
         """Raise `ValueError` with one sentence for inconsistent settings."""
         if self.probability is not None and not 0.0 <= self.probability <= 1.0:
-            raise ValueError(f"a probability lies between 0 and 1, not at {self.probability:g}")
+            raise ValueError(f"give a probability between 0 and 1, not {self.probability:g}")
         if self.at is not None and self.at < 1:
-            raise ValueError(f"exchanges are counted from 1, 'at' is {self.at}")
+            raise ValueError(f"count exchanges from 1; 'at' is {self.at}")
         if self.probability is not None and self.at is not None:
-            raise ValueError("a fault strikes with a probability or at an exchange, not both")
+            raise ValueError("a fault strikes with a probability or at an exchange; remove one of the two")
         if self.probability is None and self.at is None and not self.matching:
             raise ValueError(f"say when '{self.kind}' strikes: give probability, at or matching")
         if not 0.0 <= self.seconds < math.inf:
-            raise ValueError(f"seconds are not negative, and not {self.seconds:g}")
+            raise ValueError(f"give seconds of 0 or more, not {self.seconds:g}")
         if self.seconds and self.kind not in _TAKES_SECONDS:
             raise ValueError(f"'{self.kind}' has no duration; leave out seconds")
         if self.kind is FaultKind.LATE and not self.seconds:
-            raise ValueError("'late' needs seconds: by how much")
+            raise ValueError("state 'seconds', the delay of 'late'")
 
     @classmethod
     def parse(cls, data: Mapping[str, object]) -> Fault:

@@ -284,7 +284,7 @@ class Framer:
 
 
 class ServedInstrument:
-    """A dialect shared by all its wires: it carries out one message at a time, whoever sent it.
+    """A dialect shared by all its wires: it carries out one message at a time, from any wire.
 
     `fault` may be set or removed at any time; all instruments of a bench on a virtual clock share one `traffic`.
     """

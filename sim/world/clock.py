@@ -65,7 +65,7 @@ class ScaledClock:
 
     def __init__(self, speed: float = 1.0, real: Clock | None = None) -> None:
         if not 0.0 < speed < math.inf:
-            raise ValueError(f"a clock runs at a positive speed such as 60, not {speed:g}")
+            raise ValueError(f"give a positive speed such as 60, not {speed:g}")
         self.speed = speed
         self._real = real or SystemClock()
         self._start_s = self._real.now_s()

@@ -71,7 +71,7 @@ class OperatorSettings:
     def __post_init__(self) -> None:
         """Raise `ValueError` for a scale step that is not positive."""
         if self.resolution_rad <= 0.0:
-            raise ValueError(f"the scale's resolution must be positive, not {self.resolution_rad} rad")
+            raise ValueError(f"state a positive resolution of the scale, not {self.resolution_rad} rad")
 
 
 class ScriptedOperator:

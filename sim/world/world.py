@@ -238,7 +238,7 @@ class World(KeyedNumbers):
 
     @contextmanager
     def aside(self) -> Iterator[None]:
-        """Let instruments be read without a trace: afterwards time, history and random numbers are as before.
+        """Let instruments be read without a change: afterwards time, history and random numbers are as before.
 
         Its own random numbers belong to no step. Only a virtual clock can go back.
         """

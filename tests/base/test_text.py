@@ -102,7 +102,7 @@ def test_a_pipe_is_read_where_somebody_writes_to_it_and_not_waited_for_where_nob
     """A writer that has ended, one that has not begun, none at all."""
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
-    with pytest.raises(OSError, match="to which nobody writes"):
+    with pytest.raises(OSError, match="without a writer"):
         read_given(pipe)
     reader, writer = os.pipe()
     os.write(writer, b"all of it")
@@ -190,14 +190,14 @@ def test_what_cannot_be_written_is_named_and_leaves_no_half(tmp_path: Path) -> N
 
 
 def test_a_name_that_no_file_can_have_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(OSError, match="no name that a file can have") as refused:
+    with pytest.raises(OSError, match="not a valid file name") as refused:
         write_whole(tmp_path / "a\ud800", "text")
     assert "\ud800" not in str(refused.value)
 
 
 def test_a_pipe_that_nobody_reads_is_not_waited_for(tmp_path):
     os.mkfifo(tmp_path / "pipe")
-    with pytest.raises(OSError, match="a pipe that nobody reads"):
+    with pytest.raises(OSError, match="a pipe without a reader"):
         write_whole(tmp_path / "pipe", "text")
     reader = os.open(tmp_path / "pipe", os.O_RDONLY | os.O_NONBLOCK)
     write_whole(tmp_path / "pipe", "text")

@@ -112,7 +112,7 @@ def test_gravity_falls_with_height_as_published(latitude_deg, height_m):
 
 @pytest.mark.parametrize("latitude_deg", [91, -500, math.nan])
 def test_there_is_no_gravity_beyond_the_pole(latitude_deg):
-    with pytest.raises(ValueError, match=f"between -90° and 90°, not at {latitude_deg:g}°"):
+    with pytest.raises(ValueError, match=f"between -90° and 90°, not {latitude_deg:g}°"):
         normal_gravity_m_s2(math.radians(latitude_deg))
 
 

@@ -76,7 +76,7 @@ def test_invented_texts_read_as_the_library_composes_them(seed):
         (
             "a: 1\nb: 2\na: [3, {c: 4}]\n",
             {"a": "1", "b": "2"},
-            [(3, (), "'a' stands here a second time, first in line 1")],
+            [(3, (), "'a' appears here again, first in line 1")],
         ),
         ("a: &x 1\nb: *x\n", {"a": "1", "b": None}, [(1, ("b",), "anchors and aliases")]),
         ("a: &x\n  b: *x\n", {"a": {"b": None}}, [(1, ("a", "b"), "anchors and aliases")]),
@@ -94,7 +94,7 @@ def test_what_is_not_taken_is_told_with_its_line_and_place(text, data, slips):
     assert found.data == data
     assert [slip[:2] for slip in found.slips] == [slip[:2] for slip in slips]
     for (*_, told), (*_, expected) in zip(found.slips, slips, strict=True):
-        assert expected in told or "is not understood; leave it out" in told
+        assert expected in told or "is not allowed; remove it" in told
 
 
 @pytest.mark.parametrize(
@@ -104,8 +104,8 @@ def test_what_is_not_taken_is_told_with_its_line_and_place(text, data, slips):
         ("? [*x]\n: 1\n", "found undefined alias 'x'"),
         ("a: &x 1\nb: &x 2\n", "found duplicate anchor 'x'; first occurrence"),
         ("a: 1\n--- \nb: 2\n", "but found another document"),
-        ("[" * 101 + "]" * 101, "more than 100 deep"),
-        ("? " + "[" * 101 + "]" * 101 + "\n: 1\n", "more than 100 deep"),
+        ("[" * 101 + "]" * 101, "more than 100 levels deep"),
+        ("? " + "[" * 101 + "]" * 101 + "\n: 1\n", "more than 100 levels deep"),
     ],
 )
 def test_what_the_library_refuses_is_refused(text, told):

@@ -126,7 +126,7 @@ def test_a_run_that_changed_is_computed_again_and_counts_once(runs, tmp_path):
     rows = Rows()
     left, outcome = carried_out(tmp_path / "out", runs, rows)
     assert rows.asked == [runs[2]]
-    assert "1 runs have changed since they were computed: they are computed again" in left.notes
+    assert "1 runs changed since they were computed; they are computed again" in left.notes
     assert outcome.runs.done == 6
     assert counted(tmp_path / "out") == dict.fromkeys(runs, 1)
 
@@ -136,7 +136,7 @@ def test_runs_that_came_and_went_are_told(runs, tmp_path):
     shutil.rmtree(runs[0])
     left, outcome = carried_out(tmp_path / "out", runs[1:], Rows())
     assert left.notes == (
-        "1 runs that were computed are no longer there: the result is without them",
+        "1 computed runs no longer exist; the result omits them",
         "4 runs are done, 1 are left",
     )
     assert (outcome.runs.listed, outcome.runs.done) == (5, 5)
@@ -147,7 +147,7 @@ def test_another_command_is_told_with_all_that_differs(runs, tmp_path):
     with pytest.raises(Refused) as told:
         carried_out(tmp_path / "out", runs, Rows(), Job(CALIBRATE, g_m_s2=9.81), over=["elsewhere/*"])
     assert (
-        "--estimator was robust; --g was not given; --over was runs/*; go on as it was begun"
+        "--estimator was robust; --g was not given; --over was runs/*; use the same options"
         in told.value.typed
     )
 
@@ -175,7 +175,7 @@ def test_two_programs_never_carry_out_one_batch(tmp_path):
 
 def test_a_folder_of_something_else_is_left_alone(tmp_path):
     (tmp_path / "thesis.txt").write_text("years")
-    with pytest.raises(Refused, match="holds other files"), Store(tmp_path):
+    with pytest.raises(Refused, match="has other files"), Store(tmp_path):
         pass
     assert [file.name for file in tmp_path.iterdir()] == ["thesis.txt"]
 
@@ -192,7 +192,7 @@ def test_a_row_that_stands_twice_is_never_counted_twice(runs, tmp_path):
     carried_out(tmp_path / "out", runs, Rows())
     parts = tmp_path / "out" / "parts"
     shutil.copy(parts / "part-0000001.parquet", parts / "part-0000009.parquet")
-    with pytest.raises(Refused, match="stands in another part, too"):
+    with pytest.raises(Refused, match="is in another part, too"):
         carried_out(tmp_path / "out", runs, Rows())
 
 
@@ -216,7 +216,7 @@ def test_a_query_asks_the_catalogue(runs, tmp_path):
         sync(opened, [tmp_path / "runs"])
     asked = ["procedure=* simulated=yes", "type=triaxial block of the paper"]
     assert list_runs(asked, tmp_path, where).runs == (runs[0],)  # the others are copies of it
-    with pytest.raises(Refused, match="the catalogue has no run of which this holds"):
+    with pytest.raises(Refused, match="no run in the catalogue matches"):
         list_runs(["simulated=no"], tmp_path, where)
     with pytest.raises(Refused, match="no key colour"):
         list_runs(["colour=red"], tmp_path, where)
@@ -225,9 +225,9 @@ def test_a_query_asks_the_catalogue(runs, tmp_path):
 @pytest.mark.parametrize(
     ("over", "told"),
     [
-        (["there/*"], "--over there/*: no run lies there"),
-        (["unit=Q-17", "runs/*"], "--over runs/*: a pattern beside a query (unit=Q-17)"),
-        ([""], "--over: say which runs"),
+        (["there/*"], "--over there/*: no run is there"),
+        (["unit=Q-17", "runs/*"], "--over runs/*: a pattern and a query together (unit=Q-17)"),
+        ([""], "--over: name the runs"),
     ],
 )
 def test_what_names_no_run_is_refused(runs, tmp_path, over, told):
@@ -341,7 +341,7 @@ def test_a_stored_result_that_cannot_be_read_is_noted_and_the_run_computed(run, 
 
 def test_a_stored_result_of_another_state_of_the_record_is_noted(run):
     edited(run / "calibrate.json", lambda told: told["record"].update(head="0" * 64))
-    assert "another state of the record" in worked(Job(CALIBRATE), str(run))["notes"]
+    assert "an earlier state of the record" in worked(Job(CALIBRATE), str(run))["notes"]
 
 
 def test_a_bad_run_is_a_row_with_its_sentence(run):
@@ -358,7 +358,7 @@ def test_a_mistake_of_the_program_is_a_sentence_too(run, monkeypatch):
 
     monkeypatch.setattr("bench.batch.work.calibration_of", broken)
     assert worked(Job(CALIBRATE), str(run))["failed"] == (
-        "stopped by a mistake of the program (ZeroDivisionError: lost)"
+        "stopped by an error of the program (ZeroDivisionError: lost)"
     )
 
 

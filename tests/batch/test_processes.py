@@ -86,12 +86,12 @@ def test_a_run_that_no_process_survives_is_listed_and_the_others_are_computed(mo
     failed = {row["run"]: row["failed"] for row in rows if "failed" in row}
     assert failed.keys() == {"/runs/7", "/runs/8"}
     assert failed["/runs/7"] == (
-        f"no process gets through this run: {TRIES} processes ended at it, the last by signal SIGKILL; try it alone"
+        f"every process failed at this run: {TRIES} processes ended at it, the last by signal SIGKILL; try it alone"
     )
 
 
 def test_processes_that_never_come_up_end_the_batch(monkeypatch):
-    with pytest.raises(Refused, match=r"end before they begin \(with status 1\)"):
+    with pytest.raises(Refused, match=r"end before they start \(with status 1\)"):
         rows_of(monkeypatch, ["/runs/1", "/runs/2"], 2, deadly=(), stillborn=True)
 
 
@@ -215,7 +215,9 @@ def test_a_worker_killed_in_the_middle_loses_and_repeats_nothing(workers, tmp_pa
 @pytest.mark.slow
 def test_a_worker_with_another_program_is_refused(workers, tmp_path, monkeypatch):
     monkeypatch.setattr(processes, "program", lambda: {**program(), "version": "0.0.9"})
-    with pytest.raises(Refused, match=r"a worker has another program: its version is .*, here 0\.0\.9"):
+    with pytest.raises(
+        Refused, match=r"a worker has another version; install the same one: its version is .*, here 0\.0\.9"
+    ):
         list(by_scheduler(Job(CALIBRATE), iter(["/runs/1"]), workers.scheduler_address))
 
 

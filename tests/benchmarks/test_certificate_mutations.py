@@ -26,6 +26,7 @@ def pair(tmp_path_factory: pytest.TempPathFactory) -> Iterator[mutations.Pair]:
         yield mutations.signed_pair(run, folder)
 
 
+@pytest.mark.slow
 def test_the_pair_itself_is_accepted(pair: mutations.Pair, tmp_path: Path) -> None:
     for kind, original in (("any bit", pair.xml), ("any bit of the PDF", pair.pdf)):
         assert mutations.outcome(pair, original, kind, tmp_path, beside=True) == mutations.UNCHANGED

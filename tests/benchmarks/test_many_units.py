@@ -101,7 +101,7 @@ def test_what_it_cannot_do_is_said():
         calibrate_batch(table.signal, CONDITIONS, MODEL, STAND_U)
     alike = signals.copy()
     alike[2, :, 1] = alike[2, :, 0]
-    with pytest.raises(CalibrationError, match="channels x and y answer alike"):
+    with pytest.raises(CalibrationError, match="channels x and y respond equally"):
         calibrate_batch(alike, CONDITIONS, MODEL, STAND_U)
     signals[1, 4, 0] = np.nan
     with pytest.raises(CalibrationError, match="unit 2 of 3 has a signal that is not a number"):

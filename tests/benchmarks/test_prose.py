@@ -1,6 +1,6 @@
 """The report on the prose: it counts a hand-made page right."""
 
-from benchmarks.prose import BANNED, prose_of, sentences
+from benchmarks.prose import BANNED, banned_in, check, prose_of, sentences
 
 PAGE = """---
 title: no sentence
@@ -46,3 +46,16 @@ def test_a_long_sentence_is_one_over_25_words():
 def test_banned_phrases_are_lower_case_and_each_once():
     lines = BANNED.read_text(encoding="utf-8").splitlines()
     assert lines == sorted({line.strip().lower() for line in lines})
+
+
+def test_a_banned_phrase_is_found_over_line_ends_and_between_literals():
+    text = 'x = (\n    "Whoever asks is"\n    f"told: {this}"\n)\n# it goes\n# round. Is toldly, basis told\n'
+    assert list(banned_in(text, ["goes round", "is told", "whoever"])) == [
+        (5, "goes round"),
+        (2, "is told"),
+        (2, "whoever"),
+    ]
+
+
+def test_no_banned_phrase_stands_in_the_project():
+    assert check(BANNED.read_text(encoding="utf-8").splitlines()) == 0

@@ -28,6 +28,7 @@ def test_what_is_left_of_noise_has_its_expectation():
     assert np.mean(left_over) == pytest.approx(freedom, abs=4 * np.sqrt(2 * freedom / 100))
 
 
+@pytest.mark.slow
 def test_forms_have_the_size_asked_for_and_their_own_name_explains_them():
     for name in (*HIDDEN, *OUTSIDE):
         form = hidden(name, 12.0, 1, 8)

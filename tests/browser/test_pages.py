@@ -6,7 +6,8 @@ from urllib.parse import quote
 
 import pytest
 
-from bench.panel.access import Role
+from bench.panel.access import STATE, Role, private_folder
+from bench.panel.queue import DayQueue, new_item
 from bench.run.events import EVENTS, MANIFEST
 from bench.run.record import Record
 from drivers.clock import utc_now
@@ -20,6 +21,7 @@ PAGES = (
     "/", "/start", "/check", "/runs/done/", "/runs/asked/", "/runs/mounting/", "/runs/done/verdict",
     "/runs/done/view/report", "/runs/none/", "/runs/done/plots", "/runs/later/plots", "/runs/later/verdict",
     "/bench", "/bench/form?start=bench-lan&name=two", "/bench/form?start=bench-multiplexer",
+    "/queue", "/procedures", "/procedures/form?start=temperature", "/runs/broken/",
 )  # fmt: skip
 
 
@@ -59,6 +61,21 @@ def asked(panel):
         record.close()
 
 
+@pytest.fixture
+def queued(panel):
+    """A queue with units in every state, and a damaged run."""
+    queue = DayQueue(private_folder(panel.runs / STATE))
+    for unit, run in (
+        ("17-042", "done"),
+        ("17-043", "broken"),
+        ("unit-with-a-serial-number-of-40-letters", ""),
+    ):
+        item = new_item(unit, "calibration", "bench-lan", "anna", dry_run=not run)
+        queue.add([item.model_copy(update={"run": run})])
+    shutil.copytree(RECORDS / "finished", panel.runs / "broken")
+    (panel.runs / "broken" / EVENTS).write_text("rubbish\n")
+
+
 @pytest.fixture(scope="module")
 def plotted(tmp_path_factory):
     return make_plotted(tmp_path_factory.mktemp("plotted"))
@@ -72,7 +89,7 @@ def plots(panel, plotted):
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_no_page_keeps_people_out_or_scrolls_sideways(visit, panel, asked, plots, scheme):
+def test_no_page_keeps_people_out_or_scrolls_sideways(visit, panel, asked, plots, queued, scheme):
     from axe_playwright_python.sync_playwright import Axe
 
     page = visit("/", color_scheme=scheme, viewport={"width": 1280, "height": 900})

@@ -22,6 +22,7 @@ def wander_of(case):
     return np.array(found)
 
 
+@pytest.mark.slow
 def test_a_walk_is_seen_as_large_as_it_is_and_seldom_taken_for_hardly_any():
     """A walk that ends 200 uV off (1 sigma) is 82 uV rms about its mean; in few runs its own is less than a third.
 

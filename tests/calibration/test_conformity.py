@@ -150,7 +150,7 @@ def test_a_rule_that_is_none_is_refused():
         CalibrationError, match="no decision rule 'kind'; there are simple acceptance, guarded"
     ):
         DecisionRule.of("kind")
-    with pytest.raises(CalibrationError, match="simple acceptance takes no guard band"):
+    with pytest.raises(CalibrationError, match="simple acceptance has no guard band"):
         DecisionRule.of("simple", 0.5)
     for band in (0.0, -1.0, float("nan"), float("inf")):
         with pytest.raises(CalibrationError, match=r"expected a positive number, such as 0\.83"):

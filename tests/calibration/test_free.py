@@ -12,6 +12,7 @@ from scipy.optimize import least_squares
 from bench.calibration import CalibrationError, Noise, calibrate
 from bench.calibration.design import FreeRows, make_problem
 from bench.calibration.free import modulus_rows
+from bench.calibration.intrinsic import intrinsic_of
 from bench.model import CATALOGUE, AppliedEffect, Block, ForwardModel
 from bench.model.geometry import COEFFICIENTS
 from bench.readings.csv import read_csv
@@ -58,6 +59,22 @@ def test_xsens_as_imu_tk_has_it():
     assert np.array_equal(np.tril(found.T, -1), np.zeros((3, 3)))
 
 
+def test_free_positions_alone_tell_all_nine_and_no_mounting():
+    """Seed 41, 60 positions, a channel of each sign: within 4 u of the Gram matrix of the true K; nothing held."""
+    signs = np.diag([1.0, -1.0, 1.0])
+    forces = free_forces(60, np.random.default_rng(41))
+    signal = forces @ (signs @ K).T + U0 + np.random.default_rng(42).normal(0, 2e-5, (60, 3))
+    found = calibrate(free_alone(0, 0.0, 41, signal), MODEL, {}, 9.81)
+    own = intrinsic_of(found)
+    gram = signs @ K @ K.T @ signs
+    S = np.sqrt(np.diag(gram))
+    angles = [np.degrees(np.arccos(gram[i, j] / (S[i] * S[j]))) for i, j in ((0, 1), (0, 2), (1, 2))]
+    assert np.all(np.abs(own.values - np.concatenate([S, angles, U0 / S])) < 4 * own.u)
+    assert own.u[3:6].max() < 1e-2
+    assert own.held == ()
+    assert "no stand enters free positions" in own.mounting
+
+
 @pytest.mark.parametrize(
     ("name", "before_mg", "after_mg"), [("innalabs-24", 15.47, 0.426), ("innalabs-49", 15.71, 0.836)]
 )
@@ -81,7 +98,7 @@ def test_the_outliers_of_innalabs_49_are_found():
     assert [o.size for o in robust.outliers] == pytest.approx(
         [float(robust.modulus_error[o.row - 1]) for o in robust.outliers], rel=1e-6
     )
-    assert sum("an outlier is evident" in note for note in plain.notes) == 2
+    assert sum("outlier found" in note for note in plain.notes) == 2
     clean = real("innalabs-24", estimator="robust")
     assert clean.outliers == ()
 
@@ -324,9 +341,9 @@ def test_free_positions_may_stay_out():
     assert np.all(joined.u <= apart.u * (1 + 1e-6))
     assert len(joined.modulus_error) == 6
     assert apart.free is None
-    assert "6 free positions do not take part: as asked" in apart.notes
+    assert "6 free positions are not used: as asked" in apart.notes
     closed = calibrate(table, MODEL, STAND_U, 9.81, "closed-form")
-    assert any("takes oriented readings alone" in note for note in closed.notes)
+    assert any("needs oriented readings" in note for note in closed.notes)
     with pytest.raises(CalibrationError, match="use gls or robust"):
         calibrate(table, MODEL, STAND_U, 9.81, "closed-form", join_verification=True)
 

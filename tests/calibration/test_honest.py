@@ -120,7 +120,7 @@ def test_saturated_readings_have_the_noise_that_the_bench_file_states():
 
 @pytest.mark.parametrize("design", FEW)
 def test_few_readings_are_refused_where_nobody_states_the_noise(design):
-    with pytest.raises(CalibrationError, match="nobody stated it in the unit of the signals"):
+    with pytest.raises(CalibrationError, match="state voltmeter_error in the bench file"):
         few(design, 1, stated=STAND_U)
 
 

@@ -101,7 +101,7 @@ def test_a_cable_that_is_off():
     for estimator in ESTIMATORS:
         refused(
             readings,
-            "channel z does not answer to the acceleration; check its cable|K is singular",
+            "channel z does not respond to the acceleration; check its cable|K is singular",
             estimator,
         )
     readings.signal[:, 2] = 0.1
@@ -258,7 +258,7 @@ def test_a_calibration_refuses_signals_in_two_units_and_a_diagnosis_names_them(r
     for name, value in where.items():
         rows &= getattr(readings, name) == value
     spoilt = scaled(readings, rows, **how)
-    with pytest.raises(CalibrationError, match=rf"r\.csv: {words}.*write them in one unit"):
+    with pytest.raises(CalibrationError, match=rf"r\.csv: {words}.*convert them to one unit"):
         refuse_mixed_units(spoilt, MODEL, SHEET)
     first, *_ = find_mistakes(spoilt, MODEL, {}, np.array(SHEET)).mistakes
     assert first.name == "wrong_unit"
@@ -367,7 +367,7 @@ def test_check_says_it_before_the_run_and_in_json(bench):
     assert status == 0
     told = [line for line in out.splitlines() if "leaves open" in line or "shown by" in line]
     assert told[0].startswith(
-        "leaves open: alpha5[1], alpha5[2] as (1, 1): goes into coefficients without a trace"
+        "leaves open: alpha5[1], alpha5[2] as (1, 1): is indistinguishable from a change of coefficients"
     )
     assert told[1].startswith(
         "would be shown by: let the verification points join the fit by |a| = 1 g (no further"

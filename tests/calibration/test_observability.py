@@ -134,7 +134,7 @@ def test_a_direction_is_told_in_words():
     assert "only the sum" not in x.text()  # the sum is open, too
     assert roll.kind is DirectionKind.MIXED
     assert roll.text().startswith(
-        "alpha5[1], alpha5[2] as (1, 1): goes into coefficients without a trace: 1 arc"
+        "alpha5[1], alpha5[2] as (1, 1): is indistinguishable from a change of coefficients: 1 arc"
     )
     # by alpha5 in installation 1, K_yz takes -K_yy of it
     assert roll.members["Kyz"] / roll.members["alpha5[1]"] == pytest.approx(2.14, rel=0.005)
@@ -256,7 +256,7 @@ def test_the_cubic_and_the_odd_square_are_told_as_inseparable():
     assert isinstance(direction, Direction)
     assert set(direction.others) == {"terms.K3[y]", "terms.Koq[y]"}
     assert direction.coefficients == ["Kyy"]
-    assert "goes into coefficients without a trace: 1 of terms." in direction.text()
+    assert "is indistinguishable from a change of coefficients: 1 of terms." in direction.text()
 
 
 def test_a_bias_changes_in_the_unit_of_the_signals_and_a_factor_per_g():

@@ -103,7 +103,7 @@ def test_the_default_says_that_an_outlier_is_evident_and_keeps_it():
     readings.signal[8, 2] += 5e-3
     result = calibrate(readings, MODEL, STAND_U, 9.81)
     note = result.notes[0]
-    assert "an outlier is evident: row 9 (installation 1, pass 1, point 9), z: off by +0.00" in note
+    assert "outlier found: row 9 (installation 1, pass 1, point 9), z: off by +0.00" in note
     assert "'robust'" in note
     assert result.outliers == ()
     assert result.noise.reading > 3e-4
@@ -147,4 +147,4 @@ def test_command_line(bench, tmp_path):
     result = json.loads(out)
     assert status == 0
     assert result["outliers"] == []
-    assert any("an outlier is evident: row 14" in note for note in result["notes"])
+    assert any("outlier found: row 14" in note for note in result["notes"])

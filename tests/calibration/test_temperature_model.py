@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 import shutil
 import subprocess
 from functools import cache
@@ -10,11 +11,13 @@ import numpy as np
 import pytest
 
 from bench.calibration import CalibrationError, calibrate
-from bench.calibration.temperature import c_header, inverse_entries, make_table, table_csv
+from bench.calibration.temperature import inverse_entries, make_table
 from bench.calibration.temperature_fit import temperature_model
+from bench.exchange.compensation import c_header, json_test, table_checks, table_csv
 from bench.model.geometry import COEFFICIENTS, Block
 from bench.results.compensation import table_part
 from tests.support.paper_bench import STAND_U, TRUTH
+from tests.support.self_tests import compiled_test, own_test, with_a_digit_changed
 from tests.support.thermal_bench import MODEL, REFERENCE_C, coefficients, simulate, truth
 
 SEED = 2026
@@ -169,7 +172,7 @@ def test_files_of_one_temperature_each_make_one_model():
     assert model.readings == 3 * 54
     assert [plateau.branch for plateau in model.plateaus] == [0, 0, 0]
     assert model.hysteresis is None
-    assert any("hysteresis is not known" in note for note in model.notes)
+    assert any("excludes hysteresis" in note for note in model.notes)
     error = model.coefficients(GRID_C[8:25]) - coefficients(polynomials, GRID_C[8:25])
     u = np.sqrt([np.diag(model.covariance_at(t)) for t in GRID_C[8:25]])
     assert np.max(np.abs(error) / u) < 5.0
@@ -193,12 +196,12 @@ def one_temperature(rng):
 @pytest.mark.parametrize(
     ("make", "arguments", "told"),
     [
-        (one_temperature, {}, r"which is one temperature; measure at three or more"),
+        (one_temperature, {}, r"too narrow a range; measure at three or more"),
         (lambda rng: simulate(rng, truth(rng)), {"reference_c": 90.0}, r"90 °C, lies outside .*--reference"),
         (
             lambda rng: simulate(rng, truth(rng)),
             {"degree": 5},
-            r"polynomials of degree 5 .*state a lower degree",
+            r"polynomials of degree 5 .*give a lower degree",
         ),
         (
             lambda rng: simulate(rng, truth(rng), cycle=(0.0, 23.0), cycle_2=(23.0,)),
@@ -281,7 +284,7 @@ def test_nodes_hold_the_inverse_of_the_polynomials(model, table):
 
 @pytest.mark.parametrize("step_k", [0.0, -1.0, 1e-4, 200.0, float("nan")])
 def test_a_step_that_is_none_is_refused(model, step_k):
-    with pytest.raises(CalibrationError, match=r"a step of .* does not suit a table from -2"):
+    with pytest.raises(CalibrationError, match=r"a step of .* does not fit a table from -2"):
         make_table(model, REACH_G, step_k)
 
 
@@ -342,6 +345,27 @@ def test_the_header_compiles_and_computes_what_the_table_says(compiled, table, d
     assert np.all(np.abs(found - force) <= 1.5 * allowed_g(table, force))
     # the same arithmetic in numpy; a fused multiplication may differ in the last digits of 10 g
     assert found == pytest.approx(table.specific_force(signal, temperature), abs=4e-6)
+
+
+def test_what_is_exported_tests_itself_with_temperature(model, table, tmp_path):
+    """C to 1e-12 in double precision; CSV and JSON by their three lines; each fails once a digit changes."""
+    header = c_header(model, table, "block 1")
+    assert compiled_test(tmp_path, "compensation", header) == 0
+    at = re.search(r"compensation_table.*?\{\s*\{-?", header, re.DOTALL).end()
+    assert compiled_test(tmp_path, "compensation", with_a_digit_changed(header, at)) > 0
+    text = table_csv(model, table, "block 1")
+    checks = table_checks(model, table)
+    assert len(checks) == table.nodes - 1
+    data = {"table": table_part(table).to_dict(), "check": checks.tolist(), "python": json_test(len(checks))}
+    for name, made, first in (
+        ("x.csv", text, r"\n-2\d\.\d+,-?"),
+        ("x.json", json.dumps(data), r'"rows": \[\[-?'),
+    ):
+        (tmp_path / name).write_text(made)
+        assert own_test(tmp_path / name) == 0
+        changed = with_a_digit_changed(made, re.search(first, made).end())
+        (tmp_path / name).write_text(changed)
+        assert own_test(tmp_path / name) != 0
 
 
 def test_the_header_tells_a_temperature_outside_and_one_that_is_none(compiled, model):

@@ -121,12 +121,10 @@ def test_an_older_catalogue_is_made_anew_from_its_runs(tmp_path):
                 "ALTER TABLE runs DROP COLUMN temperature_c", "ALTER TABLE runs ADD COLUMN colour TEXT",
             ):  # fmt: skip
                 connection.exec_driver_sql(statement)
-    with pytest.raises(Refused, match=r"older version of this program; make it anew .*bench catalogue sync"):
+    with pytest.raises(Refused, match=r"older version of this program; make it again .*bench catalogue sync"):
         open_catalogue(file)
     with open_catalogue(file, renew=True) as catalogue:
-        assert catalogue.renewed.endswith(
-            "from its 2 runs; 1 runs whose folders are gone are kept as they were"
-        )
+        assert catalogue.renewed.endswith("from its 2 runs; 1 runs without a folder were kept unchanged")
     with open_catalogue(file) as catalogue:  # as after a sync that was ended at its beginning
         done = sync(catalogue, [one.parent])
         assert (done.added, done.vanished, done.problems) == (2, 1, {})
@@ -186,7 +184,7 @@ def test_bad_folders_are_listed_with_the_reason_and_stop_nothing(catalogue, tmp_
     reasons = {path.rsplit("/", 1)[1]: why for path, why in done.problems.items()}
     assert sorted(reasons) == ["foreign", "half", "result", "torn"]
     assert "without run.json" in reasons["half"]
-    assert "of another program" in reasons["foreign"]
+    assert "by another program" in reasons["foreign"]
     assert "damaged" in reasons["torn"]
     assert "calibrate.json" in reasons["result"]
     assert done.added == 2

@@ -50,7 +50,7 @@ def test_the_content_of_a_signature_has_no_comment_and_no_signature(signed_xml):
     ],
 )
 def test_what_is_signed_in_xml_cannot_be_changed(signed_xml, old, new):
-    with pytest.raises(NotIntact, match="does not hold"):
+    with pytest.raises(NotIntact, match="is invalid"):
         check_xml(signed_xml.replace(old, new))
 
 
@@ -115,13 +115,13 @@ def a_reference_less(signed):
 @pytest.mark.parametrize(
     ("attack", "words"),
     [
-        (wrapped, "does not hold"),
-        (within_object, "parts that nobody signed"),
+        (wrapped, "is invalid"),
+        (within_object, "unsigned parts"),
         (signed_twice, "2 signatures"),
-        (not_at_the_end, "does not stand where"),
-        (unsigned_properties, "parts that nobody signed"),
+        (not_at_the_end, "is not the last element"),
+        (unsigned_properties, "unsigned parts"),
         (no_signature, "nobody signed it"),
-        (a_reference_less, "does not hold"),
+        (a_reference_less, "is invalid"),
     ],
 )
 def test_a_wrapped_signature_is_refused(signed_xml, attack, words):
@@ -147,16 +147,16 @@ def test_another_signer_shows_as_another(signed_xml):
     theirs = sign_xml(XML, a_signatory("Somebody else"), NOW)
     assert check_xml(theirs).chain != check_xml(signed_xml).chain
     foreign = re.search(rb"<ds:X509Certificate>.*?</ds:X509Certificate>", theirs, re.DOTALL)[0]
-    with pytest.raises(NotIntact, match="does not hold"):
+    with pytest.raises(NotIntact, match="is invalid"):
         check_xml(
             re.sub(rb"<ds:X509Certificate>.*?</ds:X509Certificate>", foreign, signed_xml, flags=re.DOTALL)
         )
 
 
 def test_what_is_signed_is_not_signed_again(signed_xml, signed_pdf):
-    with pytest.raises(Refused, match="signed already"):
+    with pytest.raises(Refused, match="already signed"):
         sign_xml(signed_xml, a_signatory(), NOW)
-    with pytest.raises(Refused, match="signed already"):
+    with pytest.raises(Refused, match="already signed"):
         sign_pdf(signed_pdf, a_signatory(), NOW, "", "")
 
 
@@ -201,13 +201,13 @@ def attached(writer):
 @pytest.mark.parametrize("change", [content_shown_anew, form_filled, attached])
 def test_nothing_can_be_appended_to_a_signed_file(signed_pdf, change):
     """Shadow attacks hide something in a file before it is signed, and show it by an update after."""
-    with pytest.raises(NotIntact, match="appended after its signature"):
+    with pytest.raises(NotIntact, match="something was appended"):
         check_pdf(appended(signed_pdf, change))
 
 
 def test_an_update_before_the_signature_is_no_body(signed_pdf):
     body = appended(blank_pdf(), attached)
-    with pytest.raises(NotIntact, match="appended; a certificate is its body and one signature"):
+    with pytest.raises(NotIntact, match="appended to it after the signature"):
         check_pdf(sign_pdf(body, a_signatory(), NOW, "", ""))
 
 
@@ -233,7 +233,7 @@ def test_a_second_signature_is_refused(signed_pdf):
     certifies_nothing = signers.sign_pdf(
         IncrementalPdfFileWriter(io.BytesIO(blank_pdf())), told, signer
     ).getvalue()
-    with pytest.raises(NotIntact, match="another kind than PAdES"):
+    with pytest.raises(NotIntact, match="not PAdES"):
         check_pdf(certifies_nothing)
     approved = signers.PdfSignatureMetadata(field_name="Third", md_algorithm="sha256")
     twice = signers.sign_pdf(

@@ -143,7 +143,7 @@ def test_what_a_certificate_needs_is_told(bench, desk):
     )
     refused(
         bench("certificate", "finished", *desk[:4], "--authorised-by", "Somebody"),
-        "nobody else may authorise",
+        "choose one of them",
     )
     refused(
         bench("certificate", "revoke", "7", "--reason", "x", *desk[:2], *BY), "no certificate of that number"

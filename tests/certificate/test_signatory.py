@@ -55,9 +55,9 @@ def test_a_new_key_signs_and_its_own_certificate_stands_for_it(bench):
     chain = check_xml(sign_xml(XML, signatory, now)).chain
     assert why_not_trusted(chain, now, [own]) == ""
     assert "in force" in why_not_trusted(chain, now + timedelta(days=4000), [own])
-    with pytest.raises(RecordError, match="another passphrase"):
+    with pytest.raises(RecordError, match="a wrong passphrase"):
         signatory_of("keys/cert.pem", None, lambda: b"x", now)
-    assert "never written over" in bench("key", "keys/cert.pem", "--certificate", "L")[2]
+    assert "a file of that name exists" in bench("key", "keys/cert.pem", "--certificate", "L")[2]
     assert "1 to 64" in bench("key", "keys/other.pem", "--certificate", "L" * 65)[2]
 
 
@@ -89,9 +89,9 @@ def test_a_chain_of_a_laboratory_stands_for_it_by_its_root_alone(tmp_path, kind)
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"subject_key": True}, "of another key"),
+        ({"subject_key": True}, "to another key"),
         ({"until": NOW - timedelta(days=1)}, "not now"),
-        ({"usage": False}, "not meant for signatures"),
+        ({"usage": False}, "excludes signatures"),
         ({"chain": "Another"}, "was not issued by"),
         ({"key": rsa.generate_private_key(65537, 1024)}, "1024 bits"),  # noqa: S505
     ],
@@ -128,10 +128,10 @@ def test_what_is_no_key_for_certificates_is_told(bench, tmp_path):
 @pytest.mark.parametrize(
     ("address", "words"),
     [
-        ("pkcs11:token=a", "names not one key"),
-        ("pkcs11:object=a", "names not one key"),
+        ("pkcs11:token=a", "does not name one key"),
+        ("pkcs11:object=a", "does not name one key"),
         ("pkcs11:object=a;pin=1?module-path=/m", "'pin' is not expected"),
-        ("pkcs11:object=a?module-path=/nowhere/module.so&pin-value=1", "the PIN is asked for"),
+        ("pkcs11:object=a?module-path=/nowhere/module.so&pin-value=1", "the program asks for the PIN"),
         ("pkcs11:object=a?module-path=/nowhere/module.so", r"module|no key"),
     ],
 )
@@ -205,7 +205,7 @@ def test_a_key_that_never_leaves_its_token_signs(token, kind):
             }
         )
     address = f"pkcs11:token=bench;object=lab?module-path={SOFTHSM}"
-    for given, wrong, words in (("=lab", "=none", "private keys.*: 0"), ("=bench", "=none", "gives no key")):
+    for given, wrong, words in (("=lab", "=none", "private keys.*: 0"), ("=bench", "=none", "has no key")):
         with pytest.raises(Refused, match=words):
             signatory_of(address.replace(given, wrong), None, lambda: b"1234", NOW)
     for chain in signed_both(signatory_of(address, None, lambda: b"1234", NOW)):
@@ -213,5 +213,5 @@ def test_a_key_that_never_leaves_its_token_signs(token, kind):
 
 
 def test_a_wrong_pin_is_told(token):
-    with pytest.raises(Refused, match="is its PIN right"):
+    with pytest.raises(Refused, match="connected and its PIN"):
         signatory_of(f"pkcs11:token=bench;object=lab?module-path={SOFTHSM}", None, lambda: b"4321", NOW)

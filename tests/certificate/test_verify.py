@@ -65,8 +65,8 @@ def test_without_a_trust_file_it_is_intact_and_the_signer_unknown(written, name)
     assert verdict.accepted
     assert any("who signed" in text for text in verdict.not_proved)
     assert any("no authority stamped it" in text for text in verdict.not_proved)
-    assert any("record is not at hand" in text for text in verdict.not_proved)
-    assert any("beside it says the same" in text for text in verdict.agreed)
+    assert any("record is missing here" in text for text in verdict.not_proved)
+    assert any("beside it has the same content" in text for text in verdict.agreed)
 
 
 def test_with_one_it_is_of_the_signer_or_of_another(written):
@@ -109,12 +109,12 @@ def test_the_record_is_held_against_it(written, tmp_path):
     verdict = looked_at(written / "c.pdf", runs=tmp_path / "runs")
     assert verdict.intact
     assert any("the same result to the last digit" in text for text in verdict.agreed)
-    assert not any("record is not at hand" in text for text in verdict.not_proved)
+    assert not any("record is missing here" in text for text in verdict.not_proved)
     events = tmp_path / "runs" / "finished" / "events.jsonl"
     events.write_bytes(b"".join(events.read_bytes().splitlines(keepends=True)[:-1]))
     verdict = looked_at(written / "c.pdf", runs=tmp_path / "runs")
     assert verdict.headline == "CHANGED"
-    assert "sealed were" in verdict.wrong[0]
+    assert "the seal covers" in verdict.wrong[0]
 
 
 @pytest.mark.parametrize(("by_u", "intact"), [(1e-9, True), (1e-3, False)])
@@ -140,7 +140,7 @@ def test_a_run_of_the_same_name_is_no_record_of_it(written, tmp_path):
     (folder / "run.json").write_text((folder / "run.json").read_text().replace("A. Person", "B. Person"))
     verdict = looked_at(written / "c.pdf", runs=tmp_path / "runs")
     assert verdict.intact
-    assert any("record is not at hand" in text for text in verdict.not_proved)
+    assert any("record is missing here" in text for text in verdict.not_proved)
 
 
 def swapped_signer(made):
@@ -189,9 +189,9 @@ def no_certificate(made):
     [
         (swapped_signer, "was signed by Somebody else, its XML by Laboratory of Tests"),
         (other_number, "its XML of certificate SIM-2026-0002"),
-        (unsigned_within, "the attached dcc.xml: it says that it is signed, and nobody signed it"),
+        (unsigned_within, "the attached dcc.xml: it claims a signature but has none"),
         (changed_within, "the attached dcc.xml: the signature does not hold"),
-        (other_values, "are not those of the result that it holds"),
+        (other_values, "are not those of its result"),
         (other_result, "result.json in the XML is another"),
         (no_certificate, "the attached dcc.xml: it is no digital calibration certificate"),
     ],
@@ -340,17 +340,15 @@ def test_a_signature_that_was_taken_off_is_missed(forms, tmp_path):
     file, _ = nowhere(tmp_path, forms[True])
     body = file.read_bytes()
     file.write_bytes(body[: body.index(b"%%EOF") + 6])
-    assert (
-        "the XML in it is signed, and nobody signed the PDF" in verify_certificate(file, None, NOWHERE).wrong
-    )
+    assert "the XML in it is signed, but not the PDF" in verify_certificate(file, None, NOWHERE).wrong
     xml = file.with_suffix(".xml")
     start, end = xml.read_bytes().index(b"<ds:Signature "), xml.read_bytes().index(b"</ds:Signature>")
     xml.write_bytes(xml.read_bytes()[:start] + xml.read_bytes()[end + 15 :])
     wrong = verify_certificate(xml, None, NOWHERE).wrong
-    assert wrong == ["it says that it is signed, and nobody signed it"]
+    assert wrong == ["it claims a signature but has none"]
     xml.write_bytes(sign_xml(forms[False]["xml"], a_signatory(), NOW))
     wrong = verify_certificate(xml, None, NOWHERE).wrong
-    assert wrong == ["it says that nobody signed it, and it is signed"]
+    assert wrong == ["it claims to be unsigned but has a signature"]
 
 
 def test_parts_of_an_unsigned_certificate_that_do_not_agree_are_a_change(forms, tmp_path, issued_certificate):
@@ -360,7 +358,7 @@ def test_parts_of_an_unsigned_certificate_that_do_not_agree_are_a_change(forms, 
     xml.write_bytes(forms[False]["xml"].replace(value + b" ", b"-2.0 ", 1))
     verdict = verify_certificate(xml, None, NOWHERE)
     assert verdict.headline == "CHANGED"
-    assert "are not those of the result that it holds" in verdict.wrong[0]
+    assert "are not those of its result" in verdict.wrong[0]
     xml.write_bytes(forms[False]["xml"].replace(b"Navigation Works", b"Navigation Work"))
     assert "c.xml beside it is another" in verify_certificate(file, None, NOWHERE).wrong[0].replace(
         NUMBER, "c"
@@ -370,7 +368,7 @@ def test_parts_of_an_unsigned_certificate_that_do_not_agree_are_a_change(forms, 
 def test_a_draft_and_a_register_that_is_not_there_are_told(forms, tmp_path):
     (tmp_path / "draft.pdf").write_bytes(forms["draft"])
     verdict = verify_certificate(tmp_path / "draft.pdf", None, NOWHERE)
-    assert (verdict.headline, verdict.wrong) == ("NO CERTIFICATE", ["it is a draft, and was never issued"])
+    assert (verdict.headline, verdict.wrong) == ("NO CERTIFICATE", ["it is a draft and was never issued"])
     file, _ = nowhere(tmp_path, forms[False])
     with pytest.raises(Refused, match="there is no register"):
         verify_certificate(file, None, NOWHERE, tmp_path / "none")

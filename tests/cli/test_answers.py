@@ -148,7 +148,7 @@ def test_files_that_were_changed_before_a_run_goes_on_are_asked_about_in_the_fol
     with nullcontext() if answer == "yes" else pytest.raises(BenchError, match="answered no"):
         accept_changes(run, asker, Console(file=io.StringIO()))
     assert asked[0]["id"] == "changed#1@42"
-    assert "mine.yaml was changed since the run began. Go on" in asked[0]["text"]
+    assert "mine.yaml was changed since the run began. Continue" in asked[0]["text"]
 
 
 def test_show_and_log_tell_who_answered_what(points, bench):

@@ -127,7 +127,7 @@ def test_runs_and_show_tell_what_there_is(bench):
     bench("run", "quick", "--dry-run", "--name", "one")
     out = bench("runs")[1]
     assert re.search(r"one .*simulated .*finished .*22", out)
-    assert "events, chain of hashes whole\n" in bench("show", "one", "--verify")[1]
+    assert "events, chain of hashes complete\n" in bench("show", "one", "--verify")[1]
     events = Path("runs/one/events.jsonl")
     events.write_text(events.read_text().replace('"samples_taken": 5', '"samples_taken": 6', 1))
     printed(bench("show", "one", "--verify"), "the chain is broken", status=1)
@@ -182,7 +182,7 @@ def test_a_model_file_acts_in_the_simulation_and_in_the_fit(bench):
         (("run", "paper"), "needs a bench file"),
         (("run", "papper", "--dry-run"), "did you mean paper"),
         (("run", "paper", "--dry-run", "--bench", "nix.yaml"), "nix.yaml"),
-        (("run", "paper", "--dry-run", "--name", "../up"), "a run's name is"),
+        (("run", "paper", "--dry-run", "--name", "../up"), "a run's name begins"),
         (("verify", "x.csv", "--coefficients", "c.json"), "x.csv: no such readings file"),
         (("verify", "x.csv", "--limit", "1e-5 g"), "--limit"),
         (("resume",), "no unfinished run"),
@@ -226,7 +226,7 @@ def test_a_file_where_nothing_can_be_written_beside_it_still_calibrates(bench, p
     Path("calibrate").write_text("in the way")
     status, _, err = bench("calibrate", "r.csv")
     assert status == 0
-    assert "is not written" in err
+    assert "was not written" in err
     assert bench("calibrate", "r.csv", "--out", "calibrate")[0] == 2
 
 

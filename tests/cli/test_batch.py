@@ -93,7 +93,7 @@ def test_ctrl_c_says_what_is_done_and_the_same_command_goes_on(bench, runs, monk
         patch.setattr("bench.batch.processes.by_processes", stopped)
         status, out, err = calibrate(bench)
     assert (status, out) == (2, "")
-    assert err == "bench: stopped by Ctrl-C; 1 of 3 runs are done; the same command goes on\n"
+    assert err == "bench: stopped by Ctrl-C; 1 of 3 runs are done; the same command continues\n"
     status, out, err = calibrate(bench)
     assert (status, err) == (0, "note: 1 runs are done, 2 are left\n")
     assert "3 runs (3 simulated)" in out
@@ -103,7 +103,7 @@ def test_another_command_in_the_folder_is_refused(bench, runs):
     calibrate(bench)
     err = refused(calibrate(bench, "--estimator", "robust"))
     assert err.startswith(
-        "bench: out: its batch was begun otherwise: --estimator was gls; go on as it was begun"
+        "bench: out: its batch was started differently: --estimator was gls; use the same options"
     )
     refused(bench("batch", "diagnose", "--over", "runs/*", "--out", "out"), "the command was calibrate")
 
@@ -111,9 +111,9 @@ def test_another_command_in_the_folder_is_refused(bench, runs):
 def test_what_no_run_could_be_asked_is_refused_at_once(bench, runs):
     for options, told in {
         ("--estimator", "best"): "best",
-        ("--model", "no.yaml"): "--model no.yaml: there is no such file",
-        ("--g", "1"): "--g 1: local gravity",
-        ("--limit", "-1"): "a limit is a positive number",
+        ("--model", "no.yaml"): "--model no.yaml: no such file; check the name",
+        ("--g", "1"): "--g 1: give local gravity",
+        ("--limit", "-1"): "give a positive limit",
         ("--bench", "nowhere"): "nowhere: there is no such file",
         ("--json", "no/where.json"): "no/where.json",
     }.items():
@@ -126,7 +126,7 @@ def test_show_prints_what_has_come_of_it(bench, runs):
     status, out, _ = bench("batch", "show", "out", "--json", "told.json")
     assert (status, out) == before[:2]
     keeps_to("batch", json.loads(Path("told.json").read_text()))
-    assert bench("batch", "show", "nothing")[2] == "bench: nothing: no batch is there (no batch.json in it)\n"
+    assert bench("batch", "show", "nothing")[2] == "bench: nothing: no batch there (no batch.json in it)\n"
 
 
 def test_pages_go_into_the_folder_of_the_batch(bench, runs, monkeypatch):

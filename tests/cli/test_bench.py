@@ -91,7 +91,7 @@ def test_a_slip_is_asked_again(served, bench):
 def test_when_the_answers_end_the_run_stops_and_goes_on_later(served, bench):
     status, _, err = start(bench, answers="yes\n23\n0 0 2\n")
     assert status == 2
-    assert "the answers ended at the question" in err
+    assert "no answer is left for the question" in err
     assert "1 readings are kept" in err
     assert len(Run(Path("runs/run")).readings()) == 1
     assert "interrupted" not in bench("runs")[1]
@@ -106,7 +106,7 @@ def test_at_the_question_of_a_resumed_run_a_pause_waits_and_the_end_ends(served,
     status, out, err = bench("resume", "run", stdin=":pause\n:redo\n?\n\n:abort no use\n")
     assert status == 2
     assert "aborted: no use" in err
-    assert "redo is not possible: no step goes on yet" in out
+    assert "redo is not possible: no step is running yet" in out
     assert out.count("Is it untouched since?") == 5
     assert ":skip" not in out
     assert Run(Path("runs/run")).history.state == "aborted"
@@ -118,14 +118,14 @@ def test_a_head_that_was_not_turned_stops_the_run_which_asks_and_takes_the_point
     status, out, err = start(bench)
     assert status == 2
     assert "the head was not turned: the signals are those of the point before, at 0°00′02″" in err
-    assert "nobody said how to go on" in err
+    assert "nobody chose how to continue" in err
     assert "bench resume run" in err
     Path("forgotten").unlink()
     answers = "untouched\ngo on\n:skip it\n?\nredo point\n90 0 1\n"
     status, out, _ = bench("resume", "run", stdin=answers)
     assert status == 0
     assert "Answer one of redo point, redo pass, mount again, go on REASON, not 'go on'" in out
-    assert "skip is not possible: the reading in doubt is to be settled first" in out
+    assert "skip is not possible: decide on the doubted reading first" in out
     run = Run(Path("runs/run"))
     assert run.history.state == "finished"
     assert np.degrees(run.readings().angle_rad) == pytest.approx([2 / 3600, 90 + 1 / 3600], abs=1e-9)
@@ -137,14 +137,14 @@ def test_a_second_stop_at_a_point_after_its_redo_says_so_and_proposes_the_pass(s
     Path("forgotten").touch()
     status, out, err = start(bench, answers=f"{ANSWERS}redo point\n90 0 1\n")
     assert status == 2
-    assert "(the same reading again after it was redone); nobody said how to go on" in err
+    assert "(the same reading again after it was redone); nobody chose how to continue" in err
     assert "answer redo pass, redo point, mount again, go on REASON" in err
     Path("forgotten").unlink()
     status, out, _ = bench("resume", "run", stdin="untouched\n?\nredo pass\n0 0 2\n90 0 1\n")
     assert status == 0
     told = " ".join(out.split())
-    assert "The same reading again after it was redone: an earlier setting of the pass may be what" in told
-    assert "take the pass again, which is the first choice, take the point again, mount" in told
+    assert "The same reading again after it was redone: an earlier setting of the pass may be wrong" in told
+    assert "redo the pass (try this first), redo the point, mount" in told
     run = Run(Path("runs/run"))
     assert run.history.state == "finished"
     assert np.degrees(run.readings().angle_rad) == pytest.approx([2 / 3600, 90 + 1 / 3600], abs=1e-9)

@@ -116,15 +116,15 @@ def test_free_positions_in_counts_have_the_scale_factors_that_are_asked_for(benc
     [
         (
             ("finished", "--as", "matlab"),
-            "--as matlab: the forms are json, csv, c, excel, kalibr, px4, ardupilot, all",
+            "--as matlab: choose from json, csv, c, excel, kalibr, px4, ardupilot, all",
         ),
-        (("finished", "--nominal", "2,2"), "--nominal 2,2: three scale factors"),
+        (("finished", "--nominal", "2,2"), "--nominal 2,2: give three scale factors"),
         (("finished", "--nominal", "2.18,-2.14,-2.14"), "has scale factors of other signs"),
-        (("result.json", "--g", "9.81"), "result.json: is a result already"),
+        (("result.json", "--g", "9.81"), "result.json: is a result with its own bench"),
         (("finished", "finished"), "two sources would write"),
         (("broken.json",), "broken.json: not a result of 'bench calibrate --json'"),
         (("odd.json",), "odd.json: the covariance is not symmetric"),
-        (("flat.json",), "flat.json: its K has no inverse"),
+        (("flat.json",), "flat.json: its matrix K cannot be inverted"),
         (("huge.json",), "huge.json: holds numbers beyond 1e+12"),
     ],
 )
@@ -153,7 +153,7 @@ def test_from_python_a_form_is_written_and_what_it_loses_is_returned(empty_folde
     lost = result.write("unit.params", "px4", nominal=(-2.0, -2.1, -2.1))
     assert "|a| is off by up to" in lost[1]
     assert "S = (-2.0, -2.1, -2.1) V/g" in Path("unit.params").read_text(encoding="utf-8")
-    with pytest.raises(face.Refused, match="'matlab': the forms are json, csv, c"):
+    with pytest.raises(face.Refused, match="'matlab': choose from json, csv, c"):
         result.write("unit.m", "matlab")
 
 
@@ -192,3 +192,17 @@ def test_what_is_issued_and_signed_is_intact_until_it_is_changed(bench):
     assert "Kxx" not in out
     keeps_to("certificate-verify", json.loads(Path("verdict.json").read_text()))
     assert bench("certificate", "verify", "none.pdf")[0] == 2
+
+
+def test_a_result_that_used_temperature_is_written_without_it_only_on_request(bench, tmp_path):
+    told = json.loads((RECORDS / "calibrate.json").read_text())
+    told["temperature_effects"] = ["thermal_bias"]
+    (tmp_path / "warm.json").write_text(json.dumps(told))
+    status, _, err = bench("coefficients", "warm.json", "--as", "csv")
+    assert status == 2
+    assert "used temperature (thermal_bias" in err
+    assert "--without-temperature" in err
+    status, out, _ = bench("coefficients", "warm.json", "--as", "csv", "--without-temperature")
+    assert status == 0
+    assert "WITHOUT TEMPERATURE, as asked: thermal_bias" in out
+    assert "WITHOUT TEMPERATURE" in (tmp_path / "coefficients" / "warm.csv").read_text()

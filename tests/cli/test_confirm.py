@@ -57,7 +57,7 @@ def test_what_confirms_nothing_is_refused(bench):
     Path("own.yaml").write_text(MODEL + f"data_sha256: {data_sha256(source.as_read)}\n", encoding="utf-8")
     refused(
         bench("confirm", name, "--model", "own.yaml"),
-        "own.yaml: it was found in these very readings (first.csv), which cannot confirm it; take new ones",
+        "own.yaml: it was found in these same readings (first.csv), which cannot confirm it; measure new ones",
     )
     Path("empty.yaml").write_text("model_file: 1\nname: nothing\n", encoding="utf-8")
     refused(bench("confirm", name, "--model", "empty.yaml"), "it has no effects")
@@ -71,7 +71,7 @@ def test_in_python_what_is_found_becomes_a_model_that_new_readings_confirm(empty
     model = found.write_model("mine.yaml")
     assert program.confirm(measured("again.csv", 75, 100e-6), model=model).verdict == "confirmed"
     assert found.report("page.html").is_file()
-    with pytest.raises(program.FileMistakes, match="exists and is not overwritten"):
+    with pytest.raises(program.FileMistakes, match="exists and was not overwritten"):
         found.write_model("mine.yaml")
     written = found.written()
     assert written.to_dict()["model"] == str(Path("diagnose/first-model.yaml"))

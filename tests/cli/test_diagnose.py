@@ -74,7 +74,7 @@ def test_an_effect_hidden_in_a_dry_run_is_named_added_and_the_gap_shrinks(bench)
     assert (model.parent, [e.name for e in model.effects]) == ("paper", ["bias_drift"])
     printed(
         bench("calibrate", "a", "--model", found["model"], "--strict", "--json", "after.json"),
-        "estimated anew",
+        "estimated again",
     )
     assert result_of("after.json")["residual"]["p"] > 0.01
     page = Path(found["report"]).read_text(encoding="utf-8")
@@ -124,7 +124,7 @@ def test_a_model_of_one_day_serves_on_another_and_is_never_overwritten(bench, fi
     u = {}
     for name in (first, second):
         out = printed(bench("calibrate", name, "--model", model, "--strict", "--json", "c.json"))
-        assert ("estimated anew" in out) is (name == first)
+        assert ("estimated again" in out) is (name == first)
         k2 = result_of("c.json")["effects"]["quadratic_nonlinearity.K2[y]"]
         assert abs(k2["value"] - 100) < 4 * k2["u"]
         u[name] = k2["u"]
@@ -147,7 +147,7 @@ def test_a_child_has_the_effects_of_its_parent_and_what_was_found_beside_them(be
     assert k2.u["K2"][1] < parent.applied_effects()[0].u["K2"][1]
     # both days have given something to it: neither may be taken as new to it
     for name in (first, second):
-        assert "estimated anew" in bench("calibrate", name, "--model", found["model"])[1]
+        assert "estimated again" in bench("calibrate", name, "--model", found["model"])[1]
 
 
 @pytest.mark.slow
@@ -208,7 +208,7 @@ def test_together_they_are_one_body_of_data(bench):
     assert any("series 2" in note for note in found["notes"])
     model = load_model(Path(found["model"]))
     assert len((model.data_sha256 or "").split()) == 2
-    assert "estimated anew" in bench("calibrate", names[1], "--model", found["model"])[1]
+    assert "estimated again" in bench("calibrate", names[1], "--model", found["model"])[1]
 
 
 @pytest.mark.slow
@@ -245,7 +245,7 @@ def test_the_search_goes_on_in_the_copy_and_its_model_says_on_which_correction_i
     again = result_of("e.json")
     assert (again["verdict"], again["corrected"]) == ("named", None)
     assert again["effects"][0]["parameters"] == found["effects"][1]["parameters"]
-    assert "estimated anew" in bench("calibrate", copy, "--model", found["model"])[1]
+    assert "estimated again" in bench("calibrate", copy, "--model", found["model"])[1]
 
 
 @pytest.mark.slow
@@ -268,7 +268,7 @@ def test_the_copy_of_a_run_tells_where_it_comes_from(bench):
     ("arguments", "message"),
     [
         (["none.csv"], "none.csv: no such readings file"),
-        (["null.csv", "--json", "nowhere/d.json"], "there is no such folder"),
+        (["null.csv", "--json", "nowhere/d.json"], "no such folder; create it or name another"),
         (["null.csv", "--model", "null.csv"], "null.csv"),
         (["null.csv", "counts.csv", "--together"], "different units"),
         (["null.csv", "null.csv"], "two sources would write"),
@@ -355,6 +355,6 @@ def test_the_simulated_bench_refuses_what_it_cannot_have(bench):
     )
     refused(
         bench("run", "quick", "--dry-run", "--name", "s", "--model", "slip.yaml"),
-        "quadratic_nonlinearity of 1 pass 2: the simulated bench has effects of whole mountings",
+        "quadratic_nonlinearity of 1 pass 2: the simulated bench cannot have an effect in single passes",
     )
     assert not Path("runs/s").exists()

@@ -69,7 +69,7 @@ def test_what_is_gone_or_was_found_in_these_is_no_proof(bench, named):
     printed(
         bench("confirm", measured("cold.csv", 3), "--model", named["model"]), "cold.csv: GONE: ", status=1
     )
-    refused(bench("confirm", "warm.csv", "--model", named["model"]), "found in these very readings")
+    refused(bench("confirm", "warm.csv", "--model", named["model"]), "found in these same readings")
 
 
 def test_the_copy_without_what_stands_apart_is_searched_to_the_same_end(bench):
@@ -105,7 +105,7 @@ def test_from_python_it_is_the_same(bench, named):
     assert Path("here.html").is_file()
     assert "warm_up" in repr(result)
     assert [path.name for path in result.write_model("mine.yaml", accept_first=True)] == ["mine.yaml"]
-    with pytest.raises(program.Refused, match="no model file is written"):
+    with pytest.raises(program.Refused, match="no model file was written"):
         program.diagnose(measured("cold.csv", 3)).write_model("none.yaml")
     both = program.diagnose(["warm.csv", measured("more.csv", 8, warm_g=6e-3)], one_block=True)
     assert (both.found.rows.sensors, both.found.records) == (1, 2)

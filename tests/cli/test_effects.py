@@ -172,7 +172,7 @@ def test_two_terms_become_one_effect_that_a_model_has(accept):
             "there is no term unnamed_7; there are unnamed_1, unnamed_2, unnamed_3",
         ),
         (("--name", "Slow!", "--sentence", "x", "--term", "unnamed_1"), "small letters"),
-        (("--name", "warm_up", "--sentence", "x", "--term", "unnamed_1"), "has an effect 'warm_up' already"),
+        (("--name", "warm_up", "--sentence", "x", "--term", "unnamed_1"), "already has an effect 'warm_up'"),
         ((*NAME, "--term", "unnamed_3", "--out", "no/where.yaml"), "cannot be written"),
     ],
 )
@@ -185,9 +185,9 @@ def test_what_cannot_be_is_told_and_nothing_is_written(accept, args, told):
 def test_nothing_is_overwritten_and_a_model_without_terms_is_told(accept, bench):
     one = (*NAME, "--term", "unnamed_3")
     assert accept(*one)[0] == 0
-    refused(accept(*one), "slow_settling.yaml: a file of that name is there")
+    refused(accept(*one), "slow_settling.yaml: this file exists")
     Path("plain.yaml").write_text("model_file: 1\nname: plain\n")
-    refused(bench("accept", "plain.yaml", *NAME), "no term without a name")
+    refused(bench("accept", "plain.yaml", *NAME), "this model file has no unnamed term")
 
 
 def test_both_phases_of_a_wave_are_as_plausible_as_the_larger(accept):

@@ -106,7 +106,5 @@ def test_an_export_without_a_name_is_called_after_the_run(bench):
 def test_an_export_without_a_name_overwrites_no_other_file(bench):
     shutil.copytree(RECORDS / "finished", "runs/finished")
     Path("finished.csv").write_text("mine", encoding="utf-8")
-    refused(
-        bench("export", "finished"), "finished.csv: exists already; name the file to write with --csv FILE"
-    )
+    refused(bench("export", "finished"), "finished.csv: exists; name another file with --csv FILE")
     assert Path("finished.csv").read_text(encoding="utf-8") == "mine"

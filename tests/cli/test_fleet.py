@@ -82,11 +82,15 @@ def test_degrees_of_equivalence_with_figure_and_exit_status(laboratory):
     (pair,) = told["coefficients"]["Kyy"]["pairs"]
     assert (pair["first"], pair["second"], pair["units"]) == ("bench-01", "bench-02", 8)
     assert abs(abs(pair["difference"]) - OFF_V) < 4 * pair["u"]
-    assert any("what a unit changed by" in note for note in told["notes"])
+    assert any("changes of a unit" in note for note in told["notes"])
     (both,) = told["together"]["pairs"]
     assert (both["dof"], both["apart"]) == (12, True)
     assert both["chi2"] > (pair["difference"] / pair["u"]) ** 2
     assert "all twelve together, bench-01 and bench-02: chi2" in out
+    assert {row["coefficient"] for row in told["intrinsic"]["beyond"]} >= {"Sy"}
+    (pair,) = told["intrinsic"]["together"]["pairs"]
+    assert (pair["dof"], pair["apart"]) == (9, True)
+    assert "all nine together, bench-01 and bench-02: chi2" in out
     assert "<svg" in Path("there/equivalence.svg").read_text(encoding="utf-8")
     assert json.loads(Path("there/fleet-compare.json").read_text()) == told
 
@@ -94,7 +98,7 @@ def test_degrees_of_equivalence_with_figure_and_exit_status(laboratory):
 def test_a_reference_that_there_is_not_is_told(laboratory):
     refused(
         laboratory("fleet", "compare", "--reference", "median"),
-        "--reference median: known are weighted-mean, mandel-paule, dersimonian-laird",
+        "--reference median: choose from weighted-mean, mandel-paule, dersimonian-laird",
     )
 
 
@@ -103,19 +107,23 @@ def test_simulated_and_real_are_not_mixed(laboratory):
     laboratory("catalogue", "sync", "further")
     refused(
         laboratory("fleet", "effects"),
-        "1 of 25 calibrations are simulated: ask for simulated=yes or simulated=no",
+        "1 of 25 calibrations are simulated; add simulated=yes or simulated=no",
     )
 
 
 def test_a_units_history_and_what_is_expected_of_it(laboratory):
     _, out, told = result(laboratory, "drift", "unit=3", "--at", "2027-01-01")
     assert told["calibrations"] == 3
-    assert any("differences between benches pass for a drift" in note for note in told["notes"])
+    assert any("differences between benches appear as drift" in note for note in told["notes"])
     expected = told["expected"]["coefficients"]["Kxx"]
     assert abs(expected["value"] - VECTOR[0]) < 1e-3
     assert expected["u"] > U
+    of_nine = told["expected"]["intrinsic"]["Sx"]
+    assert abs(of_nine["value"] + VECTOR[0]) < 2e-3
+    assert len(told["intrinsic_per_year"]) == 9
+    assert told["drifts"] == (told["p"] < 0.05)
     assert "at 2027-01-01" in out
-    refused(laboratory("fleet", "drift"), "the question names 8: add unit=")
+    refused(laboratory("fleet", "drift"), "a drift is of one unit, not 8: add unit=")
 
 
 def test_the_capability_holds_what_benches_differ_by(laboratory):
@@ -282,7 +290,7 @@ def test_a_short_history_is_due_by_the_interval_and_says_so(synced):
     keeps_to("catalogue-due", found)
     (row,) = (one for one in found["units"] if one["unit"] == "block A 18")
     assert (row["due"], row["basis"]) == ("2026-08-28", "interval")
-    assert "the interval of 100 days counts" in row["why"]
+    assert "the interval of 100 days applies" in row["why"]
     assert "2 units due" in out
     _, out, _ = synced("catalogue", "due", "--before", "2026-08-28", "--interval", "100", "--json", "-")
     assert "block A 18" not in [one["unit"] for one in json.loads(out)["units"]]
@@ -304,12 +312,12 @@ def test_real_calibrations_are_not_mixed_with_simulated_ones(synced):
     [
         ("unit 99", "no such unit"),
         ("unit 1*", "name one unit"),
-        ("unit 17 --limit 0", "expected a number above zero"),
-        ("ask --of people", "known are runs"),
+        ("unit 17 --limit 0", "give a number above zero"),
+        ("ask --of people", "choose from runs"),
         ("sync nowhere", "no such folder"),
-        ("sync runs --catalogue mysql://host/name", "stands in PostgreSQL"),
+        ("sync runs --catalogue mysql://host/name", "in PostgreSQL"),
         ("sync runs --catalogue runs", "is a folder"),
-        ("ask --catalogue none.sqlite", "there is no catalogue yet"),
+        ("ask --catalogue none.sqlite", "no catalogue yet"),
         ("ask --catalogue runs/a-2020/run.json", "not a catalogue"),
     ],
 )

@@ -74,7 +74,7 @@ def bench(capsys: pytest.CaptureFixture[str]) -> Bench:
 def test_a_bench_that_is_well(served: SimulatedBench, bench: Bench) -> None:
     status, out, err = bench("--bench", "bench.yaml")
     assert (status, err) == (0, "")
-    assert "5 of 5 instruments are well" in out
+    assert "5 of 5 instruments respond without a fault" in out
     lines = {line.split()[0]: line for line in out.splitlines()}
     true_v = served.world.signal_v("y")
     for part in (served.resources["voltmeter.y"], "HEWLETT-PACKARD 34401A", "10 V, 1 NPLC", "passed"):
@@ -107,11 +107,11 @@ def test_all_failures_stand_together_and_the_rest_is_shown(served: SimulatedBenc
     assert status == 2
     silent, no_connection = err.splitlines()
     assert silent.startswith("bench: voltmeter.x: ")
-    assert "did not answer *IDN? within 0.3 s; check that it is on" in silent
+    assert "did not answer *IDN? within 0.3 s; check its power" in silent
     assert no_connection.startswith("bench: voltmeter.z: ")
     assert "refused the connection" in no_connection
     assert out.count("NOT OPENED") == 2
-    assert "3 of 5 instruments are well" in out
+    assert "3 of 5 instruments respond without a fault" in out
     assert "passed" in out
 
 
@@ -150,7 +150,7 @@ def test_a_self_test_that_fails_is_not_accepted(
     (line,) = err.splitlines()
     assert line.startswith("bench: voltmeter.y: its self-test failed: *TST? answers +1, error ")
     assert "have it serviced" in line
-    assert "4 of 5 instruments are well" in out
+    assert "4 of 5 instruments respond without a fault" in out
     row = next(line for line in out.splitlines() if line.startswith("voltmeter.y"))
     assert "FAILED" in row
     assert "y " in row  # it is read all the same
@@ -178,7 +178,7 @@ def test_a_drivers_own_mistake_hides_nothing(
     status, out, err = bench("--bench", "bench.yaml")
     assert status == 1
     assert "voltmeter.x: the driver failed with ZeroDivisionError" in err
-    assert "4 of 5 instruments are well" in out
+    assert "4 of 5 instruments respond without a fault" in out
 
 
 class Stuck:
@@ -235,7 +235,7 @@ def test_an_instrument_that_was_not_left_safe_is_told() -> None:
     row = command.InstrumentLook("head", "COM1", "")
     command._look_at(Turning(), row, 10.0)
     assert [str(failure) for failure in row.failures] == [
-        "head: it was not left safe; press its emergency stop"
+        "head: it could not be made safe; press its emergency stop"
     ]
 
     class Interrupted(SystemClock):
@@ -255,7 +255,7 @@ def test_an_instrument_that_was_not_left_safe_is_told() -> None:
 
     begun = threading.Event()
     with pytest.raises(
-        BenchError, match="stopped, and not everything was left safe; head press its emergency"
+        BenchError, match="stopped, but not everything could be made safe; head press its emergency"
     ):
         command._look_at_all([Busy()], [row], 10.0, Interrupted())
 
@@ -360,14 +360,20 @@ def test_without_a_terminal_it_is_refused_before_anything_is_opened(bench, empty
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["--commission"], "say which bench"),
-        (["--commission", "--discover", "--bench", "bench-lan"], "goes without --discover"),
+        (["--commission"], "no bench file named"),
+        (["--commission", "--discover", "--bench", "bench-lan"], "excludes --discover"),
         (
             ["--commission", "--wire-log", "w", "--bench", "bench-lan"],
-            "goes without --discover and --wire-log",
+            "excludes --discover and --wire-log",
         ),
-        (["--dry-run", "--bench", "bench-lan"], "--dry-run and --out go with --commission"),
-        (["--out", "here", "--bench", "bench-lan"], "--dry-run and --out go with --commission"),
+        (
+            ["--dry-run", "--bench", "bench-lan"],
+            "--dry-run and --out need --commission; add it or remove them",
+        ),
+        (
+            ["--out", "here", "--bench", "bench-lan"],
+            "--dry-run and --out need --commission; add it or remove them",
+        ),
     ],
 )
 def test_options_that_do_not_go_together_are_refused(bench, empty_folder, arguments, said):

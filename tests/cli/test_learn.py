@@ -53,7 +53,7 @@ def test_from_runs_to_a_smaller_honest_u(bench, runs):
     assert [run["name"] for run in written["runs"]] == ["r1.csv", "r2.csv", "r3.csv", "r5.csv"]
     before = program.calibrate("r6.csv", bench="plain.yaml")
     after = program.calibrate("r6.csv", bench="mine.yaml")
-    assert any("stands in place of the stated limits" in note for note in after.notes)
+    assert any("replaces the stated limits" in note for note in after.notes)
     told = after.to_dict()["stand"]
     assert told["alpha3[1]"]["value"] == pytest.approx(40.0, abs=4 * 4.5)
     assert after.coefficients["Kyx"].u_readings < before.coefficients["Kyx"].u_readings
@@ -194,7 +194,7 @@ def test_whoever_read_must_be_known_and_a_run_behind_the_file_takes_nothing(lear
     np.testing.assert_array_equal(asked.covariance, own.covariance)
     Path("r4.csv.json").unlink()
     unknown = program.calibrate("r4.csv", bench="mine.yaml")
-    assert any("not who read here: it does not count" in note for note in unknown.notes)
+    assert any("do not name their voltmeters: not used" in note for note in unknown.notes)
     behind = program.calibrate("r1.csv", bench="mine.yaml")
     assert any("is not used: these readings are among them" in note for note in behind.notes)
     assert behind.source.known_meters is None
@@ -227,8 +227,5 @@ def test_too_few_runs_say_by_what_the_voltmeters_are_known(bench, empty_folder):
     ]
     out = printed(bench("learn", *names))
     words = " ".join(out.split())
-    assert "the runs with voltmeters exchanged are too few" in words
-    assert (
-        "no record has their serial numbers, so that a voltmeter at another address passes for another"
-        in words
-    )
+    assert "too few runs with exchanged voltmeters" in words
+    assert "no record has their serial numbers, so each address counts as another voltmeter" in words

@@ -40,8 +40,8 @@ def test_a_folder_renamed_in_mid_run_keeps_the_whole_record_and_is_named(bench, 
     in_mid_run(lambda folder: folder.rename(folder.with_name("two")))
     status, _, err = run_on(bench)
     assert status == 2
-    assert "the run is finished and recorded, but its folder was renamed" in err
-    assert "'bench resume runs/two' makes its results there" in err
+    assert "the run is finished, but its folder was moved" in err
+    assert "'bench resume runs/two' computes its results there" in err
     assert Run(Path("runs/two")).history.state == "finished"
     assert bench("resume", "runs/two")[0] == 0
     assert not Run(Path("runs/two")).results_missing
@@ -50,7 +50,7 @@ def test_a_folder_renamed_in_mid_run_keeps_the_whole_record_and_is_named(bench, 
 @pytest.mark.slow
 def test_a_folder_moved_elsewhere_is_told(bench, in_mid_run):
     in_mid_run(lambda folder: folder.rename("elsewhere"))
-    assert "it is not found beside the other runs" in run_on(bench)[2]
+    assert "it is no longer beside the other runs" in run_on(bench)[2]
     assert Run(Path("elsewhere")).history.state == "finished"
 
 
@@ -59,7 +59,7 @@ def test_a_folder_deleted_in_mid_run_stops_the_run(bench, in_mid_run):
     in_mid_run(shutil.rmtree)
     status, _, err = run_on(bench)
     assert status == 2
-    assert "was deleted while the run went on; what it recorded is lost" in err
+    assert "was deleted during the run, and its readings are lost; run it again" in err
 
 
 def test_a_page_that_cannot_be_written_is_told_with_what_to_do(bench, monkeypatch):

@@ -54,7 +54,7 @@ def test_an_old_record_is_whole_and_has_its_readings(bench, recorded):
     run = Run(Path("runs") / recorded)
     assert run.history.problems == ()
     assert run.history.state == "finished"
-    assert "chain of hashes whole" in bench("show", recorded, "--verify")[1]
+    assert "chain of hashes complete" in bench("show", recorded, "--verify")[1]
     then = (RECORDS / "readings.csv").read_bytes().decode()
     now = bench("export", recorded, "--csv", "-")[1]
     assert without_last_digits_of_scatter(now) == without_last_digits_of_scatter(

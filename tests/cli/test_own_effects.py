@@ -60,7 +60,7 @@ def test_a_file_with_mistakes_is_told_with_lines(files):
     Path("mine.yaml").write_text(EFFECTS.replace("a**4", "b**4"))
     refused(
         files("calibrate", "readings.csv", "--effects", "mine.yaml"),
-        "mine.yaml:6: formulas[1].expression: 'b' is neither a parameter nor a variable",
+        "mine.yaml:6: formulas[1].expression: 'b' is unknown; at the stage",
     )
     refused(files("calibrate", "readings.csv", "--effects", "nothing.yaml"), "there is no such file")
 

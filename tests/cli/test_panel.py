@@ -30,13 +30,13 @@ def test_a_token_is_told_once(bench):
 @pytest.mark.parametrize(
     ("typed", "said"),
     [
-        (["token"], "say whose: bench panel token NAME"),
+        (["token"], "name the person: bench panel token NAME"),
         (["revoke", "ben"], "ben: has no token"),
-        (["token", "ben", "--role", "king"], "there are viewer, operator, supervisor"),
-        (["link"], "no panel serves this folder now"),
-        (["--host", "192.0.2.1"], "nobody has one: make one with 'bench panel token NAME --role operator'"),
-        (["--address", "https://bench.lab"], "nobody has one"),
-        (["--address", "bench.lab"], "give what a browser types"),
+        (["token", "ben", "--role", "king"], "choose from viewer, operator, supervisor"),
+        (["link"], "no panel serves this folder"),
+        (["--host", "192.0.2.1"], "there is none; make one with 'bench panel token NAME --role operator'"),
+        (["--address", "https://bench.lab"], "there is none"),
+        (["--address", "bench.lab"], "give the address as typed in a browser"),
     ],
 )
 def test_what_cannot_be_is_one_sentence(bench, typed, said):
@@ -78,7 +78,7 @@ def test_beyond_loopback_it_says_how_to_put_tls_before_it_and_gives_no_link(tmp_
     assert "plain HTTP" in lines[1]
     assert "TLS" in lines[1]
     assert not [line for line in lines if "link=" in line]
-    with pytest.raises(RecordError, match="links sign in on the bench's computer alone"):
+    with pytest.raises(RecordError, match="links work on the bench's computer only"):
         new_link(tmp_path)
 
 
@@ -88,7 +88,7 @@ def test_one_panel_serves_a_folder(tmp_path, served, monkeypatch):
     monkeypatch.setattr("bench.panel.app.LOOKS_S", 0.0)
     served(Settings(tmp_path, port=0))
     with FileLock(tmp_path / STATE / LOCK):
-        with pytest.raises(RecordError, match=r"a panel serves this folder already at http://127\.0\.0\.1"):
+        with pytest.raises(RecordError, match=r"a panel already serves this folder at http://127\.0\.0\.1"):
             served(Settings(tmp_path, port=0))
         assert "/sign-in?link=" in open_panel(tmp_path)
 

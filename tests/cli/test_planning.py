@@ -40,7 +40,7 @@ def test_a_serial_port_without_its_interface_is_told(bench, result, stated):
     )
     status, out, err = bench("check", "quick", "--bench", "mine.yaml")
     assert (status, err) == (0, "")
-    assert out.count("say 'interface: rs232'") == (0 if stated else 3)
+    assert out.count("state 'interface: rs232'") == (0 if stated else 3)
     assert len(result("check", "quick", "--bench", "mine.yaml")[1]["hints"]) == (0 if stated else 3)
 
 
@@ -199,7 +199,7 @@ def test_the_file_that_is_written_is_a_procedure_of_the_bench(bench, stand):
     assert check_against(plan, load_bench(find_bench(stand))) == []
     assert all(goal["u"] <= goal["asked_u"] * (1 + 1e-9) for goal in found["goals"])
     before = out.read_bytes()
-    refused(bench(*asked), "exists and is not overwritten")
+    refused(bench(*asked), "exists and was not overwritten")
     assert out.read_bytes() == before
 
 
@@ -261,39 +261,39 @@ REFUSED = (
     ("require --accuracy soon", "--accuracy soon: expected an acceleration in local gravity"),
     ("require --accuracy -1", "the accuracy is a positive number"),
     ("require --accuracy 3e-4 --of Kq", "--of Kq: delta-g, acceleration, modulus or a coefficient"),
-    ("require --accuracy 3e-4 --up-to 5g", "--up-to belongs to --of acceleration"),
-    ("require --accuracy 3e-4 --of modulus --up-to 0", "an acceleration above zero"),
-    ("require --accuracy 3e-4 --share fair", "--share is equal or cost"),
-    ("require --accuracy 3e-4 --cost axis_tilt=2", "--cost belongs to --share cost"),
+    ("require --accuracy 3e-4 --up-to 5g", "--up-to needs --of acceleration"),
+    ("require --accuracy 3e-4 --of modulus --up-to 0", "give an acceleration above 0"),
+    ("require --accuracy 3e-4 --share fair", "--share: give equal or cost"),
+    ("require --accuracy 3e-4 --cost axis_tilt=2", "--cost needs --share cost; add it"),
     ("require --accuracy 3e-4 --share cost --cost rent=2", "no error 'rent' to share"),
-    ("require --accuracy 3e-4 --share cost --cost axis_tilt=no", "a weight is a positive number"),
+    ("require --accuracy 3e-4 --share cost --cost axis_tilt=no", "give a positive weight"),
     ("require --accuracy 3e-4 --estimator guess", "no estimator 'guess'"),
     ("require --accuracy 3e-4 --procedure stability", "do not determine"),
-    ("require --accuracy 3e-4 --procedure turn-12 --estimator closed-form", "the closed form (8) knows"),
-    ("plan-points", "say what is to be reached"),
-    ("plan-points --u Kyx", "--u Kyx: a name and its value, such as Kyx=20e-6"),
+    ("require --accuracy 3e-4 --procedure turn-12 --estimator closed-form", "the closed form (8) covers"),
+    ("plan-points", "no goal given"),
+    ("plan-points --u Kyx", "--u Kyx: give a name and its value, such as Kyx=20e-6"),
     ("plan-points --u Kyx=2kg", "--u 2kg: expected a scale factor"),
-    ("plan-points --u Kyx=-1e-6", "is a positive number, not -1e-06"),
+    ("plan-points --u Kyx=-1e-6", "must be a positive number, not -1e-06"),
     ("plan-points --u Kq=1e-6", "no coefficient 'Kq'"),
     ("plan-points --time soon", "--time soon: expected a duration"),
     ("plan-points --time 1h", "1 h are too short for a calibration: the shortest takes"),
     ("plan-points --u all=1e-4 --installations 1", "no choice of these installations determines"),
     ("plan-points --u all=1e-4 --installations 1,9", "has no installation 9 for a calibration"),
     ("plan-points --u all=1e-4 --angles 2", "--angles 2: between 3 and 72"),
-    ("plan-points --u all=1e-4 --least effort", "--least is time or settings"),
-    ("plan-points --u all=1e-4 --up-to 5", "--up-to belongs to --modulus"),
-    ("plan-points --u all=1e-4 --out nowhere/p.yaml", "there is no such folder"),
+    ("plan-points --u all=1e-4 --least effort", "--least: give time or settings"),
+    ("plan-points --u all=1e-4 --up-to 5", "--up-to needs --modulus"),
+    ("plan-points --u all=1e-4 --out nowhere/p.yaml", "no such folder; create it or name another"),
     ("plan-points --u all=1e-5", "cannot be reached by any number of settings"),
     (
         "plan-points --u all=9e-5 --most-settings 12",
         "not reached with 12 settings, though installations 1, 2",
     ),
-    ("plan-points --u all=1e-4 --cost-setting 0s", "--cost-setting: a setting takes some time"),
+    ("plan-points --u all=1e-4 --cost-setting 0s", "--cost-setting: give at least 1 s"),
     ("budget --estimator kalman", "no estimator 'kalman'"),
-    ("budget --rule lenient", "no decision rule 'lenient'"),
-    ("budget --limit -1", "a limit is a positive number of g"),
+    ("budget --rule lenient", "unknown decision rule 'lenient'"),
+    ("budget --limit -1", "give a positive limit of g"),
     ("budget --trials 10", "--trials: 10 trials are too few"),
-    ("budget --g 98", "local gravity lies between"),
+    ("budget --g 98", "local gravity between"),
     ("budget --procedure turn-12 --estimator closed-form", "the closed form (8)"),
     ("budget --procedure stability", "do"),
     ("budget --procedure nothing.yaml", "nothing.yaml"),

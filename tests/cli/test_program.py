@@ -165,7 +165,7 @@ def test_a_mistake_of_the_program_says_in_which_command_and_what_to_do(bench, mo
     monkeypatch.setattr("bench.services.records.run_summaries", lost)
     err = refused(bench("runs"))
     assert err == (
-        "bench: 'bench runs' was stopped by a mistake of the program (KeyError: 'x'); run it again with --debug "
+        "bench: 'bench runs' was stopped by an error of the program (KeyError: 'x'); run it again with --debug "
         "and report what it shows\n"
     )
     assert "Traceback" in bench("runs", "--debug")[2]

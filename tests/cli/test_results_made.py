@@ -47,8 +47,8 @@ def finished(stopped_run, empty_folder):
     folder, status, err = stopped_run
     assert status == 2
     assert err == (
-        "bench: stopped before the results were made; all readings are kept in runs/one, and "
-        "'bench resume one' makes the results\n"
+        "bench: stopped before the results were ready; all readings are kept in runs/one, and "
+        "'bench resume one' computes the results\n"
     )
     shutil.copytree(folder, RUN)
     assert Run(RUN).history.state is RunState.FINISHED
@@ -105,7 +105,7 @@ def test_a_signal_on_the_way_out_of_a_finished_run_leaves_its_results_to_resume(
     monkeypatch.setattr(Interrupts, "hold", held)
     status, _, err = bench("run", "quick", "--dry-run", "--name", "two")
     assert status == 2
-    assert err.endswith("'bench resume two' makes the results\n")
+    assert err.endswith("'bench resume two' computes the results\n")
     assert Run(Path("runs/two")).results_missing
 
 

@@ -14,7 +14,7 @@ from tests.support.commands import printed, refused
 from tests.support.time_authority import Authority, Served
 
 RECORDS = Path(__file__).parents[1] / "data" / "records"
-NOTHING_OUTSIDE = "nothing outside the folder stands for this"
+NOTHING_OUTSIDE = "this does not reveal removed last lines"
 
 
 @pytest.fixture
@@ -59,7 +59,7 @@ def head_of(folder):
 @pytest.mark.parametrize("attack", ATTACKS)
 def test_without_anything_outside_the_folder_it_is_said_that_such_changes_do_not_show(bench, run, attack):
     attack(run)
-    printed(bench("show", "one", "--verify"), "chain of hashes whole", NOTHING_OUTSIDE, "no seal")
+    printed(bench("show", "one", "--verify"), "chain of hashes complete", NOTHING_OUTSIDE, "no seal")
 
 
 @pytest.mark.parametrize("attack", ATTACKS)
@@ -67,14 +67,14 @@ def test_a_head_noted_elsewhere_betrays_them(bench, run, attack):
     (result,) = [json.loads(bench("calibrate", "one", "--json", "-")[1])]
     assert result["record"] == {"events": 142, "head": head_of(run)}
     head = result["record"]["head"]
-    out = printed(bench("show", "one", "--verify", "--head", head), "the head is the one given")
+    out = printed(bench("show", "one", "--verify", "--head", head), "the head equals the given one")
     assert NOTHING_OUTSIDE not in out
     attack(run)
-    printed(bench("show", "one", "--verify", "--head", head), "the head is not the one given", status=1)
+    printed(bench("show", "one", "--verify", "--head", head), "the head differs from the given one", status=1)
 
 
 def test_a_head_that_is_none_is_refused(bench, run):
-    assert bench("show", "one", "--head", "12ab")[2].startswith("bench: --head 12ab: a head is the SHA-256")
+    assert bench("show", "one", "--head", "12ab")[2].startswith("bench: --head 12ab: give the SHA-256")
 
 
 @pytest.mark.parametrize("attack", ATTACKS)
@@ -82,39 +82,41 @@ def test_an_unsigned_seal_shows_changes_of_who_forgot_it_and_claims_no_more(benc
     assert bench("seal", "one")[0] == 0
     printed(
         bench("show", "one", "--verify"),
-        "not signed: who can write the folder can write such a seal",
+        "not signed: anybody who can write the folder could have made this seal",
         NOTHING_OUTSIDE,
     )
     attack(run)
-    printed(bench("show", "one", "--verify"), "the record is not what was sealed", status=1)
-    refused(bench("seal", "one"), "it is not sealed anew")
+    printed(bench("show", "one", "--verify"), "the record changed after it was sealed", status=1)
+    refused(bench("seal", "one"), "it was not sealed again")
 
 
 @pytest.mark.parametrize("attack", ATTACKS)
 def test_a_signed_seal_says_by_whom(bench, run, key, attack):
     assert bench("seal", "one", "--key", key)[0] == 0
-    assert "whose that is, --key tells" in bench("show", "one", "--verify")[1]
-    out = printed(bench("show", "one", "--verify", "--key", f"{key}.pub"), "signed with the key given")
+    assert "--key FILE tells whose key that is" in bench("show", "one", "--verify")[1]
+    out = printed(bench("show", "one", "--verify", "--key", f"{key}.pub"), "signed with the given key")
     assert NOTHING_OUTSIDE not in out
     attack(run)
     assert bench("show", "one", "--key", f"{key}.pub")[0] == 1
     (run / "seal.json").unlink()
     assert bench("seal", "one")[0] == (0 if attack is chain_anew else 2)  # its end is missing: it goes on
     out = printed(bench("show", "one", "--key", f"{key}.pub"), status=1)
-    assert "the key given says nothing" in out or "no seal that a key" in out
+    assert "the given key cannot confirm it" in out or "no seal for the key" in out
 
 
 def test_another_key_and_a_changed_seal_are_told(bench, run, key):
     assert bench("key", "keys/other.pem")[0] == 0
     assert bench("seal", "one", "--key", "keys/other.pem")[0] == 0
     printed(
-        bench("show", "one", "--key", f"{key}.pub"), "signed with another key than the one given", status=1
+        bench("show", "one", "--key", f"{key}.pub"), "signed with another key than the given one", status=1
     )
     seal = json.loads((run / "seal.json").read_text())
     seal["sealed"] = "2020-01-01T00:00:00+00:00"
     (run / "seal.json").write_text(json.dumps(seal))
     printed(
-        bench("show", "one", "--key", "keys/other.pem.pub"), "the signature is not one of this seal", status=1
+        bench("show", "one", "--key", "keys/other.pem.pub"),
+        "the signature does not belong to this seal",
+        status=1,
     )
 
 
@@ -123,12 +125,12 @@ def test_another_key_and_a_changed_seal_are_told(bench, run, key):
 )
 def test_a_damaged_seal_is_told(bench, run, text):
     (run / "seal.json").write_text(text)
-    printed(bench("show", "one", "--verify"), "seal.json: damaged, not a seal", status=1)
+    printed(bench("show", "one", "--verify"), "seal.json: damaged (not a seal)", status=1)
 
 
 def test_a_run_that_has_not_ended_is_not_sealed(bench):
     shutil.copytree(RECORDS / "interrupted", "runs/open")
-    refused(bench("seal", "open"), "only a run that has ended can be sealed, and this one is interrupted")
+    refused(bench("seal", "open"), "only an ended run can be sealed; this one is interrupted")
     assert not Path("runs/open/seal.json").exists()
 
 
@@ -141,7 +143,7 @@ def test_a_key_is_for_its_owner_alone_and_never_written_over(bench, key):
     assert b"BEGIN PRIVATE KEY" in Path(key).read_bytes()
     assert b"BEGIN PUBLIC KEY" in Path(f"{key}.pub").read_bytes()
     before = Path(key).read_bytes()
-    assert "never written over" in bench("key", key)[2]
+    assert "a file of that name exists" in bench("key", key)[2]
     assert Path(key).read_bytes() == before
 
 
@@ -159,7 +161,7 @@ def test_a_key_with_a_passphrase_is_used_with_it_alone(bench, run):
     assert bench("key", "keys/lab.pem", "--passphrase", stdin="word\nother\n")[0] == 2
     assert bench("key", "keys/lab.pem", "--passphrase", stdin="word\nword\n")[0] == 0
     assert b"ENCRYPTED" in Path("keys/lab.pem").read_bytes()
-    assert "another passphrase" in bench("seal", "one", "--key", "keys/lab.pem", stdin="wrong\n")[2]
+    assert "a wrong passphrase" in bench("seal", "one", "--key", "keys/lab.pem", stdin="wrong\n")[2]
     assert bench("seal", "one", "--key", "keys/lab.pem", stdin="word\n")[0] == 0
     assert bench("show", "one", "--key", "keys/lab.pem.pub")[0] == 0
 
@@ -185,10 +187,10 @@ def test_a_time_stamp_says_not_later_than_when(bench, run, key):
         assert bench("seal", "one", "--key", key, "--timestamp", served.url)[0] == 0
     ((kind, _),) = authority.requests
     assert kind == "application/timestamp-query"
-    assert "who stands for it, --authority FILE tells" in bench("show", "one", "--verify")[1]
+    assert "--authority FILE tells whose it is" in bench("show", "one", "--verify")[1]
     out = printed(
         bench("show", "one", "--verify", "--authority", "authority.pem"),
-        "the record is not later than 2026-03-01T12:00:00+00:00",
+        "the record existed by 2026-03-01T12:00:00+00:00",
     )
     assert NOTHING_OUTSIDE not in out
     printed(bench("show", "one", "--authority", "other.pem"), "not by the authority in other.pem", status=1)
@@ -202,7 +204,7 @@ def test_a_time_stamp_of_something_else_is_told(bench, run, key):
     bench("seal", "one", "--key", key)
     seal = json.loads((run / "seal.json").read_text())
     (run / "seal.json").write_text(json.dumps({**seal, "time_stamp": stamp}))
-    printed(bench("show", "one", "--verify"), "its time stamp is not one of this seal", status=1)
+    printed(bench("show", "one", "--verify"), "its time stamp belongs to another seal", status=1)
 
 
 def of_before(authority):
@@ -217,9 +219,9 @@ def of_before(authority):
 @pytest.mark.parametrize(
     ("answer", "why"),
     [
-        (lambda authority: lambda request: b"<html>", "answered with something else"),
-        (lambda authority: lambda request: b"", "answered with something else"),
-        (of_before, "answered for something else"),
+        (lambda authority: lambda request: b"<html>", "unexpected answer"),
+        (lambda authority: lambda request: b"", "unexpected answer"),
+        (of_before, "it stamped other data"),
     ],
 )
 def test_an_answer_that_is_no_time_stamp_leaves_the_seal_without(bench, run, answer, why):
@@ -229,7 +231,7 @@ def test_an_answer_that_is_no_time_stamp_leaves_the_seal_without(bench, run, ans
         status, _, err = bench("seal", "one", "--timestamp", served.url)
     assert status == 1
     assert why in err
-    assert "the seal stands without it" in err
+    assert "the seal has no time stamp" in err
     assert bench("show", "one", "--verify")[0] == 0
 
 
@@ -245,5 +247,5 @@ def test_a_server_that_is_not_there_leaves_the_seal_without(bench, run):
 
 @pytest.mark.parametrize("url", ["file:///etc/passwd", "stamps.example", "http://"])
 def test_what_is_no_server_is_refused(bench, run, url):
-    assert "not the address of a server" in bench("seal", "one", "--timestamp", url)[2]
+    assert "give the address of a server" in bench("seal", "one", "--timestamp", url)[2]
     assert not (run / "seal.json").exists()

@@ -91,7 +91,7 @@ def test_a_taken_port_is_one_sentence_and_status_2(bench: Any) -> None:
     [
         (["--speed", "0"], "positive speed"),
         (["--speed", "nan"], "positive speed"),
-        (["--port", "70000"], "ports are numbers"),
+        (["--port", "70000"], "give a port"),
         (["--bench", "nowhere.yaml"], "no such file"),
         (["turn 45 deg"], "--control HOST:PORT"),
         (["--control", "127.0.0.1:1", "state"], "no simulated bench answers"),

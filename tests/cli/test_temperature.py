@@ -67,8 +67,8 @@ def test_a_curve_that_is_no_polynomial_is_told_and_not_accepted(bench, polynomia
 @pytest.mark.parametrize(
     ("options", "told"),
     [
-        (("--degree", "many"), "--degree many: expected 'auto', or a whole number"),
-        (("--step", "500"), "a step of 500 K does not suit"),
+        (("--degree", "many"), "--degree many: give 'auto' or a whole number"),
+        (("--step", "500"), "a step of 500 K does not fit"),
         (("--reference", "99"), "--reference"),
     ],
 )
@@ -82,7 +82,7 @@ def test_calibrate_points_to_compensate_where_temperatures_are_mixed(bench, poly
     write_csv(three, tmp_path / "three.csv")
     _, out, _ = bench("calibrate", "three.csv")
     assert (
-        "readings span 75 K at 3 temperatures, and these coefficients mix them: see bench compensate" in out
+        "readings span 75 K at 3 temperatures, and these coefficients mix them; use 'bench compensate'" in out
     )
     bench("report", "three.csv")
     (page,) = tmp_path.rglob("*.html")
@@ -122,7 +122,7 @@ def test_a_square_is_found_and_what_is_not_separable_is_said(bench, turns):
 def test_twelve_points_separate_and_say_how_little(bench, turns):
     out = bench("tumble", "turn-12.csv", "--strict")[1]
     assert out.count("7 of 7 terms are determined") == 3
-    assert out.count("hang together (r = -0.99") == 3
+    assert out.count("are correlated (r = -0.99") == 3
     assert "taken as zero in channel x: 1 µg/g² of Kpp moves K0 by +0.50" in out
     assert "u, readings" in out
 
@@ -136,4 +136,4 @@ def test_terms_that_are_left_out_show_as_lack_of_fit(bench, turns):
 
 
 def test_a_mistake_is_one_line(bench, turns):
-    refused(bench("tumble", "turn-12.csv", "--terms", "K2,K9"), "terms K9: each once, of K2, K3, Koq")
+    refused(bench("tumble", "turn-12.csv", "--terms", "K2,K9"), "terms K9: give each once, from K2, K3, Koq")

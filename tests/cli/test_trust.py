@@ -72,12 +72,14 @@ def test_swapped_and_reversed_wires_are_named(bench, measured):
     write_csv(replace(measured, signal=measured.signal[:, [1, 0, 2]]), Path("swapped.csv"))
     write_csv(replace(measured, signal=measured.signal * [-1, 1, 1]), Path("reversed.csv"))
     for file, says in (
-        ("swapped", "are two channels or installations swapped?"),
-        ("reversed", "wires reversed?"),
+        ("swapped", "perhaps two channels or installations are swapped"),
+        ("reversed", "wires is reversed"),
     ):
         printed(bench("calibrate", f"{file}.csv", "--strict"), says, status=1)
         assert bench("calibrate", f"{file}.csv")[0] == 0
-    assert "swapped?" in bench("calibrate", "swapped.csv", "--json", "-")[2]  # standard output is JSON alone
+    assert (
+        "are swapped" in bench("calibrate", "swapped.csv", "--json", "-")[2]
+    )  # standard output is JSON alone
 
 
 def test_readings_rounded_coarsely_do_not_make_a_small_uncertainty(bench, measured):
@@ -96,7 +98,7 @@ def test_the_bench_file_of_the_run_is_used_unless_another_is_typed(bench, measur
     monkeypatch.setenv("BENCH_FILE", "bench-gpib")
     assert json.loads(bench("calibrate", "good", "--json", "-")[1])["g_m_s2"] == own["g_m_s2"]
     _, _, err = bench("calibrate", "good", "--bench", "bench-gpib", "--json", "-")
-    assert "in place of the bench file that the run recorded" in err
+    assert "instead of the bench file that the run recorded" in err
     events = Path("runs/good/events.jsonl")
     events.write_text(events.read_text().replace('"samples_taken": 10', '"samples_taken": 9', 1))
     assert bench("calibrate", "good", "--bench", "bench-gpib")[0] == 2
@@ -129,7 +131,7 @@ def test_a_pipe_to_which_nobody_writes_is_named(bench):
     """That no command waits for one, `test_special_files` shows."""
     os.mkfifo("pipe.csv")
     told = bench("import", "pipe.csv", "--name", "piped")
-    refused(told, "pipe.csv: cannot be read (this is a pipe to which nobody writes)")
+    refused(told, "pipe.csv: cannot be read (this is a pipe without a writer)")
 
 
 def test_an_imported_run_is_not_taken_for_an_interrupted_one(bench, measured):
@@ -144,13 +146,13 @@ def test_an_imported_run_is_not_taken_for_an_interrupted_one(bench, measured):
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (("calibrate", "good", "--g", "0"), "local gravity lies between"),
-        (("calibrate", "good", "--g", "nan"), "local gravity lies between"),
-        (("verify", "good", "--limit", "-1"), "a limit is a positive number"),
-        (("verify", "good", "--limit", "nan"), "a limit is a positive number"),
-        (("calibrate", "good", "--json", "nowhere/c.json"), "there is no such folder"),
+        (("calibrate", "good", "--g", "0"), "local gravity between"),
+        (("calibrate", "good", "--g", "nan"), "local gravity between"),
+        (("verify", "good", "--limit", "-1"), "give a positive limit"),
+        (("verify", "good", "--limit", "nan"), "give a positive limit"),
+        (("calibrate", "good", "--json", "nowhere/c.json"), "no such folder; create it or name another"),
         (("calibrate", "good", "runs/good", "--out", "x"), "two sources would write"),
-        (("run", "quick", "--dry-run", "--name", "-x"), "a run's name is"),
+        (("run", "quick", "--dry-run", "--name", "-x"), "a run's name begins"),
     ],
 )
 def test_arguments_that_make_no_sense_are_refused_before_anything_is_written(
@@ -165,7 +167,7 @@ def test_coefficients_that_are_no_numbers_are_refused(bench, measured):
     good = json.loads(Path("runs/good/calibrate.json").read_text())
     good["coefficients"]["Kxx"]["value"] = float("nan")
     Path("nan.json").write_text(json.dumps(good))
-    refused(bench("verify", "good", "--coefficients", "nan.json"), "no number")
+    refused(bench("verify", "good", "--coefficients", "nan.json"), "not a number")
 
 
 def test_coefficients_of_a_simulation_are_told_from_those_of_a_block(bench, measured):

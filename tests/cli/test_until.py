@@ -117,6 +117,6 @@ def test_all_goals_that_cannot_be_understood_are_told_at_once(capsys, monkeypatc
     assert main(["run", "few.yaml", "--dry-run", "--until", "foo,al=5e-5", "--until", "Kxx=-1"]) == 2
     said = capsys.readouterr().err
     assert [line.count("until") for line in said.splitlines()] == [1, 1, 1]
-    assert "--until foo: a name" in said
+    assert "--until foo: give a name" in said
     assert "no coefficient 'al'" in said
     assert "not -1" in said

@@ -61,7 +61,7 @@ def test_all_that_is_wrong_with_a_question_is_told_at_once(bench, unit):
     )
     for problem in ("--limit -1.0", "a guard band of -2 U", "the second positive"):
         assert problem in err
-    refused(bench(*unit, "--rule", "simple", "--guard-band", "0.5"), "simple acceptance takes no guard band")
+    refused(bench(*unit, "--rule", "simple", "--guard-band", "0.5"), "simple acceptance has no guard band")
 
 
 def test_a_rule_that_nobody_states_accepts_five_per_cent_of_false_acceptance(bench, unit):
@@ -120,7 +120,7 @@ def test_a_verdict_rests_on_coefficients_that_are_accepted(bench, unit):
     ("written", "problem"),
     [
         ("rule: lenient", "rule"),
-        ("rule: simple acceptance\n  guard_band: 0.5", "simple acceptance takes no guard band"),
+        ("rule: simple acceptance\n  guard_band: 0.5", "simple acceptance has no guard band"),
         ("rule: guarded\n  guard_band: 0", "guard_band"),
         ("population: {standard_deviation: 0 g}", "state a standard deviation above zero"),
     ],
@@ -178,7 +178,7 @@ def test_a_run_is_judged_as_it_was_begun(bench):
     assert (status, own["limit_g"], own["rule"], own["guard_band"]) == (1, 4e-4, "guarded", 3.0)
     assert "limit 400 µg\n" in out
     assert "rule: guarded (w = 3 U)" in out
-    assert "chain of hashes whole" in bench("show", "one", "--verify")[1]
+    assert "chain of hashes complete" in bench("show", "one", "--verify")[1]
     assert told(bench, "verify", "one", "--json", "-") == (1, own)
     assert not Path("runs/one/what-if").exists()
     assert told(bench, "verify", "one", "--rule", "simple", "--json", "-")[1]["limit_g"] == 4e-4

@@ -61,23 +61,24 @@ def test_a_formula_is_read_in_si_and_written_back_the_same(tmp_path):
     [
         ("100 µg", "100 µV", 6, "the expression gives V|V and a plain number"),
         ("100 µg", "100", None, None),
-        ("100 µg", "-100 ug", 7, "more than nothing"),
+        ("100 µg", "-100 ug", 7, "above 0"),
         ("100 µg", "100 ugg", 7, "unknown unit 'ugg'"),
         ("plausible: 100 µg", "per_channel: yes", 7, "give its plausible size"),
-        ("plausible: 100 µg", "plausible: 1 ug, grid: [1 ug]", 7, "one of the two"),
+        ("plausible: 100 µg", "plausible: 1 ug, grid: [1 ug]", 7, "not both"),
         ("1 rev, 720 deg], default: 1 rev", "1 rev]", None, None),
-        ("1 rev, 720 deg]", "1 min]", 7, "different kinds"),
+        ("1 rev, 720 deg]", "1 min]", 7, "units of one kind"),
         ("default: 1 rev", "default: 3 rev", 7, "not in the grid"),
-        ("lag: {grid: [0 min, 10 min]}", "lag: {grid: [1 V]}", 6, "the second argument of 'lagged' is a time"),
-        ("travelled / turns", "time * turns", 6, "exp takes a plain number or an angle, and is given s"),
-        ("+ B", "+ time * B", 6, "stand on two sides of '\\+'"),
+        ("lag: {grid: [0 min, 10 "
+        "min]}", "lag: {grid: [1 V]}", 6, "state a time as the second argument of 'lagged'"),
+        ("travelled / turns", "time * turns", 6, "exp needs a plain number or an angle, not s"),
+        ("+ B", "+ time * B", 6, "stand on both sides of '\\+'"),
         ("travelled / turns", "turns * (time > 40 min)", None, None),
         ("travelled / turns", "turns * (time > 2400)", 6, "write the number with its unit, such as '2400 s'"),
-        ("travelled / turns", "turns * (time > 3 V)", 6, "s and V stand on two sides of '>'"),
-        ("settling", "hysteresis", 3, "the bench has an effect 'hysteresis' already"),
+        ("travelled / turns", "turns * (time > 3 V)", 6, "s and V stand on both sides of '>'"),
+        ("settling", "hysteresis", 3, "the bench already has an effect 'hysteresis'"),
         ("settling", "Settling!", 3, "small letters"),
         ("stage: block output", "stage: block", 5, "did you mean 'block output'"),
-        ("      A:", "      a:", 7, "'a' is a word of the formulas"),
+        ("      A:", "      a:", 7, "'a' is reserved in formulas"),
         ("    sentence: the", "    sentences: the", 4, "sentence"),
     ],
 )  # fmt: skip
@@ -106,9 +107,9 @@ def test_all_mistakes_at_once_and_two_of_a_name(tmp_path):
     found = mistakes(tmp_path, HEAD + ENTRY + ENTRY.replace("A *", "A * A *"))
     assert [place for _, place, _ in found] == ["formulas[2].expression"]
     found = mistakes(tmp_path, HEAD + ENTRY + ENTRY)
-    assert found[0][2] == "two formulas have the name settling"
+    assert found[0][2] == "rename one of two formulas named settling"
     other = write(tmp_path, HEAD + ENTRY.replace("100 µg", "50 ug"), "other.yaml")
-    with pytest.raises(FileMistakes, match="another formula of the name settling"):
+    with pytest.raises(FileMistakes, match="a different formula named settling"):
         effects_in([write(tmp_path, HEAD + ENTRY), other])
 
 

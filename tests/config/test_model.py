@@ -69,7 +69,7 @@ def test_all_mistakes_are_told_with_their_lines(tmp_path):
         "8 effects[1].parameters.K2.x: expected a value of K2 such as '30 ug/g^2', got '60 ug'",
         "8 effects[1].parameters.K2.z.uu: unknown key 'uu'; did you mean 'u'?",
         "10 effects[2].parameters.cosin: unknown parameter of head_eccentricity 'cosin'; did you mean 'co",
-        "10 effects[2].parameters.sine.u: a standard uncertainty is not negative",
+        "10 effects[2].parameters.sine.u: state a standard uncertainty of 0 or more",
     ]
     assert len(told) == len(expected), told
     for mistake, text in zip(told, expected, strict=True):
@@ -113,7 +113,7 @@ def test_a_model_is_written_once_and_read_back_as_it_was(tmp_path):
     assert first.u["K2"] == pytest.approx(u, rel=1e-14)
     assert second.values["cosine"] == pytest.approx(3.3 * ARCSEC, rel=1e-14)
     before = path.read_bytes()
-    with pytest.raises(FileMistakes, match="exists and is not overwritten"):
+    with pytest.raises(FileMistakes, match="exists and was not overwritten"):
         write_model_file(path, "other", [])
     assert path.read_bytes() == before
 
@@ -136,12 +136,12 @@ def test_mountings_and_shapes(tmp_path):
 @pytest.mark.parametrize(
     ("effect", "told"),
     [
-        ("warm_up\n    parameters: {tau: 0 min}", "expected tau to be more than nothing, got '0 min'"),
-        ("warm_up\n    parameters: {tau: -5 min}", "expected tau to be more than nothing, got '-5 min'"),
+        ("warm_up\n    parameters: {tau: 0 min}", "expected tau to be above 0, got '0 min'"),
+        ("warm_up\n    parameters: {tau: -5 min}", "expected tau to be above 0, got '-5 min'"),
         ("warm_up\n    parameters: {tau: 5 uV}", "expected a value of tau such as '20 min', got '5 uV'"),
-        ("warm_up\n    parameters: {tau: {value: 5 min, u: 1 min}}", "tau is a shape: a fit holds it as it is"),
+        ("warm_up\n    parameters: {tau: {value: 5 min, u: 1 min}}", "tau is a shape, which a fit keeps fixed"),
         ("warm_up\n    parameters: {tau: {x: 5 min}}", "tau has one value, not one for each channel"),
-        ("thermal_bias\n    parameters: {lag: -1 min}", "expected lag to be nothing or more, got '-1 min'"),
+        ("thermal_bias\n    parameters: {lag: -1 min}", "expected lag to be 0 or more, got '-1 min'"),
         ("hysteresis\n    installations: 2\n    parameters: {}", "installations"),
     ],
 )  # fmt: skip
@@ -173,7 +173,7 @@ def test_an_effect_stands_once(tmp_path, first, second, allowed):
     if allowed:
         assert len(load(tmp_path, HEAD + entries).applied_effects()) == 2
     else:
-        with pytest.raises(FileMistakes, match="stands twice for the same channel"):
+        with pytest.raises(FileMistakes, match="appears twice for the same channel"):
             load(tmp_path, HEAD + entries)
 
 

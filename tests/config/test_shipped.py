@@ -27,7 +27,8 @@ def test_an_unknown_name_is_told_with_the_nearest_and_the_list():
     with pytest.raises(FileMistakes) as error:
         find_procedure("calibraton")
     assert str(error.value) == (
-        "calibraton: there is no such file, and no shipped procedure of that name; did you mean calibration? "
+        "calibraton: there is no such file, and no shipped procedure of that name; did you mean "
+        "calibration? "
         "shipped are: calibration, discerning, inputs, levelled, paper, quick, remount-180, remount-90, "
         "repeatability, return, stability, temperature, turn-12, turn-24, turn-on, verification"
     )

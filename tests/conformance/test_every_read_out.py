@@ -81,7 +81,7 @@ def test_a_head_that_came_from_the_wrong_side_is_refused_in_one_sentence(device,
         stand.driver.move(math.radians(90.0), 1, "1/turn")
         *_, asked, again = person.prompts
         assert "come from" not in asked
-        assert again.startswith("The head did not come from below: back off by 1°00′00″ at least")
+        assert again.startswith("The head did not approach from below: back off by 1°00′00″ at least")
         assert stand.world.direction == 1
         assert "turn" not in person.keys
 
@@ -147,7 +147,7 @@ def test_without_a_reference_mark_nothing_is_read_unless_somebody_says_otherwise
         stand.driver.open()
         person = watched(stand)
         if stand.driver._tells_reference:
-            with pytest.raises(InstrumentRefused, match="relative, no angle"):
+            with pytest.raises(InstrumentRefused, match="a relative angle"):
                 stand.driver.move(0.5, 1, "1/turn")
             assert person.prompts == []
         else:

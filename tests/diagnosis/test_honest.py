@@ -179,4 +179,4 @@ def test_a_model_of_another_block_is_told_and_the_page_is_written(bench):
 def test_a_file_where_the_folder_should_be_is_told_before_the_work(bench):
     Path("taken").write_text("", encoding="utf-8")
     status, _, err = bench("diagnose", measured("null.csv"), "--out", "taken")
-    assert (status, err.strip()) == (2, "bench: --out taken: a file of that name is there; give a folder")
+    assert (status, err.strip()) == (2, "bench: --out taken: this is a file; name a folder")

@@ -370,7 +370,7 @@ def test_nothing_follows_where_nothing_would_tell_more(bench, monkeypatch, tmp_p
     status, out, _ = bench("run", path, "--dry-run", "--name", "a", "--follow")
     assert status == 0
     assert seen == [["a"]]
-    assert "no procedure would tell more" in out
+    assert "no procedure would show more" in out
     status, _, err = bench("run", path, "--dry-run", "--name", "b", "--follow", "--json", "-")
     assert status == 2
     assert "--follow makes two runs" in err

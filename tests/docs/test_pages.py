@@ -33,7 +33,7 @@ from tests.support.pages import DOCS, ROOT, Block, blocks, commands, pages, told
 from tests.support.paper_bench import STAND_U, simulate
 from tests.support.schemas import keeps_to
 
-KINDS = {"console", "python", "text", "yaml", "{toctree}", "{include}"}
+KINDS = {"console", "python", "text", "yaml", "{toctree}", "{include}", "{picture}"}
 OF_THEIR_OWN = {f"writing-{name}.md" for name in ("a-driver", "an-effect", "an-estimator", "a-command")}
 """Pages whose blocks need names of the tests: they have a test of their own."""
 RESULTS = {
@@ -46,7 +46,16 @@ RESULTS = {
     "analyses.md": {"tests/data/stability/ln100-up.json": "stability"},
 }
 """What pages leave behind, and the schema of each."""
-SLOWLY = ("tutorial", "analyses", "how-it-works", "certificates", "catalogue", "batches", "check-block")
+SLOWLY = (
+    "tutorial",
+    "analyses",
+    "how-it-works",
+    "certificates",
+    "catalogue",
+    "batches",
+    "check-block",
+    "real-records",
+)
 SLOW = {f"{name}.md" for name in SLOWLY}
 SHELL = {"ls", "cp", "rm", "sed"}
 

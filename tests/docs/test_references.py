@@ -102,7 +102,7 @@ def test_pages_are_written_and_stale_ones_go(tmp_path):
 
 
 def test_the_constants_of_the_method_are_those_of_the_code():
-    text = (DOCS / "diagnosis-method.md").read_text(encoding="utf-8")
+    text = (DOCS / "diagnosis-method.md").read_text(encoding="utf-8") + PAGES["_constants.md"]()
     for module, name in re.findall(r"`([a-z_.]+)\.([A-Z_\d]+)`", text):
         assert hasattr(importlib.import_module(f"bench.diagnosis.{module}"), name), f"{module}.{name}"
     rows = re.findall(r"^\| `([a-z_.]+)\.([A-Z_\d]+)` \| (ln of )?([\d., ]+) \|", text, flags=re.M)

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.angles import classic_slip, format_dms, parse_angle, wrapped_rad
+from drivers.angles import classic_slip, format_dms, parse_angle, read_angle, wrapped_rad
 
 SECOND = math.radians(1.0 / 3600.0)
 
@@ -57,6 +57,20 @@ def test_what_is_not_an_angle_is_refused_with_an_example(text: str) -> None:
     with pytest.raises(ValueError, match="such as 45 00 10") as caught:
         parse_angle(text)
     assert repr(text) in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "arcsec"), [('+5"', 5.0), ("-12″", -12.0), ("−0,5''", -0.5), ('+ 7.25"', 7.25)]
+)
+def test_a_deviation_from_the_commanded_angle_may_be_typed(text: str, arcsec: float) -> None:
+    target_rad = math.radians(315.0)
+    assert read_angle(text, target_rad, 1e-3) == pytest.approx(target_rad + math.radians(arcsec / 3600.0))
+
+
+@pytest.mark.parametrize("text", ['5"', "+5", '+5 5"', '+"', '+12345"', "+5'"])
+def test_a_deviation_has_its_sign_and_its_mark(text: str) -> None:
+    with pytest.raises(ValueError, match=r"type|below"):
+        read_angle(text, math.radians(90.0), 1e-3)
 
 
 @pytest.mark.parametrize(

@@ -79,7 +79,7 @@ def test_axes_may_lie_the_other_way():
 @pytest.mark.parametrize(
     ("exchanges", "told"),
     [
-        ([(sent("R N"), answered("008")), (sent("G P"), answered("F"))], "out of its range"),
+        ([(sent("R N"), answered("008")), (sent("G P"), answered("F"))], "exceeds its range"),
         ([(sent("R N"), answered("008", (1, 172)))] * 3, "check sum"),
     ],
 )

@@ -178,17 +178,17 @@ def test_a_failure_to_stop_does_not_hide_the_cause() -> None:
     with pytest.raises(InstrumentRefused, match="did not come to rest") as stopped:
         mover.move(45 * DEG, 1)
     (note,) = stopped.value.__notes__
-    assert note.startswith("head: its stop is not confirmed: see that it stands")
+    assert note.startswith("head: its stop is not confirmed: check that it stands")
     assert "OSError" in note
 
 
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"minimum_rad": 7.0}, "is not below the highest"),
+        ({"minimum_rad": 7.0}, "must be below the highest"),
         ({"tolerance_rad": 0.0}, "tolerance_rad of the head must be positive"),
         ({"speed_rad_s": -1.0}, "speed_rad_s of the head must be positive"),
-        ({"backoff_rad": 1e-9}, "back off by more than its tolerance"),
+        ({"backoff_rad": 1e-9}, "a back-off above the tolerance"),
     ],
 )
 def test_a_travel_that_cannot_be_is_refused(changes: dict[str, float], words: str) -> None:

@@ -74,9 +74,9 @@ def test_how_an_angle_is_sent(target_deg: float, sent: str) -> None:
     [
         ("*IDN?", "ESP100 Version 1.0", "no model like ESP30"),
         ("*IDN?", "ACME,COFFEE-MAKER,0,1.0", "is 'ACME,COFFEE-MAKER,0,1.0'"),
-        ("1VA10.000000;TB?", "110, 1, AXIS-1 MAXIMUM VELOCITY EXCEEDED", "110.*choose a speed"),
+        ("1VA10.000000;TB?", "110, 1, AXIS-1 MAXIMUM VELOCITY EXCEEDED", "110.*state a speed"),
         ("1SN?", "2", "has unit 2, not degrees"),
-        ("1VA?", "1.000", "has not taken 1VA10.000000: its speed is 1 deg/s, not 10 deg/s"),
+        ("1VA?", "1.000", "did not accept 1VA10.000000: its speed is 1 deg/s, not 10 deg/s"),
         ("1TP?", "12.35", "2 decimals of a degree, coarser than its tolerance of"),
     ],
 )
@@ -91,7 +91,7 @@ def test_one_that_is_not_as_it_must_be_is_refused(command: str, reply: str, told
     ("pairs", "command", "reply", "told"),
     [
         (PREPARE, "1MO?", "0", "its motor is off: it may have lost its reference.*allow homing"),
-        (PREPARE, "1VA?", "1.000", "was switched off or set otherwise since: its speed is 1 deg/s"),
+        (PREPARE, "1VA?", "1.000", "was switched off or its settings changed: its speed is 1 deg/s"),
         ([*PREPARE, *MOVE], "1PA45.000000;TB?", OFF, "answers 1PA45.000000 with error 113, AXIS-1 MOTOR NOT"),
     ],
 )
@@ -164,7 +164,7 @@ def test_a_motor_that_somebody_switched_on_again_after_a_power_cut_is_not_believ
         h.move(45 * DEG, 1, "1/turn")
         controller.power_cycle()
         controller.handle(b"1MO", lambda: False)
-        with pytest.raises(InstrumentRefused, match="was switched off or set otherwise since"):
+        with pytest.raises(InstrumentRefused, match="was switched off or its settings changed"):
             h.move(90 * DEG, 1, "2/turn")
     assert world.scale_angle_rad == pytest.approx(45 * DEG, abs=1e-6)
 

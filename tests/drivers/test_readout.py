@@ -33,13 +33,13 @@ STILL = [45.0] * 5
     [
         ([20, 40, 43, 44.9, *STILL], 1, ""),
         ([80, 50, 47, 45.1, *STILL], -1, ""),
-        ([80, 50, 47, 45.1, *STILL], 1, "did not come from below: back off by 1°00′00″"),
-        ([20, 40, 43, 44.9, *STILL], -1, "did not come from above"),
-        ([20, 40, 43, 45.1, *STILL], 1, "did not come from below"),  # beyond it, and back
-        ([20, 40, 43, 45.1, 44.5, *STILL], 1, "did not come from below"),  # not far enough back
+        ([80, 50, 47, 45.1, *STILL], 1, "did not approach from below: back off by 1°00′00″"),
+        ([20, 40, 43, 44.9, *STILL], -1, "did not approach from above"),
+        ([20, 40, 43, 45.1, *STILL], 1, "did not approach from below"),  # beyond it, and back
+        ([20, 40, 43, 45.1, 44.5, *STILL], 1, "did not approach from below"),  # not far enough back
         ([20, 40, 43, 45.1, 43.9, *STILL], 1, ""),
-        ([44.5, 44.9, *STILL], 1, "did not come from below"),  # begun too near
-        ([*STILL], 1, "did not come from below"),
+        ([44.5, 44.9, *STILL], 1, "did not approach from below"),  # begun too near
+        ([*STILL], 1, "did not approach from below"),
         ([20, 44.9, 45, 45, 45], 1, "still moves"),
         ([20, 44.9, *[45.0, 45.001] * 3], 1, "still moves, by 0°00′03.6″ within 2 s"),
         ([20, 44.9, *[45.01] * 5], 1, r"shows 45°00′36″, 0°00′36.0″ above the target, outside the 0°00′30″"),
@@ -165,7 +165,7 @@ def test_the_wrong_side_is_told_once_and_heard_of_no_more_until_it_backs_off():
     assert head.move(45 * DEG, 1, "1/turn").angle_rad == pytest.approx(45.001 * DEG)
     assert len(person.prompts) == 2
     assert person.prompts[1].text.startswith(
-        "The head did not come from below: back off by 1°00′00″ at least"
+        "The head did not approach from below: back off by 1°00′00″ at least"
     )
 
 
@@ -280,8 +280,8 @@ def test_where_nothing_can_be_watched_the_side_is_seen_at_the_answers():
     head.degrees = [60.0]
     head.open()
     assert head.move(45 * DEG, 1, "1/turn").angle_rad == pytest.approx(45.001 * DEG)
-    assert prompts[1].startswith("The head did not come from below")
-    assert "answer where you have backed off, too" in prompts[1]
+    assert prompts[1].startswith("The head did not approach from below")
+    assert "answer at the back-off position, too" in prompts[1]
     assert ways == []
 
 

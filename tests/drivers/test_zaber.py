@@ -132,7 +132,7 @@ def test_old_firmware_without_alert_and_serial_number_will_do() -> None:
         ("WR", "has lost its reference"),
         ("NI", "interrupted by another command"),
         ("NC", "turned by its knob"),
-        ("ZZ", "a warning that is not known here"),
+        ("ZZ", "an unknown warning"),
     ],
 )
 def test_a_flag_while_it_moves_stops_it_and_is_explained(flag: str, words: str) -> None:
@@ -174,7 +174,7 @@ def test_a_garbled_reply_to_the_move_itself_ends_it_with_a_stop() -> None:
 @pytest.mark.parametrize(
     ("steps", "words"),
     [
-        (0.0, "needs a number of steps"),
+        (0.0, "state a number of steps"),
         (1e8, "more than 2147483647 steps"),
         (100.0, "coarser than its tolerance"),
     ],
@@ -229,7 +229,7 @@ def test_a_reply_with_a_wrong_or_missing_checksum_is_asked_again_but_not_for_eve
         assert h.move(45 * DEG, 1, "1/turn").angle_rad == pytest.approx(45 * DEG)
         assert spoilt["left"] == 0
         spoilt["left"] = 1000
-        with pytest.raises(BadReading, match="has no right checksum"):
+        with pytest.raises(BadReading, match="has a wrong checksum"):
             h.move(90 * DEG, 1, "2/turn")
         assert 1000 - spoilt["left"] == 3
 

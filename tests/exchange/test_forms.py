@@ -181,14 +181,16 @@ def test_json_and_csv_hold_every_number_to_the_last_digit():
     read = json.loads(text_of("json"))
     rows = list(csv.reader(line for line in io.StringIO(text_of("csv")) if not line.startswith("#")))
     table = {row[0]: row[1:] for row in rows[1 : rows.index(next(r for r in rows if r[0] == "covariance"))]}
-    whole = {**read["coefficients"], **read["inverse"]["values"], **read["misalignments"]["values"]}
-    assert len(whole) == len(table) == 27
+    parts = (read, read["inverse"], read["misalignments"], read["intrinsic"])
+    whole = {**read["coefficients"]}
+    for part in parts[1:]:
+        whole |= part["values"]
+    assert len(whole) == len(table) == 36
     for name, entry in whole.items():
         *numbers, unit = table[name]
         assert [float(number) for number in numbers] == [entry["value"], entry["u"], entry["U"]]
         assert unit == entry["unit"]
     tables = [at for at, row in enumerate(rows) if row[0] == "covariance"]
-    parts = (read, read["inverse"], read["misalignments"])
     for at, part in zip(tables, parts, strict=True):
         size = len(part["order"])
         assert rows[at][1:] == part["order"]
@@ -330,4 +332,4 @@ def test_a_name_from_outside_is_text_in_every_form(form):
         assert any("=1+1" in str(cell.value) for cell in cells)
         return
     assert not [line for line in made.splitlines() if line.startswith("#error")]
-    assert made.count("*/") == (0 if form != "c" else 6)
+    assert made.count("*/") == (0 if form != "c" else 8)

@@ -12,8 +12,10 @@ from bench.calibration import CalibrationError, calibrate
 from bench.history.comparison import Snapshot, compare
 from bench.model.geometry import COEFFICIENTS
 from bench.readings.csv import write_csv
+from bench.results.compare import compare_result, verdict_of
 from tests.support.paper_bench import STAND_U, TRUTH, simulate
 from tests.support.thermal_bench import MODEL
+from tests.support.whole_truth import turned
 
 BEGIN = datetime(2024, 1, 1, tzinfo=UTC)
 A = np.random.default_rng(31).normal(size=(12, 12))
@@ -42,7 +44,7 @@ def drawn(rng, shift=0.0, **changes):
 def test_e_n_and_chi_square_are_what_their_definitions_say():
     step = np.zeros(12)
     step[4] = 3e-5
-    found = compare([snapshot(TRUTH), snapshot(TRUTH + step, 30)]).changes[0]
+    found = compare([snapshot(TRUTH), snapshot(TRUTH + step, 30)]).twelve.changes[0]
     # U = 2 u of each: E_n = |x1 - x2|/sqrt(U1^2 + U2^2)
     assert found.en[4] == pytest.approx(3e-5 / np.sqrt(2 * (2 * U[4]) ** 2), rel=1e-9)
     assert found.chi2 == pytest.approx(step @ np.linalg.inv(2 * COVARIANCE) @ step, rel=1e-9)
@@ -60,12 +62,12 @@ def test_terms_of_the_block_cancel_as_far_as_both_calibrations_take_them_up():
     alike = replace(taken[1], covariance=taken[0].covariance, block_terms=first)
     left = first - later
     expected = np.sqrt(np.diag(2 * COVARIANCE + left @ left.T))
-    np.testing.assert_allclose(compare(taken).changes[0].u, expected, rtol=1e-9)
-    np.testing.assert_allclose(compare([taken[0], alike]).changes[0].u, np.sqrt(2) * U, rtol=1e-9)
+    np.testing.assert_allclose(compare(taken).twelve.changes[0].u, expected, rtol=1e-9)
+    np.testing.assert_allclose(compare([taken[0], alike]).twelve.changes[0].u, np.sqrt(2) * U, rtol=1e-9)
     # another block, and a result that does not say, have their own
     both = np.sqrt(np.diag(2 * COVARIANCE + first @ first.T + later @ later.T))
     for other in (replace(taken[1], block="block 2"), replace(taken[1], block_terms=None)):
-        np.testing.assert_allclose(compare([taken[0], other]).changes[0].u, both, rtol=1e-9)
+        np.testing.assert_allclose(compare([taken[0], other]).twelve.changes[0].u, both, rtol=1e-9)
 
 
 def test_a_bias_that_wanders_during_a_run_goes_on_between_runs():
@@ -76,35 +78,72 @@ def test_a_bias_that_wanders_during_a_run_goes_on_between_runs():
     assert np.mean(walks.mean(axis=1) ** 2) == pytest.approx(gone, rel=4 * np.sqrt(2 / 4000) + 1 / 60)
     wander = np.array([0.0, 1e-5, 2e-5])
     both = [snapshot(TRUTH, 30 * k, wander=wander) for k in range(2)]
-    added = compare(both).changes[0].u ** 2 - 2 * U**2
+    added = compare(both).twelve.changes[0].u ** 2 - 2 * U**2
     np.testing.assert_allclose(added[9:], 2 * 2.0 * wander**2, atol=1e-18)
     np.testing.assert_allclose(added[:9], 0.0, atol=1e-18)
 
 
 def test_of_unchanged_blocks_about_one_in_twenty_is_told_changed():
-    """300 pairs: a change is told with at most 6 % (5 % of any coefficient, 1 % of all together)."""
+    """300 pairs: a change is told with 5 %, by the joint test of the nine."""
     told = 0
-    chi2 = []
+    chi2, of_nine = [], []
     for k in range(300):
         rng = np.random.default_rng([32, k])
         found = compare([drawn(rng), drawn(rng, days=100)])
         told += found.changed
-        chi2.append(found.changes[0].chi2)
-    assert told < stats.binom.ppf(0.9999, 300, 0.06)
+        chi2.append(found.twelve.changes[0].chi2)
+        of_nine.append(found.nine.changes[0].chi2)
+    assert stats.binom.ppf(1e-4, 300, 0.05) < told < stats.binom.ppf(0.9999, 300, 0.05)
     assert stats.kstest(chi2, stats.chi2(12).cdf).pvalue > 1e-3
+    assert stats.kstest(of_nine, stats.chi2(9).cdf).pvalue > 1e-3
 
 
-def test_a_change_is_named_and_a_rotation_of_all_is_seen_together():
+def test_a_block_that_is_turned_differs_in_the_twelve_and_in_none_of_the_nine():
+    """A turn of one degree, and meters, terms of the block and wander turned with it: nothing changed."""
+    R = turned(np.random.default_rng(39), np.radians(1.0))
+    own = np.eye(12)
+    own[:9, :9] = np.kron(np.eye(3), R.T)
+    terms = 1e-5 * np.random.default_rng(40).normal(size=(12, 6))
+    both = {"wander": np.full(3, 1e-6), "meters": ("1", "2", "3")}
+    parts = {"covariance": COVARIANCE + terms @ terms.T, "same_meters": COVARIANCE / 2 + terms @ terms.T}
+    first = snapshot(TRUTH, 0, block_terms=terms, **parts, **both)
+    moved = {name: own @ part @ own.T for name, part in parts.items()}
+    later = snapshot(own @ TRUTH, 1, block_terms=own @ terms, **moved, **both)
+    found = compare([first, later])
+    assert found.nine.changes[0].en == pytest.approx(np.zeros(9), abs=1e-6)
+    assert found.twelve.changes[0].p < 1e-9
+    result = compare_result(found, ())
+    assert not result.changed
+    assert "no change beyond the uncertainty" in verdict_of(result)
+    assert "the block is turned" in verdict_of(result)
+
+
+def test_free_positions_alone_are_compared_in_the_nine():
+    """K = L Q with L triangular: the same block, found with and without known orientations."""
+    K = TRUTH[:9].reshape(3, 3)
+    upper = np.linalg.cholesky((K @ K.T)[::-1, ::-1])[::-1, ::-1]
+    free = np.concatenate([upper.ravel(), TRUTH[9:]])
+    covariance = np.diag(np.where(free == 0.0, 0.0, 1e-10))
+    found = compare([snapshot(TRUTH), snapshot(free, 9, name="free", covariance=covariance)])
+    assert found.twelve is None
+    assert found.nine.changes[0].en == pytest.approx(np.zeros(9), abs=1e-6)
+    assert "free: from free positions alone" in found.notes[0]
+    part = compare_result(found, ()).to_dict()["compared"][0]
+    assert (part["coefficients"], part["p"], len(part["intrinsic"]["values"])) == ({}, None, 9)
+
+
+def test_a_change_is_named_and_one_of_all_is_seen_together():
     rng = np.random.default_rng(33)
     step = np.zeros(12)
     step[10] = 8 * U[10]
     found = compare([drawn(rng), drawn(rng, step, days=100)])
-    assert np.flatnonzero(found.changes[0].changed).tolist() == [10]
+    assert np.flatnonzero(found.twelve.changes[0].changed).tolist() == [10]
+    assert found.nine.shown == ("by",)
+    assert found.changed
     # spread over all: the direction that the covariance holds tightest
     tight = np.linalg.eigh(COVARIANCE)
     together = compare([drawn(rng), drawn(rng, 9 * np.sqrt(tight[0][0]) * tight[1][:, 0], days=9)])
-    assert together.p_constant < 0.01
-    assert together.changed
+    assert together.twelve.p_constant < 0.01
 
 
 def test_a_drift_has_its_rate_and_an_honest_uncertainty():
@@ -114,7 +153,7 @@ def test_a_drift_has_its_rate_and_an_honest_uncertainty():
     for k in range(40):
         rng = np.random.default_rng([34, k])
         days = [0.0, 100.0, 250.0, 400.0]
-        drift = compare([drawn(rng, rate * d / 365.25, days=d) for d in days]).drift
+        drift = compare([drawn(rng, rate * d / 365.25, days=d) for d in days]).twelve.drift
         z.append((drift.per_year - rate) / drift.u)
         assert drift.shown[9]
     z2 = np.mean(np.square(z))
@@ -131,7 +170,7 @@ def test_the_line_through_independent_coefficients_is_the_textbooks():
         snapshot(TRUTH + rng.normal(0, s, 12), d, covariance=s**2 * np.eye(12))
         for s, d in zip(sizes, days, strict=True)
     ]
-    drift = compare(several).drift
+    drift = compare(several).twelve.drift
     years, weights = days / 365.25, np.array(sizes) ** -2.0
     middle = np.sum(weights * years) / np.sum(weights)
     spread = np.sum(weights * (years - middle) ** 2)
@@ -146,22 +185,22 @@ def test_another_gravity_is_converted_and_told():
     factor = np.where(np.arange(12) < 9, 9.83 / 9.80, 1.0)
     elsewhere = snapshot(TRUTH * factor, 50, g_m_s2=9.83, covariance=COVARIANCE * np.outer(factor, factor))
     found = compare([first, elsewhere])
-    assert np.max(found.changes[0].en) < 1e-6
+    assert max(np.max(of.changes[0].en) for of in (found.nine, found.twelve)) < 1e-6
     assert any("local gravity differs" in note for note in found.notes)
     assert not found.changed
 
 
 def test_order_is_that_of_dates_and_without_dates_that_of_names():
     late, early = snapshot(TRUTH, 90, name="late"), snapshot(TRUTH, 0, name="early")
-    assert compare([late, early]).first.name == "early"
+    assert compare([late, early]).nine.first.name == "early"
     undated = compare([snapshot(TRUTH, name="b", when=None), early])
-    assert undated.first.name == "b"
+    assert undated.nine.first.name == "b"
     assert any("not every calibration has a date" in note for note in undated.notes)
 
 
 def test_calibrations_of_one_day_have_no_drift():
     rng = np.random.default_rng(36)
-    assert compare([drawn(rng, days=d) for d in (0.0, 0.01, 0.02)]).drift is None
+    assert compare([drawn(rng, days=d) for d in (0.0, 0.01, 0.02)]).nine.drift is None
 
 
 def test_other_blocks_simulations_and_copies_are_noted():
@@ -174,7 +213,7 @@ def test_other_blocks_simulations_and_copies_are_noted():
 
 
 def test_what_cannot_be_compared_is_refused():
-    with pytest.raises(CalibrationError, match="two calibrations or more"):
+    with pytest.raises(CalibrationError, match="two or more calibrations"):
         compare([snapshot(TRUTH)])
     with pytest.raises(CalibrationError, match=r"different units .*\(x in V, y in counts\)"):
         compare([snapshot(TRUTH), snapshot(TRUTH, name="y", unit="counts")])
@@ -191,11 +230,11 @@ def test_calibrations_of_simulated_readings_agree_and_a_moved_bias_is_found():
             calibrate(simulate(np.random.default_rng([37, k, i]), 1e-4), MODEL, STAND_U, 9.81) for i in (0, 1)
         ]
         first, later = (snapshot(c.block.vector, 10 * i, covariance=c.covariance) for i, c in enumerate(pair))
-        chi2.append(compare([first, later]).changes[0].chi2)
+        chi2.append(compare([first, later]).twelve.changes[0].chi2)
     # the mean of 15 chi-squares with 12 degrees of freedom: 12 with a standard deviation of 1.3
     assert abs(np.mean(chi2) - 12.0) < 4 * 1.3
     later.vector[11] += 3e-4
-    assert COEFFICIENTS[int(np.argmax(compare([first, later]).changes[0].en))] == "U0z"
+    assert COEFFICIENTS[int(np.argmax(compare([first, later]).twelve.changes[0].en))] == "U0z"
 
 
 def readings_files(folder):
@@ -214,7 +253,7 @@ def test_the_command_compares_results_and_files_writes_and_judges(bench, tmp_pat
         (tmp_path / f"{name}.json").write_text(json.dumps(result))
     status, out, err = bench("compare", "r0.json", "r1.csv", "--strict", "--json", "alike.json")
     assert (status, err) == (0, "")
-    assert "nothing changed beyond its uncertainty" in out
+    assert "no change beyond the uncertainty" in out
     alike = json.loads((tmp_path / "alike.json").read_text())
     assert (alike["changed"], alike["drift"]) == (False, None)
     assert len(alike["compared"][0]["coefficients"]) == 12
@@ -225,6 +264,8 @@ def test_the_command_compares_results_and_files_writes_and_judges(bench, tmp_pat
     assert status == 1
     result = json.loads(out)
     assert result["compared"][1]["coefficients"]["U0z"]["changed"]
+    assert result["compared"][1]["intrinsic"]["values"]["bz"]["changed"]
+    assert result["changed"] == (result["p_constant_intrinsic"] < 0.05)
     assert result["drift"]["per_year"]["U0z"]["value"] == pytest.approx(5e-4, abs=2e-4)
     assert result == json.loads((tmp_path / "h" / "compare.json").read_text())
     assert "changed" not in result["first"]
@@ -243,13 +284,13 @@ def test_runs_bring_their_dates_and_their_block(bench, tmp_path):
     for found in (result["first"], result["compared"][0]):
         assert datetime.fromisoformat(found["made_at"]) == datetime.fromisoformat(told["created"])
     assert "not every" not in out
-    assert "two of these agree to a hundredth" in out
+    assert "two of these agree within a hundredth" in out
 
 
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (("r0.csv",), "two calibrations or more"),
+        (("r0.csv",), "two or more calibrations"),
         (("r0.csv", "no.json"), "no.json: no run of that name"),
         (("r0.csv", "r1.csv", "--date", "2026-01-01"), "--date: 1 given for 2 calibrations"),
         (
@@ -275,5 +316,5 @@ def test_one_set_of_readings_written_and_read_again_is_recognised(bench, tmp_pat
     table.signal[:] = np.round(table.signal, 6)
     write_csv(table, tmp_path / "b.csv")
     write_csv(simulate(np.random.default_rng(6), 1e-4), tmp_path / "c.csv")
-    assert "do they come from the same readings?" in bench("compare", "a.csv", "b.csv")[1]
-    assert "do they come from the same readings?" not in bench("compare", "a.csv", "c.csv")[1]
+    assert "whether they come from the same readings?" in bench("compare", "a.csv", "b.csv")[1]
+    assert "whether they come from the same readings?" not in bench("compare", "a.csv", "c.csv")[1]

@@ -88,7 +88,7 @@ def test_limits_come_closer_with_more_runs_and_are_those_of_known_u_in_the_end()
 def test_the_scale_of_stated_u_is_found_and_told():
     chart = control_chart(runs(12, scatter=2.0), [], ChartDesign())
     assert float(chart.centre.scale) ** 0.5 == pytest.approx(2.0, rel=0.2)
-    assert any("times as much as stated u" in note and "as the scatter shows" in note for note in chart.notes)
+    assert any("times as much as stated u" in note and "follow the scatter" in note for note in chart.notes)
 
 
 def test_a_run_of_the_baseline_that_stands_apart_is_named():

@@ -134,7 +134,7 @@ def test_a_replaced_meter_is_compared_through_the_check_block_and_others_are_not
     (pair,) = found.pairs()
     value, u = found.gain.difference(*pair)
     assert abs(value - (G0["D"] - G0["A"])) < 4 * u
-    assert any("no channel of a block met them both" in words for words in found.not_told())
+    assert any("no channel was read by both" in words for words in found.not_told())
 
 
 def test_meters_that_moved_between_the_runs_count_with_it():

@@ -8,7 +8,7 @@ import pytest
 from scipy import stats
 
 from bench.calibration import CalibrationError
-from bench.history.stability import averaging, from_columns, read_static, reading_advice
+from bench.history.stability import averaging, from_columns, read_static, reading_advice, spectrum_of
 from bench.readings.csv import ReadingsError
 from bench.stats.allan import TERMS, NoiseTerms, allan_curve, fit_terms
 
@@ -102,7 +102,7 @@ def test_averaging_ends_where_the_terms_flatten():
     freedom = curve.freedom(np.zeros(len(curve.tau_s)))
     terms = NoiseTerms(np.array([0.0, white**2, 0.0, walk**2, 0.0]), np.zeros((5, 5)), freedom, 1.0)
     found = averaging(curve, terms)
-    assert found.why == "from here on longer averages gain little"
+    assert found.why == "longer averages gain little from here"
     assert found.tau_s == pytest.approx(white / walk, rel=0.02)
     assert averaging(curve, fit_terms(curve)).tau_s == pytest.approx(white / walk, rel=0.8)
 
@@ -218,3 +218,20 @@ def test_drift_and_mean_are_those_of_a_straight_line():
     record = from_columns("memory", "V", time_s, np.outer(time_s, [1.0, -2.0, 0.0]) + 5.0)
     assert record.drift_per_s == pytest.approx([1.0, -2.0, 0.0], abs=1e-12)
     assert record.mean == pytest.approx(5.0 + 4.95 * np.array([1.0, -2.0, 0.0]))
+
+
+def test_the_spectrum_of_white_noise_is_twice_the_square_of_its_allan_term_and_shows_a_line():
+    """Seed 17, N = 1e-4 V/sqrt(Hz), a line of 1 mV at 0.1 Hz in z: density 2 N², power A²/2."""
+    rng, n, interval_s, white = np.random.default_rng(17), 16384, 2.0, 1e-4
+    time = interval_s * np.arange(n)
+    signal = rng.normal(0.0, white / np.sqrt(interval_s), (n, 3)) + 1e-6 * time[:, None]
+    signal[:, 2] += 1e-3 * np.sin(2 * np.pi * 0.1 * time)
+    found = spectrum_of(from_columns("x", "V", time, signal))
+    assert (found.segments, found.density.shape) == (15, (1024, 3))
+    # 1024 frequencies of 15 segments, overlapping by half: the mean is known to 1 %
+    assert np.mean(found.density[:, :2]) == pytest.approx(2 * white**2, rel=0.05)
+    line = found.density[:, 2]
+    at = int(np.argmax(line))
+    step = found.frequency_hz[1] - found.frequency_hz[0]
+    assert found.frequency_hz[at] == pytest.approx(0.1, abs=step)
+    assert np.sum(line[at - 3 : at + 4]) * step == pytest.approx(0.5e-6, rel=0.02)

@@ -20,7 +20,8 @@ NAMES = [
     "axis_tilt", "zero_offset", "mounting_error", "mounting_offset", "mounting_roll", "head_eccentricity",
     "head_ellipticity", "head_graduation", "backlash", "axis_wobble", "bracket_tilt", "foundation_tilt",
     "block_slip", "mounting_creep", "head_zero_shift", "meters_exchanged", "voltmeter_nonlinearity",
-    "voltmeter_drift", "voltmeter_warm_up", "range_offset", "channel_crosstalk", "voltmeter_gain",
+    "voltmeter_drift", "voltmeter_warm_up", "voltmeter_thermal_gain", "voltmeter_thermal_offset",
+    "voltmeter_move", "reference_supply", "range_offset", "channel_crosstalk", "voltmeter_gain",
     "reference_step", "voltmeter_offset", "thermal_emf", "wrong_gravity",
 ]  # fmt: skip
 
@@ -43,7 +44,7 @@ PER_PASS = {"block_slip", "head_zero_shift", "meters_exchanged", "scale_step", "
 
 LOOK_BACK = {
     "thermal_scale", "hysteresis", "thermal_bias", "turn_on_shift", "thermal_settling", "mounting_creep",
-    "channel_crosstalk",
+    "channel_crosstalk", "voltmeter_thermal_gain", "voltmeter_thermal_offset",
 }  # fmt: skip
 
 
@@ -127,13 +128,14 @@ def rich():
         time_s=time_s,
         temperature_c=20.0 + np.sin(time_s / 2900.0) + 0.4 * np.cos(time_s / 800.0),
         scan_order=np.array([(0, 1, 2), (2, 1, 0), (1, 0, 2)])[np.arange(n) // 12 % 3],
+        meter_c=23.0 + np.cos(time_s / 2100.0),
         supply_v=np.stack([0.1 * np.sin(time_s / k) for k in (1100.0, 1700.0, 2300.0)], axis=1),
     )
     return conditions, np.zeros((len(conditions.mounts), 5))
 
 
-HIDDEN = {"voltmeter_gain", "voltmeter_offset", "thermal_emf", "wrong_gravity"}
-"""Effects that are the same as other scale factors and biases, whatever the run."""
+HIDDEN = {"voltmeter_gain", "voltmeter_offset", "thermal_emf", "wrong_gravity", "reference_supply"}
+"""Effects that are the same as other scale factors and biases, whatever the run, or act at a reference alone."""
 
 
 @pytest.mark.slow
@@ -254,7 +256,7 @@ def test_a_distribution_brings_an_effect(site, entry):
     [
         ("my_bench_effects.nothing", "the distribution my-bench-effects 1.2 cannot be loaded"),
         ("my_bench_effects:MODULE", "cannot be loaded"),
-        ("math", "is no effect and has none in it"),
+        ("math", "is not an effect and contains none"),
     ],
 )
 def test_what_cannot_be_had_is_said_and_all_else_is_there(site, entry, told):
@@ -269,4 +271,4 @@ def test_a_name_that_is_taken_stays_with_the_bench(site):
     shipped = SimpleNamespace(name="fourth")
     catalogue = Catalogue([shipped])
     assert catalogue["fourth"] is shipped
-    assert "there is one already" in " ".join(catalogue.troubles)
+    assert "which exists already" in " ".join(catalogue.troubles)

@@ -82,7 +82,7 @@ def test_axes_that_are_not_right_handed_are_refused(axes):
 
 @pytest.mark.parametrize("name", ["w", "--x", "", "xy"])
 def test_a_name_that_is_no_axis_is_refused(name):
-    with pytest.raises(ValueError, match="an axis is"):
+    with pytest.raises(ValueError, match="state an axis"):
         axes_matrix((name, "y", "z"))
 
 

@@ -102,7 +102,7 @@ def test_a_person_has_one_token(runs):
 
 @pytest.mark.parametrize("name", ["", " ", "a\x1b[31m", "a\u202eb", "a\nb", "x" * 61])
 def test_a_name_is_text_that_can_be_shown(runs, name):
-    with pytest.raises(RecordError, match="a name is text that can be printed"):
+    with pytest.raises(RecordError, match="give a name of 1 to"):
         Access(runs / STATE).new_token(name, Role.VIEWER)
 
 

@@ -8,9 +8,11 @@ import pytest
 
 from bench.base.yaml_files import read_yaml
 from bench.config.bench_file.file import load_bench
+from bench.config.shipped import CONFIG
 from bench.panel.access import Role
 from bench.panel.bench_fields import GRAVITY_FORM, METERS, completed, groups_of, placed, values_of
-from bench.panel.bench_files import mistakes_in, own_files, shipped_files
+from bench.panel.own_files import own_files, shipped_files
+from bench.panel.pages.bench import mistakes_in
 from bench.panel.round_trip import changed_text, signed, with_comments
 from bench.panel.searching import IDENTIFY, OFFERS, Findings, Search, carried_out
 from bench.services.search import FoundResource
@@ -18,7 +20,7 @@ from drivers.clock import utc_now
 from drivers.wire.resources import Offer, SerialPort
 from tests.support.panel_client import OWN, Browser, stranger
 
-SHIPPED = shipped_files()
+SHIPPED = shipped_files(CONFIG)
 LAN = "TCPIP0::192.0.2.99::5025::SOCKET"
 
 
@@ -132,7 +134,7 @@ def test_mistakes_stand_at_their_fields():
     assert "'resource' is missing" in found.at["instruments.voltmeters[2].resource"]
     assert "without a unit" in found.at["unit_under_test.range"][0]
     assert "carried by voltmeter 2 already" in found.at["instruments.voltmeters[3].channels"][0]
-    assert "no voltmeter carries channel z" in found.at["instruments.voltmeters"][0]
+    assert "no voltmeter reads channel z" in found.at["instruments.voltmeters"][0]
     assert found.elsewhere == []
 
 
@@ -187,7 +189,7 @@ def test_nothing_is_read_or_written_outside_the_working_folder(runs, tmp_path):
     outside = tmp_path / "outside.yaml"
     outside.write_text(SHIPPED["bench-lan"].read_text("utf-8"))
     Path("linked.yaml").symlink_to(outside)
-    assert own_files() == {}
+    assert own_files(CONFIG) == {}
     for file in ("linked.yaml", "../outside.yaml", "bench-lan", "/etc/passwd", "none"):
         assert anna.get("/bench/form", params={"file": file}).status_code == 404
         assert anna.post("/bench/form", file=file, do="write", sha256="").status_code == 404
@@ -225,7 +227,7 @@ def test_a_file_changed_meanwhile_is_not_written_over_until_the_difference_was_s
     typed = {"file": "mine", "line_frequency": "50 Hz", "description": "other", "do": "write"}
     reply = anna.post("/bench/form", sha256=shown, **typed)
     assert path.read_bytes() == theirs
-    assert "the file was changed since" in reply.text
+    assert "the file changed since" in reply.text
     assert "-line_frequency: 60 Hz\n+line_frequency: 50 Hz" in reply.text
     assert anna.post("/bench/form", sha256=hashed(reply.text), **typed).status_code == 303
     assert load_bench(path).description == "other"

@@ -108,14 +108,14 @@ def test_what_changed_since_then_is_said_with_its_u(runs, judged):
     serial(judged, "7", "2026-11-04T00:00:00+00:00")
     same = outcome(judged).change
     assert same.previous == "last"
-    assert "No coefficient changed" in same.sentence
+    assert "Nothing changed" in same.sentence
     told = json.loads((judged / "calibrate.json").read_text())
     told["coefficients"]["Kxx"]["value"] *= 1.01
     change(judged / "calibrate.json", coefficients=told["coefficients"])
     moved = outcome(judged).change
     assert moved.changed
-    assert moved.rows[0].startswith("Kxx: ")
-    assert "Changed beyond the uncertainty: 1 of 12" in moved.sentence
+    assert moved.rows[0].startswith("Sx: ")
+    assert "Changed beyond the uncertainty: 4 of the nine" in moved.sentence
 
 
 @pytest.mark.parametrize("what", ["report", "diagnosis", "else"])

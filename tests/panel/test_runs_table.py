@@ -86,6 +86,17 @@ def test_a_damaged_run_is_a_row_with_the_reason(runs):
     assert Browser(runs, "anna").get("/").status_code == 200
 
 
+def test_the_page_of_a_damaged_run_says_what_to_do(runs):
+    (runs / "finished" / "events.jsonl").write_text("rubbish\n")
+    anna = Browser(runs, "anna")
+    reply = anna.get("/runs/finished/")
+    assert reply.status_code == 409
+    assert "The record of" in reply.text
+    assert "Copy the folder of the run" in reply.text
+    assert str(runs) not in reply.text
+    assert '<a href="/runs/finished/">what to do</a>' in anna.get("/").text
+
+
 def test_a_run_is_read_again_when_its_files_are_others_and_not_else(runs, monkeypatch):
     table = RunsTable(RunsFolder(runs))
     table.rows()

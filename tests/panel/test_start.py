@@ -157,7 +157,7 @@ def test_what_was_changed_since_it_was_checked_is_not_started(runs, started):
     quick.write_text(quick.read_text() + "\n# another\n")
     reply = anna.post(f"/start/{wish.id}/go")
     assert reply.status_code == 409
-    assert "changed since they were checked" in reply.text
+    assert "changed after the check" in reply.text
 
 
 def test_a_wish_is_started_once(tmp_path):

@@ -191,7 +191,7 @@ def test_a_limit_is_stated_as_the_bench_file_states_the_error():
 
 def test_what_is_no_requirement_is_refused():
     for accuracy, k in ((0.0, 3.0), (math.nan, 3.0), (1e-4, -1.0), (1e-4, math.inf)):
-        with pytest.raises(CalibrationError, match="is a positive number"):
+        with pytest.raises(CalibrationError, match="must be a positive number"):
             required("gls", accuracy=accuracy, k=k)
     with pytest.raises(CalibrationError, match="no coefficient 'Kq'"):
         of_coefficient("Kq")

@@ -109,7 +109,7 @@ def test_verification_rows_need_an_angle(read):
         (
             "1,1,9,0,0,1,0,2,0,3",
             "uz_v",
-            "expected 7 cells as in the header, got 10 (is there a decimal comma?)",
+            "expected 7 cells as in the header, got 10 (use a dot, not a decimal comma)",
         ),
         ("1,1,9,0,0.1", "uy_v", "expected 7 cells as in the header, got 5"),
         ("3,1,9,0,0.1,0.2,0.3", "installation", "expected one of 1, 2, F, R, S, V"),
@@ -119,7 +119,7 @@ def test_verification_rows_need_an_angle(read):
         ("1,1,,0,0.1,0.2,0.3", "point", "got ''"),
         ("1,1,9,,0.1,0.2,0.3", "angle_deg", "expected an angle in degrees, got ''"),
         ("1,1,9,721,0.1,0.2,0.3", "angle_deg", "between -720 and 720"),
-        ("1,1,2,45,0.1,0.2,0.3", "point", "stands already in line 3"),
+        ("1,1,2,45,0.1,0.2,0.3", "point", "is already in line 3"),
     ],
 )
 def test_each_mistake_names_file_line_column_and_what_was_expected(read, row, column, says):
@@ -134,12 +134,12 @@ def test_each_mistake_names_file_line_column_and_what_was_expected(read, row, co
     [
         ("ux_sd_v", "-1e-6", "expected a standard deviation, 0 or more, got '-1e-6'"),
         ("temperature_c", "-273.2", "°C from -273.15 to 200, got '-273.2'"),
-        ("temperature_c", "293.15", "got '293.15'; is it in kelvin or °F?"),
-        ("chamber_c", "296", "is it in kelvin"),
+        ("temperature_c", "293.15", "got '293.15'; perhaps it is in kelvin or °F; use °C"),
+        ("chamber_c", "296", "perhaps it is in kelvin"),
         ("reference_v", "five", "the voltage at the inputs in V, got 'five'"),
-        ("pass", "1000000000", "got '1000000000'; is it of another column?"),
-        ("point", "20261123", "is it of another column?"),
-        ("series", "1e7", "is it of another column?"),
+        ("pass", "1000000000", "got '1000000000'; is it from another column?"),
+        ("point", "20261123", "is it from another column?"),
+        ("series", "1e7", "is it from another column?"),
         ("pass", "\u0661", "a whole number, 1 or more, got '\u0661'"),
         ("ux_v", "\uff11.5", "a dot as decimal sign, got '\uff11.5'"),
         ("angle_deg", "\u0664\u0665", "an angle in degrees"),
@@ -164,8 +164,8 @@ def test_what_can_hardly_be_is_doubted_in_a_note(read):
     rows = [f"{row},{time},{sd}" for row, time, sd in zip(GOOD, (0, 60, 50), ("0.1", "0.7", ""), strict=True)]
     table = read([f"{HEADER},time_s,ux_sd_v", *rows])
     assert table.notes == (
-        "time_s runs backwards (line 4): rows stand in the order of measurement; is the file sorted anew?",
-        "the standard deviation of ux in line 3, 0.7 V, is more than all readings of it differ by, 0.6 V: "
+        "time_s runs backwards (line 4): put the rows back in the order of measurement",
+        "the standard deviation of ux in line 3, 0.7 V, exceeds the spread of all its readings, 0.6 V: "
         "check its unit",
     )
 
@@ -207,13 +207,13 @@ def test_a_file_of_bad_rows_only_is_refused_with_the_reasons(read):
     [
         (b"", "empty; expected a header line such as installation,pass,point,angle_deg,ux_v"),
         (b"\n\n", "empty; expected a header line"),
-        (HEADER, "no reading in it"),
-        (HEADER.replace(",", ";") + "\n1;1;1;0;0,1;0,2;0,3\n", "columns must be separated by commas"),
+        (HEADER, "no readings"),
+        (HEADER.replace(",", ";") + "\n1;1;1;0;0,1;0,2;0,3\n", "separate columns by commas"),
         (HEADER.replace("uy_v", "uy_g"), "signal columns in different units (v, g)"),
         (HEADER.replace(",point", ""), "column point is missing"),
         (HEADER.replace(",uy_v", ""), "column uy_v is missing"),
         ("installation,pass,point,angle_deg", "column ux_v, uy_v, uz_v is missing"),
-        (HEADER + ",pass", "column pass stands more than once"),
+        (HEADER + ",pass", "column pass appears more than once; keep one"),
         ([HEADER, '1,1,1,0,0.1,0.2,"0.3'], "line 2: not CSV"),
         ("Läufe\n".encode("latin-1"), "not a UTF-8 text file"),
         ((HEADER + "\n").encode("utf-16"), "not a UTF-8 text file"),
@@ -260,7 +260,7 @@ def test_line_numbers_after_a_cell_with_line_breaks(read, end):
 
 def test_unknown_columns_are_kept_with_a_note_and_written_back(read, tmp_path):
     table = read([HEADER + ",operator,scan_order", GOOD[0] + ',"Li, M.",xyz'])
-    assert table.notes == ("columns kept and not used: operator",)
+    assert table.notes == ("columns kept but not used: operator",)
     assert table.extra["operator"].tolist() == ["Li, M."]
     assert table.extra["scan_order"].tolist() == ["xyz"]
     write_csv(table, tmp_path / "again.csv")

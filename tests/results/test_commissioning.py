@@ -34,7 +34,7 @@ def finding(state, said, remedy=""):
 
 def test_a_bench_that_is_well_has_nothing_to_do():
     page = render_commissioning(result(0, finding("works", "stopped")))
-    assert "All that was tried works as expected" in page
+    assert "Everything tested works as expected" in page
     assert "What to do" not in page
     assert "SIMULATED" not in page
     assert "took 1.235 s (1 s)" in page
@@ -57,4 +57,4 @@ def test_what_is_wrong_stands_first_with_what_to_do_and_is_escaped():
 def test_an_evening_that_ended_early_says_why():
     page = render_commissioning(result(2, ended="stopped by a signal"))
     assert "Not gone through to its end: stopped by a signal." in page
-    assert "could not be done" in page
+    assert "could not be tested" in page

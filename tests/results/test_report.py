@@ -102,7 +102,7 @@ def test_a_verdict_that_is_not_sure_says_so_in_words(calibration):
     nothing = verification_of(calibration, 1e-5, limit=5e-5)
     page = Text(render_report(ReportContent("T", calibration, nothing))).text
     assert "– Verification inconclusive" in page
-    assert "larger than the limit of 50 µg, so nothing can be said safely" in page
+    assert "larger than the limit of 50 µg, so conformity cannot be decided" in page
 
 
 @pytest.mark.usefixtures("undrawn")

@@ -53,7 +53,7 @@ def test_a_line_that_is_no_answer_is_told_as_one_and_the_next_is_heard(tmp_path,
     answers = AnswersFile(tmp_path)
     flawed = answers.poll()
     assert flawed.id == ""
-    assert flawed.flaw == "line 1 of answers.jsonl is no answer"
+    assert flawed.flaw == "line 1 of answers.jsonl is not an answer"
     assert len(flawed.answer) <= 400
     assert answers.poll() == LeftAnswer("4", "yes", line=2)
 

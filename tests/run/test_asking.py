@@ -128,9 +128,9 @@ def test_what_is_stale_double_ill_fitting_or_garbage_is_refused_on_record_and_th
     run.plan = [run.answer("yes", first), run.answer("yes")]
     confirm(away, MOUNT)
     assert [refused["why"] for refused in run.told("answer_refused")] == [
-        "it belongs to another question than the one that stands",
+        "it answers another question than the open one",
         "answer yes or no, not 'perhaps'",
-        "line 3 of answers.jsonl is no answer",
+        "line 3 of answers.jsonl is not an answer",
         "the question was answered already by Ann",
     ]
     assert [answered["line"] for answered in run.told("answered")] == [4, 6]
@@ -140,7 +140,7 @@ def test_what_is_stale_double_ill_fitting_or_garbage_is_refused_on_record_and_th
 def test_an_answer_left_while_nothing_is_asked_answers_nothing(run, away):
     run.answer("yes", "9/next#1@1")()
     away.drain()
-    assert run.told("answer_refused")[0]["why"] == "no question stands"
+    assert run.told("answer_refused")[0]["why"] == "no question is open"
 
 
 def test_a_program_that_takes_the_run_up_passes_over_the_answers_that_were_heard(run, away):
@@ -202,7 +202,7 @@ def test_a_line_typed_for_a_question_that_somebody_else_has_answered_does_not_an
         lambda: keyboard.write(b"no\n"),
     ]
     assert person.ask(MOUNT).text == "no"
-    assert run.told("answer_refused")[0]["why"] == "it was typed before this question could be read"
+    assert run.told("answer_refused")[0]["why"] == "it was typed before this question appeared"
 
 
 def test_an_answer_that_does_not_fit_is_refused_at_the_terminal_and_the_question_is_the_same_one(
@@ -269,7 +269,7 @@ def test_wishes_left_in_the_folder_are_heard_at_a_question_where_they_would_be_t
         away.ask(MOUNT)
     assert heard.value.control == RunControl(Wish.REPEAT_POINT, "why", who=ANN)
     (refused,) = run.told("wish_refused")
-    assert refused == {"wish": "continue", "why": "it is not heard at this question", **ANN.to_json()}
+    assert refused == {"wish": "continue", "why": "this question does not accept it", **ANN.to_json()}
     run.plan = [wish(Wish.CONTINUE)]
     with pytest.raises(OperatorWish) as heard:
         away.ask(PAUSED)

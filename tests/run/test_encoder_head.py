@@ -97,7 +97,7 @@ def test_the_record_says_that_the_encoder_answered(away, record, clock):
 
 
 def test_what_is_no_answer_yet_is_refused_and_it_stays_one_question(away, record, clock):
-    why = "The head did not come from below."
+    why = "The head did not approach from below."
     assert put(away, clock, arrives_at(1.0, clock, why)).problem == why
     put(
         away, clock, arrives_at(2.0, clock), prompt=Prompt("1/turn#2", PromptKind.CONFIRM, why, default="yes")
@@ -105,7 +105,7 @@ def test_what_is_no_answer_yet_is_refused_and_it_stays_one_question(away, record
     assert [event.type for event in record.events] == [
         EventType.ASKED, EventType.ANSWER_REFUSED, EventType.ANSWERED,
     ]  # fmt: skip
-    assert said(record.events[1]) == f"an answer by the encoder is not taken: {why}"
+    assert said(record.events[1]) == f"an answer by the encoder is not accepted: {why}"
 
 
 def test_it_is_looked_at_as_often_as_is_told_and_the_rest_as_before(away, clock):
@@ -168,7 +168,7 @@ def test_a_hand_and_an_encoder_alone_carry_out_a_turn_and_the_record_says_so(tmp
     assert [event.type for event in record.events] == [
         EventType.ASKED, EventType.ANSWER_REFUSED, EventType.ANSWERED,
     ]  # fmt: skip
-    assert "did not come from below" in record.events[1].data["why"]
+    assert "did not approach from below" in record.events[1].data["why"]
     assert record.events[2].data["answer"] == "44°59′56.4″"
     assert {event.data["by"] for event in record.events[1:]} == {"encoder"}
 

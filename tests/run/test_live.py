@@ -128,16 +128,13 @@ class SlowlySettling:
     """A bench whose signals come to rest; `fails` is raised instead."""
 
     def __init__(self):
-        self.voltmeters, self.fails, self.restored, self.looks = [Meter()], None, 0, 0
+        self.voltmeters, self.fails, self.looks = [Meter()], None, 0
 
     def glance(self):
         if self.fails:
             raise self.fails
         self.looks += 1
         return tuple(np.array([1.0, -2.0, 0.1]) + 0.1 * math.exp(-self.looks))
-
-    def end_of_glances(self):
-        self.restored += 1
 
 
 class Clock:
@@ -167,7 +164,7 @@ def prompt(**action):
 
 
 def test_signals_are_moving_until_they_have_rested_for_three_seconds(looking, tmp_path):
-    signals, bench, lines = looking
+    signals, _, lines = looking
     signals.begin(prompt())
     for _ in range(40):
         signals.look()
@@ -177,7 +174,6 @@ def test_signals_are_moving_until_they_have_rested_for_three_seconds(looking, tm
     assert 16 <= settled[0] <= 21
     assert json.loads((tmp_path / LIVE).read_text("utf-8"))["settled"]
     signals.end()
-    assert bench.restored == 1
     assert not (tmp_path / LIVE).exists()
 
 
@@ -207,12 +203,12 @@ def test_a_lost_meter_is_said_once_and_stops_no_question(looking):
 
 def test_a_scanner_is_left_alone_and_says_why(looking):
     signals, bench, lines = looking
-    bench.voltmeters[0].not_live = "a scanner's relays wear with every look"
+    bench.voltmeters[0].not_live = "a scanner's relays wear with every query"
     signals.begin(prompt())
     signals.look()
     signals.look()
     assert bench.looks == 0
-    assert lines == ["live: voltmeter.x: a scanner's relays wear with every look"]
+    assert lines == ["live: voltmeter.x: a scanner's relays wear with every query"]
 
 
 def test_at_a_terminal_the_line_stands_above_what_is_typed():

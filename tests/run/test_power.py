@@ -9,7 +9,7 @@ import pytest
 from bench.config.procedure.plan import Plan, Power, Read
 from bench.run.events import RunState, Wish
 from bench.run.person import RunControl
-from bench.run.power import ANEW, RailFault
+from bench.run.power import SET_AGAIN, RailFault
 from bench.run.record import Record, resume_point
 from bench.run.runner import RunAborted
 from drivers.interfaces import BenchError, OutputSettings
@@ -197,7 +197,7 @@ class Answering:
 
     def ask(self, prompt):
         self.asked.append(prompt.text)
-        if "not as the bench file says" in prompt.text:
+        if "with other settings than the bench file states" in prompt.text:
             return Answer(prompt.id, self.answers.pop(0))
         given = prompt.default or (prompt.choices[0] if prompt.choices else "yes")
         return Answer(prompt.id, "7" if prompt.unit else given)
@@ -212,7 +212,7 @@ def test_a_supply_that_is_on_and_set_otherwise_is_asked_about_and_never_changed_
         found["P25V"] = replace(found["P25V"], settings=OutputSettings(12.0, 0.5))
     left = Supply(VirtualClock(), found)
     _, _, stopped = run(left, person=Answering("leave it"))
-    assert "not as the bench file says" in str(stopped)
+    assert "with other settings than the bench file states" in str(stopped)
     assert switched(left) == []
 
 
@@ -220,7 +220,7 @@ def test_with_leave_it_is_switched_off_and_set_as_the_bench_file_says(run):
     found = found_on()
     found["P25V"] = replace(found["P25V"], settings=OutputSettings(12.0, 0.5))
     supply = Supply(VirtualClock(), found)
-    _, _, stopped = run(supply, person=Answering(ANEW))
+    _, _, stopped = run(supply, person=Answering(SET_AGAIN))
     assert stopped is None
     assert switched(supply) == OFF + ON + OFF
     assert supply.done[2][0] - supply.done[1][0] >= 10.0

@@ -104,7 +104,7 @@ def test_where_no_wish_is_heard_it_is_said():
     shown = io.StringIO()
     person = TerminalPerson(io.StringIO(":pause\nyes\n"), Console(file=shown), wishes=())
     assert person.ask(Prompt("1", PromptKind.CONFIRM, "Go on")).text == "yes"
-    assert "no wish is heard at this question" in shown.getvalue()
+    assert "this question accepts no command" in shown.getvalue()
 
 
 @pytest.mark.parametrize("width", [30, 41, 57, 80])
@@ -126,8 +126,8 @@ def test_instruments_with_one_serial_number_are_told():
 
     told = same_serials({"x": meter("MY1"), "y": meter("MY1"), "z": meter("MY1"), "head": meter("")})
     assert told == [
-        "x, y and z state one serial number, MY1 (34461A): if that is one instrument, the addresses in the "
-        "bench file are wrong"
+        "x, y and z state one serial number, MY1 (34461A): if they are one instrument, correct the "
+        "addresses in the bench file"
     ]
     assert same_serials({"x": meter("0"), "y": meter("0"), "z": meter("MY1")}) == []  # a 34401A states 0
 
@@ -137,7 +137,7 @@ def test_the_terminal_says_when_the_answers_end():
     person = TerminalPerson(io.StringIO("yes\n"), Console(file=shown))
     prompt = Prompt("1#1", PromptKind.CONFIRM, "Mount the [block]", default="yes")
     assert person.ask(prompt) == Answer("1#1", "yes")
-    with pytest.raises(NoAnswer, match=r"the answers ended at the question: Mount the \[block\]"):
+    with pytest.raises(NoAnswer, match=r"no answer is left for the question: Mount the \[block\]"):
         person.ask(prompt)
     assert "Mount the [block]" in shown.getvalue()
     assert "Enter = yes" in shown.getvalue()
@@ -149,8 +149,8 @@ def test_a_wish_typed_at_a_prompt_is_heard_and_a_misspelt_one_explained():
     with pytest.raises(OperatorWish) as heard:
         person.ask(Prompt("1#1", PromptKind.ANGLE, "Turn"))
     assert heard.value.control == RunControl(Wish.SKIP, "the cable came loose", by_person=True)
-    assert ":rdo is no wish; there are :pause, :continue, :redo" in shown.getvalue()
-    assert "say why" in shown.getvalue()
+    assert ":rdo is unknown; possible are :pause, :continue, :redo" in shown.getvalue()
+    assert "give a reason" in shown.getvalue()
 
 
 def test_wishes_left_in_the_folder_are_heard_once_and_in_order(tmp_path):

@@ -110,7 +110,7 @@ def test_a_folder_that_another_program_made_meanwhile_is_told_as_one(tmp_path, m
 
     monkeypatch.setattr(Path, "rename", made_meanwhile)
     kind = "run" if as_run else "file or folder"
-    with pytest.raises(RecordError, match=f"there is a {kind} of that name; choose another with --name"):
+    with pytest.raises(RecordError, match=f"a {kind} of that name exists; choose another with --name"):
         make(tmp_path / "run")
     assert [found.name for found in tmp_path.iterdir()] == ["run"]
 
@@ -156,7 +156,7 @@ def test_a_folder_that_cannot_be_made(tmp_path):
 def test_what_a_deleted_folder_would_lose_is_told(tmp_path):
     record = Record.create(tmp_path / "run", {}, {}, lambda: NOON)
     shutil.rmtree(tmp_path / "run")
-    with pytest.raises(RecordError, match="was deleted while the run went on"):
+    with pytest.raises(RecordError, match="was deleted during the run"):
         record.append("run_started", 0.0, step=0, instruments={})
     record.close()
 

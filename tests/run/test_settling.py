@@ -101,7 +101,7 @@ def test_a_timeout_says_what_still_moved_and_by_how_much():
         run(lambda t: [0.0, 5e-4 * t, 0.0])
     assert str(caught.value) == (
         "block: not settled after 600 s: it still moved by y 0.005 V in 10 s, where "
-        "0.0001 V is allowed; look for what moves or warms it and repeat the step, or lengthen the timeout "
+        "0.0001 V is allowed; find what moves or warms it and repeat the step, or lengthen the timeout "
         "in the procedure"
     )
     assert caught.value.state.elapsed_s == pytest.approx(600.0)

@@ -44,7 +44,7 @@ def test_sigterm_is_heard_like_ctrl_c_and_a_second_signal_does_not_cut_the_way_o
         with pytest.raises(KeyboardInterrupt):
             os.kill(os.getpid(), signal.SIGTERM)
         os.kill(os.getpid(), signal.SIGINT)
-    assert "left safe" in capsys.readouterr().err
+    assert "making the bench safe" in capsys.readouterr().err
 
 
 def test_one_that_is_heard_while_the_bench_is_left_safe_stops_what_comes_after():
@@ -60,12 +60,12 @@ def test_when_the_bench_is_safe_a_second_signal_ends_the_program_at_once(capsys)
     ended = []
     with Interrupts(end=ended.append) as interrupts:
         interrupts.hold()
-        interrupts.release("stopped before the results were made")
+        interrupts.release("stopped before the results were ready")
         for _ in range(2):
             with pytest.raises(KeyboardInterrupt):  # the stand-in for the end of the program goes on
                 os.kill(os.getpid(), signal.SIGTERM)
     assert ended == [2]
-    assert capsys.readouterr().err == "bench: stopped before the results were made\n"
+    assert capsys.readouterr().err == "bench: stopped before the results were ready\n"
 
 
 @pytest.mark.parametrize("number", SIGNALS)
@@ -204,4 +204,4 @@ def test_a_run_is_paused_and_aborted_from_another_program(bench, tmp_path):
     assert "aborted: wrong block" in err
     assert read_history(tmp_path / "runs/hit").state == "aborted"
     status, _, err = bench("control", "hit", "pause")
-    assert (status, "nobody is carrying out this run" in err) == (2, True)
+    assert (status, "no program is carrying out this run" in err) == (2, True)

@@ -147,5 +147,5 @@ def test_who_only_looks_does_not_keep_a_writer_out(record, monkeypatch):
 def test_a_record_that_somebody_else_wrote_into_is_written_no_further(record):
     with (record.folder / EVENTS).open("ab") as file:
         file.write(b"what no lock kept out\n")
-    with pytest.raises(RecordError, match="another program has written into"):
+    with pytest.raises(RecordError, match="another program wrote into"):
         record.append("run_finished", 1.0)

@@ -64,7 +64,7 @@ def test_a_chamber_short_of_a_fifth_of_its_way_is_told_of_once_and_the_run_goes_
 ):
     (event,) = events_of(tmp_path, rate_k_min, after)
     assert event.data["after_s"] == pytest.approx(SLOW_AFTER_S, abs=30.0)
-    assert "sent to 60 °C: see that it conditions and is shut" in sentence(event)
+    assert "sent to 60 °C: check that it conditions and is closed" in sentence(event)
 
 
 @pytest.mark.parametrize("after", [SOAK, SETTLE], ids=["soak", "settle"])

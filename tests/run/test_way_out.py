@@ -98,7 +98,7 @@ def test_signals_on_the_way_out_cancel_nothing_and_hide_no_cause(tmp_path, capsy
     assert set(bench.closed[1:]) == ALL | {"chamber"}
     history, _, _ = recorded(tmp_path / "run")
     assert history.state == {None: "finished", LOST: "failed"}.get(trouble, "interrupted")
-    assert "left safe" in capsys.readouterr().err
+    assert "making the bench safe" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -116,9 +116,9 @@ def test_whatever_an_instrument_raises_the_others_are_let_go_and_the_first_cause
             runner.run()
     assert set(bench.closed) == ALL | {"chamber", "standby"}
     text = with_notes(stopped.value)
-    assert text.startswith("voltmeter.z: it smokes; pull the plug; chamber goes on conditioning at 40 °C: ")
+    assert text.startswith("voltmeter.z: it smokes; pull the plug; chamber is still conditioning at 40 °C: ")
     assert "switch it off by hand" in text
-    assert "voltmeter.x could not be let go" in text
+    assert "voltmeter.x could not be released" in text
     history, _, _ = recorded(tmp_path / "run")
     failed, left = history.events[-2:]
     assert failed.data["error"] == "voltmeter.z: it smokes; pull the plug"
@@ -128,8 +128,8 @@ def test_whatever_an_instrument_raises_the_others_are_let_go_and_the_first_cause
 @pytest.mark.parametrize(
     ("refuses", "told"),
     [
-        (InstrumentLost("chamber", "it is gone", "check the cable"), "goes on conditioning at 40 °C"),
-        (LimitExceeded("chamber", "40 °C is too hot", "ask for less"), "where it conditions"),
+        (InstrumentLost("chamber", "it is gone", "check the cable"), "is still conditioning at 40 °C"),
+        (LimitExceeded("chamber", "40 °C is too hot", "ask for less"), "if it still runs"),
     ],
 )
 def test_a_demand_that_may_have_been_taken_is_told_and_one_never_sent_is_not(tmp_path, refuses, told):

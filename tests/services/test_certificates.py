@@ -113,7 +113,7 @@ def test_readings_at_hand_are_corrected_once_and_exported_as_they_were_read(show
     assert np.array_equal(
         [c.value for c in again.coefficients.values()], [c.value for c in first.coefficients.values()]
     )
-    assert "the readings at hand are corrected already" in again.to_dict()["corrections"][0]["why_not"]
+    assert "these readings are corrected already" in again.to_dict()["corrections"][0]["why_not"]
     assert np.array_equal(source.as_read.signal, program.read_readings("r.csv").signal)
     (plain,) = load_sources(Request(["r.csv"], Path("runs")))
     assert data_sha256(source.as_read) == data_sha256(plain.as_read)
@@ -174,7 +174,7 @@ def test_simulated_readings_are_corrected_where_the_simulation_had_the_error(sho
         result = program.calibrate("r.csv")
         assert [c["applied"] for c in result.to_dict()["corrections"]] == [accuracy == "certificate"] * 3
         told = [
-            note for note in result.notes if "were simulated without the errors that are stated there" in note
+            note for note in result.notes if "were simulated without the errors in the certificates" in note
         ]
         assert bool(told) == (accuracy is None)
 

@@ -99,7 +99,7 @@ def test_page_result_and_wire_log_stand_in_the_folder(well) -> None:
     keeps_to("commission", result)
     page = (folder / PAGE).read_text(encoding="utf-8")
     assert "SIMULATED" in page
-    assert "All that was tried works as expected" in page
+    assert "Everything tested works as expected" in page
     log = (folder / WIRE_LOG).read_text(encoding="utf-8")
     for name in ("voltmeter.x", "head", "chamber"):
         assert f" {name} > " in log
@@ -115,7 +115,7 @@ def test_nothing_beyond_the_limits_was_ever_sent(well) -> None:
 
 
 def test_a_folder_that_holds_one_is_refused(path, well) -> None:
-    with pytest.raises(Refused, match="holds a commissioning already"):
+    with pytest.raises(Refused, match="already holds a commissioning"):
         carried_out(path, well[0])
     (well[0] / "file").write_text("x", encoding="utf-8")
     with pytest.raises(Refused, match="cannot be written"):
@@ -188,5 +188,5 @@ def test_inputs_that_nobody_shorted_are_told(path: Path, tmp_path: Path) -> None
         result = carried_out(path, tmp_path / "out")
     wrong = [one for one in result["findings"] if one["state"] != "works"]
     assert [one["instrument"] for one in wrong] == ["voltmeter.z"]  # the one along the vertical: -1 g
-    assert "really shorted" in wrong[0]["remedy"]
+    assert "short the input" in wrong[0]["remedy"]
     assert result["status"] == 1

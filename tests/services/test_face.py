@@ -166,5 +166,5 @@ def test_few_readings_rest_on_the_bench_file_where_it_states_their_noise(empty_f
     write_csv(few, Path("volts.csv"))
     assert program.calibrate("volts.csv").calibration.noise.reading == pytest.approx(1e-4)
     write_csv(replace(few, unit="m/s^2"), Path("other.csv"))
-    with pytest.raises(program.CalibrationError, match="nobody stated it in the unit of the signals"):
+    with pytest.raises(program.CalibrationError, match="state voltmeter_error in the bench file"):
         program.calibrate("other.csv")

@@ -45,7 +45,7 @@ def test_a_budget_takes_what_was_learned_and_says_so(empty_folder):
     plain = program.budget("plain.yaml", "paper", trials=0).to_dict()
     assert told["coefficients"]["Kyz"]["u"] < plain["coefficients"]["Kyz"]["u"] / 2
     new = set(told["notes"]) - set(plain["notes"])
-    assert any("stands in place of the stated limits of the stand" in note for note in new)
+    assert any("replaces the stated limits of the stand" in note for note in new)
     assert any("come from simulated runs" in note for note in new)
 
 
@@ -151,6 +151,6 @@ def test_a_fleet_of_benches_with_learned_files_has_their_u(bench, empty_folder, 
     for name in ("mine", "plain"):
         result = json.loads(Path(f"runs/{name}-1/calibrate.json").read_text(encoding="utf-8"))
         u[name] = result["coefficients"]["Kyx"]["u"]
-        said = any("stands in place of the stated limits" in note for note in result["notes"])
+        said = any("replaces the stated limits" in note for note in result["notes"])
         assert said == (name == "mine")
     assert u["mine"] < u["plain"]

@@ -112,7 +112,7 @@ def test_averages_that_the_record_has_not_twice_are_left_out():
 
 @pytest.mark.parametrize("hole", [np.nan, np.inf])
 def test_a_hole_in_a_signal_is_refused(hole):
-    with pytest.raises(CalibrationError, match="a record without holes"):
+    with pytest.raises(CalibrationError, match="a record without gaps"):
         allan_curve(np.append(noise(WHITE, 100), hole), 1.0)
 
 

@@ -8,6 +8,7 @@ import re
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,12 +22,21 @@ class Begun:
     """A run that a program of its own carries out, its questions answered in the run's folder or at its
     terminal."""
 
-    def __init__(self, runs: Path, name: str, procedure: str, answers: str | None, seed: int = 3) -> None:
+    def __init__(
+        self,
+        runs: Path,
+        name: str,
+        procedure: str,
+        answers: str | None,
+        seed: int = 3,
+        more: Sequence[str] = ("--dry-run",),
+        program: str = PROGRAM,
+    ) -> None:
         self.folder = runs / name
         self.name = name
-        command = ["run", procedure, "--dry-run", "--seed", str(seed), "--name", name, "--runs", str(runs)]
+        command = ["run", procedure, *more, "--seed", str(seed), "--name", name, "--runs", str(runs)]
         self.process = subprocess.Popen(  # noqa: S603 - our own program
-            [sys.executable, "-c", PROGRAM, *command, *([] if answers is None else ["--answers", answers])],
+            [sys.executable, "-c", program, *command, *([] if answers is None else ["--answers", answers])],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,

@@ -1,7 +1,7 @@
 """Thresholds of the designs that tests diagnose: simulating one takes seconds, and they never change.
 
 `tests/data/thresholds.json` holds them by the key of their design. What is not there is simulated as for any user,
-so that a stale file costs time and nothing else. `BENCH_KEEP_THRESHOLDS=1 make test` writes the file anew.
+once for all workers, so that a stale file costs time and nothing else. `make thresholds` writes it anew.
 """
 
 import json
@@ -20,11 +20,17 @@ def kept() -> dict[str, dict[str, Any]]:
     return dict(json.loads(KEPT.read_text(encoding="utf-8"))) if KEPT.exists() else {}
 
 
-def unpack(folder: Path) -> None:
-    """Put what is kept into an empty folder, as the cache has it."""
-    folder.mkdir(parents=True)
+def unpack(folder: Path, base: Path) -> None:
+    """Put what is kept where the cache has it: in a folder that the workers of a session share."""
+    worker = os.environ.get("PYTEST_XDIST_WORKER")
+    shared = (base.parent if worker else base) / "thresholds"
+    shared.mkdir(exist_ok=True)
     for key, fields in kept().items():
-        (folder / f"{key}.json").write_text(json.dumps(fields), encoding="utf-8")
+        part = shared / f"{key}.{worker}"
+        part.write_text(json.dumps(fields), encoding="utf-8")
+        part.replace(shared / f"{key}.json")
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    folder.symlink_to(shared, target_is_directory=True)
 
 
 def keep(folder: Path) -> None:

@@ -126,6 +126,14 @@ def simulate_whole(
     return Drawn(readings, truth)
 
 
+def turned(rng: np.random.Generator, limit_rad: float) -> NDArray[np.float64]:
+    """Draw a rotation matrix: by up to `limit_rad`, about an axis in any direction (Rodrigues)."""
+    axis = rng.normal(size=3)
+    cross = np.cross(np.eye(3), axis / np.linalg.norm(axis))
+    angle = rng.uniform(0.0, limit_rad)
+    return np.asarray(np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross)
+
+
 def wandering(rng: np.random.Generator, time_h: NDArray[np.float64], size: float) -> NDArray[np.float64]:
     """A stationary first-order autoregression with a correlation time of one hour."""
     course = np.empty(len(time_h))

@@ -97,7 +97,7 @@ def measured(
     that of the calibration. Raises `CalibrationError` for an acceleration of zero.
     """
     if not np.all(np.linalg.norm(force, axis=1) > 0.0):
-        raise CalibrationError("an acceleration of zero has no direction; give one of a few micro g or more")
+        raise CalibrationError("an acceleration of zero has no direction; give at least a few micro g")
     inverse = np.linalg.inv(budget.setup.block.K)
     design = coefficient_columns(force)
     by_source, dof = {}, {}
@@ -451,15 +451,15 @@ class Assessment:
         priors = [s.name for s in sources if s.prior and s.u > 0.0 and s.origin != ROLL_ORIGIN]
         if priors:
             yield (
-                f"{', '.join(priors)}: plausible sizes or makers' limits, not stated in the bench file; state "
-                "what is known in its section 'uncertainty'"
+                f"{', '.join(priors)}: assumed from plausible sizes or makers' limits; state known values "
+                "in the section 'uncertainty' of the bench file"
             )
         setup = self.budget.setup
         temperatures = np.unique(setup.conditions.temperature_c[setup.fitted])
         if np.sum(np.isfinite(temperatures)) > 1:
             yield (
-                f"the procedure has {len(temperatures)} temperatures, and the coefficients are taken as the same "
-                "at all of them; for those at one temperature give a procedure without the others"
+                f"the procedure has {len(temperatures)} temperatures, and the coefficients are assumed "
+                "equal at all of them; for one temperature, give a procedure with that one alone"
             )
         of_block = [c.source.name for c in self.budget.contributions if c.source.group == "block"]
         found = [a for a in self.accelerations if sum(a.share[name] for name in of_block) > DOMINATES]
@@ -469,18 +469,17 @@ class Assessment:
             part = 100.0 * sum(share[name] for name in of_block)
             yield (
                 f"from {found[0].magnitude_g:g} g on {' and '.join(names)} dominate{'s' * (len(names) == 1)} "
-                f"({part:.0f} % of the variance of |a|): known as priors, since a calibration at 1 g shows such "
-                "terms hardly or not; a centrifuge gives them"
+                f"({part:.0f} % of the variance of |a|): their sizes are priors, which a calibration at 1 "
+                "g hardly shows; a centrifuge measures them"
             )
         if any(s.origin == ROLL_ORIGIN for s in sources):
             yield (
-                "mounting_roll: not stated in the bench file, and counted as large as mounting_error; state "
-                "what was measured in its section 'stand'"
+                "mounting_roll: not stated in the bench file, assumed as large as mounting_error; state "
+                "the measured value in the section 'stand'"
             )
         if any(s.name == "gravity" and s.u > 0.0 for s in sources):
             yield (
-                "gravity: coefficients per local g are free of it; it enters what is stated in m/s² or used "
-                "at another place"
+                "gravity: coefficients per local g do not depend on it; values in m/s² and use at another place do"
             )
 
 

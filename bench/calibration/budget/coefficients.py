@@ -144,7 +144,7 @@ def planned_conditions(plan: Plan, line_hz: float = 50.0) -> Conditions:
             rows.append((step, time_s, temperature_c))
     if not rows:
         raise CalibrationError(
-            f"{plan.name}: has no reading at a known angle of the head; take another procedure"
+            f"{plan.name}: has no reading at a known angle of the head; choose another procedure"
         )
     reads = [row[0] for row in rows]
     return Conditions.of(
@@ -172,7 +172,7 @@ def make_setup(
     if strange:
         raise CalibrationError(
             f"{plan.name}: the bench file has no installation {', '.join(strange)} "
-            f"(it has {', '.join(chain.installations)}); state it there"
+            f"(it has {', '.join(chain.installations)}); add it there"
         )
     about = bench.simulated_block() if block is None else block
     setup = Setup(chain, conditions, about, meters_of([m.channels for m in bench.instruments.voltmeters]))

@@ -10,6 +10,7 @@ from typing import Final, Literal
 import numpy as np
 
 from bench.base.arrays import ARCSEC, CHANNELS, Floats, rms
+from bench.base.languages import message
 from bench.calibration.design import EffectUnknown
 from bench.calibration.noise import KnownNoise, KnownStand
 from bench.config.bench_file.file import BenchFile
@@ -106,7 +107,7 @@ class ErrorSource:
 
 
 MEANS: Final = "stand_means"
-LEARNED: Final = "learned of the bench"
+LEARNED: Final = message("learned of the bench")
 
 
 def learned_sources(
@@ -241,7 +242,7 @@ def foundation_of(readings: Readings | None, bench: BenchFile, *, levelled: bool
     """
     seen = None if readings is None else drift_rad_s(readings.extra)
     if seen is not None:
-        return TiltRate(*seen, "the level, read again after the platform was levelled")
+        return TiltRate(*seen, "the level, read again after the levelling")
     stated = bench.stand.foundation
     if stated is not None:
         rate = stated.to_distribution().u / DAY

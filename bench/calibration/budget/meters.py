@@ -12,6 +12,7 @@ import numpy as np
 from scipy import special
 
 from bench.base.arrays import CHANNELS, Floats, Mask
+from bench.base.languages import message
 from bench.calibration.budget.propagation import effective_dof
 from bench.calibration.noise import METERS_DRIFT
 from bench.config.bench_file.file import BenchFile
@@ -49,7 +50,7 @@ class Size:
     @classmethod
     def stated(cls, size: ErrorSize) -> Size:
         """Return a size that the bench file states."""
-        return cls(size.to_distribution(), "bench file", size.dof)
+        return cls(size.to_distribution(), message("bench file"), size.dof)
 
 
 def size_of(quantity: Quantity, meter: VoltmeterForm, day: datetime.date | None) -> Size:
@@ -67,8 +68,12 @@ def size_of(quantity: Quantity, meter: VoltmeterForm, day: datetime.date | None)
     drift = _limit(quantity, meter, years) if found.drift is None else found.drift * years
     parts = found.U / found.k, drift / math.sqrt(3.0)
     scale, unit = _SHOWN[quantity]
-    whose = "the maker's limits for" if found.drift is None else f"{found.drift * scale:.3g} {unit}/year in"
-    origin = (
+    whose = (
+        message("the maker's limits for")
+        if found.drift is None
+        else message(f"{found.drift * scale:.3g} {unit}/year in")
+    )
+    origin = message(
         f"certificate {meter.certificate.number} of {meter.certificate.date}: U = {found.U * scale:.3g} {unit}, "
         f"k = {found.k:g}; drift: {whose} {years:.2g} years"
     )
@@ -104,7 +109,7 @@ def linearity_of(meter: VoltmeterForm, largest_v: float) -> Size:
 
 def _data_sheet(meter: VoltmeterForm) -> str:
     if isinstance(meter, UnknownVoltmeter):
-        return f"the driver {meter.driver} is not here: as of a meter of 6½ digits on {meter.range:g} V"
+        return f"the driver {meter.driver} is missing: assumed as a meter of 6½ digits on {meter.range:g} V"
     return f"{meter.driver}, limits of 90 days on {meter.range:g} V"
 
 
@@ -175,7 +180,7 @@ def joint_errors(
     group = np.array([told.group[place] if place >= 0 else -1 - k for k, place in enumerate(places)])
     basis = contrasts_within(group)
     if not basis.shape[1] or np.all(certified):
-        return "certificates state all of it" if basis.shape[1] else "no two of these meters were compared"
+        return "certificates cover all of it" if basis.shape[1] else "no two of these meters were compared"
     values = np.where(np.array(places) >= 0, told.values[places], 0.0)
     own = told.covariance[np.ix_(places, places)]
     difference, spread = basis.T @ values, basis.T @ own @ basis
@@ -183,7 +188,7 @@ def joint_errors(
     expected = basis.T @ prior @ basis + spread
     chi2 = float(difference @ np.linalg.solve(expected, difference))
     if special.chdtrc(len(difference), chi2) < CONTRADICTS_P:
-        return "they contradict what certificates or makers' limits allow: have the voltmeters calibrated"
+        return "they contradict certificates or makers' limits: have the voltmeters calibrated"
     gain = kept * prior @ basis @ np.linalg.inv(expected)
     found = JointErrors(gain @ difference, prior - kept * gain @ basis.T @ prior)
     found = _never_over(found, prior, certified)
@@ -195,7 +200,7 @@ def joint_errors(
         left = np.sqrt(np.maximum(np.min(prior_u[same]) ** 2 - np.diag(covariance), 0.0)) * free
         covariance += np.outer(left, left)
     if np.any(np.diag(covariance) > (1 + 1e-9) * prior_u**2):
-        return "the certificates beside them are worse than the makers' limits"
+        return "the certificates are worse than the makers' limits"
     return JointErrors(found.mean[:n], covariance)
 
 
@@ -253,7 +258,7 @@ def known_meters(
     apart = abs((day - learned.day).days) / METERS_DRIFT.days
     kept = math.sqrt(max(1.0 - apart**2, 0.0))
     at = [learned.meters.index(meter) if meter in learned.meters else None for meter in meters]
-    origin = f"differences learned from exchanged voltmeters, {learned.day}"
+    origin = message(f"differences learned from exchanged voltmeters, {learned.day}")
     found: dict[str, tuple[Size, JointErrors]] = {}
     notes = []
     every: tuple[tuple[Quantity, str, LearnedDifferences], ...] = (
@@ -315,16 +320,20 @@ def thermometer_size(bench: BenchFile) -> Size | None:
     size: Size | None = None
     if certificate is not None:
         worst = max(certificate.values, key=lambda value: value.U / value.k)
-        origin = f"certificate {certificate.number} of {certificate.date}: the largest U, k = {worst.k:g}"
+        origin = message(
+            f"certificate {certificate.number} of {certificate.date}: the largest U, k = {worst.k:g}"
+        )
         size = Size(Distribution(worst.U, k=worst.k), origin, worst.dof)
     thermometer = bench.instruments.thermometer
     if thermometer is None:
         return size
     if size is None:
         limit = Distribution(thermometer.tolerance_k, "rectangular")
-        size = Size(limit, f"no certificate: ±{limit.limit:.2g} K of its kind", prior=True)
+        size = Size(limit, message(f"no certificate: ±{limit.limit:.2g} K of its kind"), prior=True)
     stated = thermometer.gradient
     gradient = GRADIENT if stated is None else Distribution(stated, "rectangular")
-    origin = f"{size.origin}; ±{gradient.limit:g} K to the block" + (" as usual" if stated is None else "")
+    origin = message(f"{size.origin}; ±{gradient.limit:g} K to the block") + (
+        " as usual" if stated is None else ""
+    )
     both = Distribution(math.hypot(size.distribution.u, gradient.u))
     return Size(both, origin, size.dof, size.prior or stated is None)

@@ -34,7 +34,7 @@ def coverage_factor(dof: ArrayLike, probability: float = COVERAGE) -> Floats:
 def require_probability(probability: float) -> None:
     """Raise `CalibrationError` for a probability that is not between 0 and 1."""
     if not 0.0 < probability < 1.0:
-        raise CalibrationError(f"a coverage probability lies between 0 and 1, not at {probability:g}")
+        raise CalibrationError(f"give a coverage probability between 0 and 1, not {probability:g}")
 
 
 def effective_dof(variances: Floats, dof: ArrayLike) -> Floats:
@@ -110,7 +110,7 @@ class Distributed(HasCovariance):
 def summary(outputs: Floats, probability: float = COVERAGE) -> Distributed:
     """Return the statistics of outputs (trials, m). Source: JCGM 101:2008, 7.5 to 7.7, 5.3.4."""
     if not np.all(np.isfinite(outputs)):
-        raise CalibrationError("the function gives no number for some draws of its inputs; limit them")
+        raise CalibrationError("the function fails for some draws of its inputs; limit the inputs")
     ordered = np.sort(outputs, axis=0)
     trials = len(ordered)
     inside = math.floor(probability * trials + 0.5)
@@ -173,7 +173,7 @@ def require_trials(trials: int, probability: float) -> None:
     require_probability(probability)
     least = math.ceil(100.0 / (1.0 - probability))
     if trials < least:
-        raise CalibrationError(f"{trials} trials are too few for a coverage interval; take {least} or more")
+        raise CalibrationError(f"{trials} trials are too few for a coverage interval; give {least} or more")
 
 
 def batches(count: int, batch: int) -> Iterator[int]:

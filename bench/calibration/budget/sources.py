@@ -11,6 +11,7 @@ from typing import Final
 import numpy as np
 
 from bench.base.arrays import CHANNELS
+from bench.base.languages import message
 from bench.base.text import exact_duration
 from bench.calibration.budget.coefficients import Setup
 from bench.calibration.budget.error_source import Common, ErrorSource, foundation_of, learned_sources
@@ -106,7 +107,9 @@ def stand_sources(bench: BenchFile) -> tuple[ErrorSource, ...]:
     sizes = bench.stand_distributions()
     dof = {name: section.dof for name in STAND_ERRORS if (section := getattr(bench.stand, name)) is not None}
     stated = [
-        stand_source(name, sizes[name], dof[name], "bench file") for name in STAND_ERRORS if name in dof
+        stand_source(name, sizes[name], dof[name], message("bench file"))
+        for name in STAND_ERRORS
+        if name in dof
     ]
     assumed = [
         replace(stand_source(name, size, origin=ROLL_ORIGIN), prior=True)
@@ -115,7 +118,7 @@ def stand_sources(bench: BenchFile) -> tuple[ErrorSource, ...]:
     return (*stated, *assumed)
 
 
-ROLL_ORIGIN: Final = "not stated: as mounting_error"
+ROLL_ORIGIN: Final = message("not stated: as mounting_error")
 
 
 def assumed_stand(bench: BenchFile) -> dict[str, Distribution]:
@@ -192,11 +195,11 @@ def _gravity_source(bench: BenchFile) -> Iterator[ErrorSource]:
         origin = f"{known.source}, {known.date}: U = {known.U:.3g} m/s², k = {known.k:g}"
         size = Size(Distribution(known.U, k=known.k), origin, known.dof)
     elif isinstance(known, Location):
-        size = Size(Distribution(ANOMALY_M_S2), "WGS 84 formula: anomalies of 50 mGal", prior=True)
+        size = Size(Distribution(ANOMALY_M_S2), message("WGS 84 formula: anomalies of 50 mGal"), prior=True)
     else:
         decimals = len(repr(g).partition(".")[2])
         rounding = Distribution(0.5 * 10.0**-decimals, "rectangular")
-        origin = f"{g!r} m/s² as stated: its last digit, 1 mGal at least"
+        origin = f"{g!r} m/s² as stated: its last digit, at least 1 mGal"
         size = Size(
             rounding if rounding.u > MEASURED_M_S2 else Distribution(MEASURED_M_S2), origin, prior=True
         )
@@ -207,8 +210,8 @@ def _gravity_source(bench: BenchFile) -> Iterator[ErrorSource]:
 def _temperature_source(bench: BenchFile) -> ErrorSource:
     section, chamber = bench.uncertainty, bench.instruments.chamber
     band = getattr(chamber, "band", None)
-    usual, origin = (CHAMBER, "no band stated: ±0.5 K") if band is None else (
-        Distribution(band, "rectangular"), "band of the chamber"
+    usual, origin = (CHAMBER, message("no band stated: ±0.5 K")) if band is None else (
+        Distribution(band, "rectangular"), message("band of the chamber")
     )  # fmt: skip
     sizes = (section.bias_temperature_coefficient, section.scale_temperature_coefficient)
     coefficients = [
@@ -217,11 +220,13 @@ def _temperature_source(bench: BenchFile) -> ErrorSource:
     ]
     source = _stated("temperature", "T", "K", "run", section.temperature, usual, origin)
     if section.temperature is not None and (time_s := section.temperature.correlation_time) is not None:
-        origin = f"{source.origin}, correlation time {exact_duration(time_s)}"
+        origin = message(f"{source.origin}, correlation time {exact_duration(time_s)}")
         source = replace(source, common="time", correlation_s=time_s, origin=origin)
     return replace(
         source,
-        origin=f"{source.origin}; {coefficients[0] * 1e6:.3g} µg/K and {coefficients[1] * 1e6:.3g} ppm/K (1σ)",
+        origin=message(
+            f"{source.origin}; {coefficients[0] * 1e6:.3g} µg/K and {coefficients[1] * 1e6:.3g} ppm/K (1σ)"
+        ),
         prior=section.temperature is None or None in sizes,
         factors={"bias": coefficients[0], "scale": coefficients[1]},
     )
@@ -232,7 +237,7 @@ def _head_table_source(bench: BenchFile) -> Iterator[ErrorSource]:
     certificate = bench.instruments.head.certificate
     if certificate is not None:
         worst = max(certificate.values, key=lambda value: value.U / value.k)
-        origin = (
+        origin = message(
             f"certificate {certificate.number} of {certificate.date}: largest U of its table, k = {worst.k:g}"
         )
         size = Size(Distribution(worst.U, k=worst.k), origin, worst.dof)
@@ -257,7 +262,9 @@ def _supply_sources(bench: BenchFile, model: ForwardModel) -> Iterator[ErrorSour
     )
     for number, rail in enumerate(supply.rails if supply else (), start=1):
         usual = Distribution(rail.tolerance, "rectangular")
-        source = _stated("", rail.name, "V", "run", section.supply_voltage, usual, "tolerance of the rail")
+        source = _stated(
+            "", rail.name, "V", "run", section.supply_voltage, usual, message("tolerance of the rail")
+        )
         followed = {
             channel
             for applied in model.effects
@@ -270,7 +277,7 @@ def _supply_sources(bench: BenchFile, model: ForwardModel) -> Iterator[ErrorSour
             yield replace(
                 source,
                 name=f"supply_voltage[{rail.name}]",
-                origin=f"{source.origin}; {bias * 1e6:.3g} µg/V and {scale * 1e6:.3g} ppm/V (1σ)",
+                origin=message(f"{source.origin}; {bias * 1e6:.3g} µg/V and {scale * 1e6:.3g} ppm/V (1σ)"),
                 prior=None in sizes,
                 factors={"bias": bias, "scale": scale, "rail": number},
                 channels=left,
@@ -281,7 +288,7 @@ def _turn_on_source(bench: BenchFile) -> Iterator[ErrorSource]:
     """Yield the turn-on repeatability of the biases, if it is stated or the bench has a supply for the block."""
     stated = bench.uncertainty.turn_on_repeatability
     if stated is not None or bench.unit_under_test.supply is not None:
-        origin = "prior: of a quartz-flexure accelerometer"
+        origin = message("prior: of a quartz-flexure accelerometer")
         yield _stated("turn_on", "turn-on", "g", "run", stated, TURN_ON, origin)
 
 
@@ -294,7 +301,7 @@ def _nonlinearity_sources(bench: BenchFile, model: ForwardModel) -> Iterator[Err
         left = tuple(channel for channel in CHANNELS if channel not in known)
         if left:
             stated: ErrorSize | None = getattr(bench.uncertainty, name)
-            source = _stated(name, name, unit, "run", stated, prior, "prior: plausible size")
+            source = _stated(name, name, unit, "run", stated, prior, message("prior: plausible size"))
             yield replace(source, group="block", channels=left)
 
 
@@ -327,7 +334,9 @@ def effect_sources(setup: Setup) -> Iterator[ErrorSource]:
             distribution=Distribution(unknown.prior_u / (1.0 if unknown.stated else WEAK)),
             common="run",
             group="block",
-            origin="model file" if unknown.stated else "model file states no u: plausible size",
+            origin=message("model file")
+            if unknown.stated
+            else message("model file states no u: plausible size"),
             prior=not unknown.stated,
             effect=unknown,
             written_in=(parameter.unit, parameter.si_per_unit),

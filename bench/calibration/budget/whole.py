@@ -145,14 +145,13 @@ def _on_roll(roll: Floats, covariance: Floats) -> tuple[str, ...]:
     if not most:
         return ()
     return (
-        f"most of u of {listed(most)} is the third mounting angle, which these installations do not show: the "
-        "procedure remount-90 shows it, a measured mounting_roll in the bench file limits it",
+        f"most of u of {listed(most)} comes from the third mounting angle, which these installations do "
+        "not show; use the procedure remount-90, or state a measured mounting_roll in the bench file",
     )
 
 
 _NO_VOLTS: Final = (
-    "the readings are in {unit}, so the errors of this bench's meters are in no uncertainty here: u is what these "
-    "readings show"
+    "the readings are in {unit}, so u covers these readings alone, not the errors of this bench's meters"
 )
 
 

@@ -40,7 +40,7 @@ def _whole(certificate: Certificate) -> _Whole:
         certificate.laboratory, certificate.order, certificate.unit, certificate.issue, certificate.calibrated,
     )  # fmt: skip
     if laboratory is None or order is None or unit is None or issue is None or days is None:
-        raise ValueError("a machine-readable certificate has a laboratory, an order, days and a number")
+        raise ValueError("give a machine-readable certificate a laboratory, an order, dates and a number")
     return _Whole(certificate, laboratory, order, unit, issue, days)
 
 

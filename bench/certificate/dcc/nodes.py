@@ -33,8 +33,8 @@ MS2: Final = r"\metre\second\tothe{-2}"
 
 _OURS: Final = {
     "V": VOLT, "V/g": VOLT, "g/V": PER_VOLT, "counts": ONE, "counts/g": ONE, "g/counts": ONE, "g": ONE, "g/g": ONE,
-    "m/s^2": MS2, "m/s^2/g": MS2, "g/(m/s^2)": r"\metre\tothe{-1}\second\tothe{2}", "rad": RADIAN, "°C": CELSIUS,
-    "A": AMPERE, "m/s²": MS2, "": ONE,
+    "m/s^2": MS2, "m/s^2/g": MS2, "g/(m/s^2)": r"\metre\tothe{-1}\second\tothe{2}", "rad": RADIAN, "deg": DEGREE,
+    "°C": CELSIUS, "A": AMPERE, "m/s²": MS2, "": ONE,
 }  # fmt: skip
 """D-SI notation of each unit in results. Ratios to local g are quantities of dimension one."""
 
@@ -79,7 +79,7 @@ def read_unit(text: str) -> tuple[float, dict[str, int]]:
     Angles are dimensionless, in radians. Raises `ValueError` for an unknown unit.
     """
     if _WORD.sub("", text).strip() or not text.strip():
-        raise ValueError(f"{text!r} is no unit of D-SI")
+        raise ValueError(f"{text!r} is not a unit of D-SI")
     factor = 1.0
     powers: dict[str, int] = {}
     for scale, name, power in _parts(text):
@@ -101,7 +101,7 @@ def _parts(text: str) -> list[tuple[int, str, int]]:
             sign = -1
         elif word == "tothe":
             if not parts or not power:
-                raise ValueError(f"{text!r} is no unit of D-SI")
+                raise ValueError(f"{text!r} is not a unit of D-SI")
             before, name, first = parts.pop()
             parts.append((before, name, first * int(power)))
         elif word in _PREFIXES:
@@ -110,7 +110,7 @@ def _parts(text: str) -> list[tuple[int, str, int]]:
             parts.append((scale, word, sign))
             scale, sign = 0, 1
     if scale or sign < 0:
-        raise ValueError(f"{text!r} is no unit of D-SI")
+        raise ValueError(f"{text!r} is not a unit of D-SI")
     return parts
 
 
@@ -372,11 +372,11 @@ def _signed(root: Node) -> Iterator[str]:
     """Yield a fault for each comment, and for each element of another namespace outside a signature."""
     for element in root.iter():
         if not isinstance(element.tag, str):
-            yield f"line {element.sourceline}: a comment or an instruction, which nobody signs for"
+            yield f"line {element.sourceline}: a comment or an instruction, which no signature covers"
         elif etree.QName(element).namespace not in {DCC, SI}:
             within = [element, *element.iterancestors()]
             if not any(one.tag == f"{{{SIGNATURE}}}Signature" for one in within):
-                yield _at(element, "of no name space of a DCC")
+                yield _at(element, "not in the name space of a DCC")
 
 
 _RULES: Final[tuple[Callable[[Node], Iterator[str]], ...]] = (
@@ -464,4 +464,4 @@ def _version_of(path: Path) -> str | None:
     try:
         return etree.parse(str(path), parser()).getroot().get("version")
     except (etree.XMLSyntaxError, OSError) as error:
-        raise Refused(f"{path}: cannot be read ({error})") from error
+        raise Refused(f"{path}: cannot be read ({error}); check name and permissions") from error

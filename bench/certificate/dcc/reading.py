@@ -54,22 +54,22 @@ def document_in(path: Path) -> tuple[Node, tuple[str, ...]]:
             content = _attached(path, content)
         root = etree.fromstring(content, parser())
     except OSError as error:
-        raise Refused(f"{path}: cannot be read ({error.strerror})") from error
+        raise Refused(f"{path}: cannot be read ({error.strerror}); check name and permissions") from error
     except etree.XMLSyntaxError as error:
         raise Refused(
             f"{path}: not XML ({error}); give the XML of a digital calibration certificate, or the PDF that has it"
         ) from None
     if root.tag != f"{{{DCC}}}digitalCalibrationCertificate":
-        raise Refused(f"{path}: not a digital calibration certificate (DCC)")
+        raise Refused(f"{path}: not a digital calibration certificate (DCC); give another file")
     if root.find(f".//{{{SIGNATURE}}}Signature") is None:
-        return root, ("nobody signed this document",)
+        return root, ("this document has no signature",)
     from bench.certificate.signatory import name_of
     from bench.certificate.signatures import NotIntact, check_xml
 
     try:
         signed = check_xml(content)
     except NotIntact as error:
-        raise Refused(f"{path}: {error}; nothing of it is read") from error
+        raise Refused(f"{path}: {error}; it was not read") from error
     who = name_of(signed.chain[0])
     note = f"signed as {who}, intact; whose key that is, 'bench certificate verify {path} --trust FILE' tells"
     return etree.fromstring(signed.content, parser()), (note,)
@@ -85,7 +85,7 @@ def _attached(path: Path, paper: bytes) -> bytes:
             if len(found) == 1:
                 return bytes(found[0].get_file().read_bytes())
     except (pikepdf.PdfError, KeyError, ValueError) as error:
-        raise Refused(f"{path}: a PDF that cannot be read ({error})") from error
+        raise Refused(f"{path}: a PDF that cannot be read ({error}); check name and permissions") from error
     raise Refused(
         f"{path}: {len(found) or 'no'} XML files are attached to this PDF; give the certificate's XML itself"
     )
@@ -130,7 +130,10 @@ def coefficients_in(path: Path, g_m_s2: float | None = None, noise: str | None =
         with_covariance = [pair for pair in named if pair[0].covariance is not None]
         named = with_covariance if len(with_covariance) == 1 else named
     if len(named) > 1:
-        raise Refused(f"{path}: more than one list of coefficients: {'; '.join(o.words for o, _ in named)}")
+        raise Refused(
+            f"{path}: more than one list of coefficients; give a certificate with one: "
+            f"{'; '.join(o.words for o, _ in named)}"
+        )
     return _others(path, root, *named[0], notes, g_m_s2, noise_v)
 
 
@@ -142,7 +145,7 @@ def _ours(path: Path, root: Node, listed: RealList) -> dict[str, Any]:
         np.array_equal(listed.values, taken.block.vector)
         and np.array_equal(listed.covariance, taken.covariance)
     ):
-        raise Refused(f"{path}: {_FILE} in it states other coefficients than its list; it is not read")
+        raise Refused(f"{path}: {_FILE} in it states other coefficients than its list; it was not read")
     told = {name: value for name, value in data.items() if name != "verification"}
     return {**told, "certificate": _about(root)}
 
@@ -154,7 +157,7 @@ def _file(path: Path, root: Node) -> bytes:
                 return base64.b64decode(one.findtext("dcc:dataBase64", "", NAMESPACES), validate=True)
             except binascii.Error:
                 break
-    raise Refused(f"{path}: there is no {_FILE} in it that can be read")
+    raise Refused(f"{path}: it has no {_FILE} that can be read")
 
 
 def _about(root: Node) -> dict[str, str]:
@@ -198,12 +201,12 @@ def _others(
     wanting = [] if g_m_s2 is not None else ["--g, the local gravity for which K is to be stated (m/s²)"]
     wanting += [] if noise_v is not None else ["--noise, the noise of a reading (V), which a check needs"]
     if g_m_s2 is None or noise_v is None:
-        raise Refused(f"{path}: a certificate of another maker; say {' and '.join(wanting)}")
+        raise Refused(f"{path}: a certificate of another program; give {' and '.join(wanting)}")
     dimensions = [listed.dimensions[i] for i in order]
     kinds = set(dimensions[:9])
     if kinds not in ({_VOLT}, {_VOLT_PER_MS2}) or set(dimensions[9:]) != {_VOLT}:
         raise Refused(
-            f"{path}: {listed.words}: K is to be in \\volt (per local g) or "
+            f"{path}: {listed.words}: give K in \\volt (per local g) or "
             "\\volt\\metre\\tothe{-1}\\second\\tothe{2}, and U0 in \\volt"
         )
     scale = np.ones(12)
@@ -214,11 +217,9 @@ def _others(
     covariance = listed.covariance
     if covariance is None:
         if listed.u is None:
-            raise Refused(f"{path}: {listed.words}: it states no uncertainty")
+            raise Refused(f"{path}: {listed.words}: it states no uncertainty; ask its laboratory for one")
         covariance = np.diag(listed.u**2)
-        notes += (
-            "it states no covariance: its coefficients are taken as not correlated, which they seldom are",
-        )
+        notes += ("it states no covariance; its coefficients are assumed uncorrelated, which is seldom true",)
     covariance = covariance[np.ix_(order, order)] * np.outer(scale, scale)
     result = _result(root, values, covariance, g_m_s2, noise_v)
     coefficients_of(result, str(path))
@@ -308,16 +309,17 @@ def _values(path: Path, root: Node) -> tuple[list[dict[str, str]], list[str]]:
     for axis, off in tables:
         kinds = set(axis.dimensions) | set(off.dimensions)
         if off.u is None:
-            notes.append(f"{off.words}: without an uncertainty, and left out")
+            notes.append(f"{off.words}: without an uncertainty; left out")
         elif kinds == {()}:
             rows += _rows("angle", "deg", "arcsec", axis, off, 180.0 / math.pi, 648000.0 / math.pi)
         elif kinds == {(("K", 1),)}:
             rows += _rows("temperature", "degC", "K", axis, off, 1.0, 1.0)
         else:
-            notes.append(f"{off.words}: errors of another kind; write what they say by hand")
+            notes.append(f"{off.words}: errors of another kind; enter them by hand")
     if not tables:
         notes.append(
-            f"no table of errors ({_ERROR} beside {_AXIS[0]}) was found: add 'values' by hand, from the paper"
+            f"no table of errors ({_ERROR} beside {_AXIS[0]}) was found: add 'values' by hand, from the "
+            "printed certificate"
         )
     return rows, notes
 
@@ -364,10 +366,10 @@ def _checked(stated: dict[str, Any], values: list[dict[str, str]]) -> Iterator[s
         form.model_validate({**stated, "values": values})
     except ValidationError as error:
         for one in error.errors()[:5]:
-            yield f"a bench file does not take this as it is: {one['msg'].removeprefix('Value error, ')}"
+            yield f"a bench file cannot use this unchanged: {one['msg'].removeprefix('Value error, ')}"
 
 
-# --- lists of real quantities in any DCC, whoever wrote it ----------------------------------------------
+# --- lists of real quantities in any DCC, of any author ----------------------------------------------
 
 Dimension = tuple[tuple[str, int], ...]
 
@@ -515,7 +517,7 @@ def _times(first: Dimension, second: Dimension) -> Dimension:
 def _text(element: Node, path: str) -> str:
     text = element.findtext(path, None, NAMESPACES)
     if text is None:
-        raise NotRead(f"line {element.sourceline}: there is no {path.rsplit(':', 1)[-1]}")
+        raise NotRead(f"line {element.sourceline}: it has no {path.rsplit(':', 1)[-1]}")
     return text
 
 
@@ -537,5 +539,5 @@ def _number(element: Node, word: str) -> float:
     except ValueError:
         value = float("nan")
         if word.strip() != "NaN":
-            raise NotRead(f"line {element.sourceline}: {word[:40]!r} is no number") from None
+            raise NotRead(f"line {element.sourceline}: {word[:40]!r} is not a number") from None
     return value

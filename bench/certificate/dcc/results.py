@@ -11,12 +11,12 @@ from typing import Any, Final
 
 import numpy as np
 from lxml import etree
-from scipy import special
 
 from bench.base.arrays import Floats
 from bench.calibration import Verification
 from bench.calibration.budget.whole import dof_through
 from bench.calibration.conformity import Statement
+from bench.calibration.intrinsic import joint_factor
 from bench.certificate.content import (
     Certificate,
     Condition,
@@ -168,6 +168,7 @@ def _results(certificate: Certificate, found: RunFindings, prefix: str) -> Itera
         ("coefficients_si", _per_ms2(found)),
         ("inverse", found.inverse),
         ("misalignments", found.misalignments),
+        ("intrinsic", found.intrinsic),
     ):
         yield _result(texts, key.removesuffix("_si"), key, prefix, _listed(values, certificate))
     if found.verification is not None:
@@ -213,7 +214,9 @@ def _listed(values: Values, certificate: Certificate) -> Node:
         spelt,
         [one.name for one in members],
         ([one.U for one in members], [one.k for one in members], [coverage] * len(members)),
-        ellipsoidal(values.covariance.tolist(), spelt, region_factor(coverage, len(members)), coverage),
+        ellipsoidal(
+            values.covariance.tolist(), spelt, joint_factor(len(members), level=coverage).k, coverage
+        ),
     )
     dof = _freedom(members)
     return node("dcc:quantity", listed, node("dcc:measurementMetaData", dof) if dof is not None else None)
@@ -232,11 +235,6 @@ def _freedom(members: Sequence[Value]) -> Node | None:
     )
 
 
-def region_factor(probability: float, dimension: int) -> float:
-    """Return the factor k of the coverage ellipsoid of a normal distribution (JCGM 102, 6.5.2)."""
-    return float(np.sqrt(2.0 * special.gammaincinv(0.5 * dimension, probability)))
-
-
 def _checked(texts: Sequence[Texts], verification: Verification) -> Node:
     """Return Δg at the verification points with U and covariance, the limit, the risks, and the statements."""
     points = verification.points
@@ -248,7 +246,7 @@ def _checked(texts: Sequence[Texts], verification: Verification) -> Node:
         one,
         [f"pass{p.pass_number}-point{p.point}" for p in points],
         ([p.U for p in points], [p.k for p in points], coverage),
-        ellipsoidal(covariance.tolist(), one, region_factor(coverage[0], len(points)), coverage[0]),
+        ellipsoidal(covariance.tolist(), one, joint_factor(len(points), level=coverage[0]).k, coverage[0]),
     )
     accepted = verification.passed or verification.left_open
     risks = {
@@ -373,7 +371,7 @@ def shown_of(content: bytes) -> ShownValues:
     """Return the values in an XML. Raises `NotIntact` if it is not a DCC or cannot be read completely."""
     root = etree.fromstring(content, nodes.parser())
     if root.tag != nodes.tag("dcc:digitalCalibrationCertificate"):
-        raise NoCertificate("it is no digital calibration certificate (DCC)")
+        raise NoCertificate("it is not a digital calibration certificate (DCC)")
     administrative = "dcc:administrativeData"
     covariance, coefficients = _coefficients(root)
     files = dict(_file(one) for one in root.findall(".//dcc:byteData", nodes.NAMESPACES))
@@ -465,5 +463,5 @@ def _numbers(node: Any, path: str) -> list[float]:
     except ValueError as error:
         raise NotIntact(f"a number of the digital certificate cannot be read ({error})") from error
     if not all(map(math.isfinite, numbers)):
-        raise NotIntact("a number of the digital certificate is none")
+        raise NotIntact("a number of the digital certificate is missing")
     return numbers

@@ -65,7 +65,7 @@ def _channel_mistakes(voltmeters: Any) -> Iterator[tuple[Place, str]]:
             carried.setdefault(channel, index)
     missing = [channel for channel in CHANNELS if channel not in carried]
     if missing and not unreadable:
-        yield place, f"no voltmeter carries channel {', '.join(missing)}; each of x, y, z is carried once"
+        yield place, f"no voltmeter reads channel {', '.join(missing)}; give each of x, y, z to one voltmeter"
 
 
 def _one_range_mistakes(voltmeters: Any) -> Iterator[tuple[Place, str]]:
@@ -73,7 +73,9 @@ def _one_range_mistakes(voltmeters: Any) -> Iterator[tuple[Place, str]]:
     ranges = [_value(part(meter, "range") or "10 V", VOLTAGE) for meter in _items(voltmeters)]
     for index, range_v in enumerate(ranges):
         if range_v is not None and ranges[0] is not None and range_v != ranges[0]:
-            text = f"all voltmeters read on one range: this one has {range_v:g} V, the first {ranges[0]:g} V"
+            text = (
+                f"all voltmeters need the same range: this one has {range_v:g} V, the first {ranges[0]:g} V"
+            )
             yield ("instruments", "voltmeters", index, "range"), text
 
 
@@ -138,12 +140,14 @@ def _signal_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
 def _label_mistakes(installations: Any) -> Iterator[tuple[Place, str]]:
     for label in installations if isinstance(installations, dict) else {}:
         if label in UNORIENTED:
-            text = "F (free), S (shorted), R (reference) are readings without orientation; take another label"
+            text = (
+                "F (free), S (shorted), R (reference) mark readings without orientation; choose another label"
+            )
             yield ("installations", label), text
         elif not label.isalnum():
             yield (
                 ("installations", label),
-                f"a label is letters and digits such as '3' or 'U1', not '{label}'",
+                f"state a label of letters and digits such as '3' or 'U1', not '{label}'",
             )
 
 
@@ -172,7 +176,7 @@ def _simulation_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
         meters = enumerate(_items(part(data, "instruments", "voltmeters")), start=1)
         without = [str(number) for number, meter in meters if part(meter, "certificate") is None]
         if without:
-            text = f"voltmeter {', '.join(without)} has no certificate whose errors it could have"
+            text = f"voltmeter {', '.join(without)} has no certificate from which to draw errors"
             yield accuracy, text
     for role in FURTHER:
         stated = part(data, "simulation", role)
@@ -229,7 +233,7 @@ def supply_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
     if part(data, *_INSTRUMENT) is None:
         yield (
             _UNIT,
-            "the block is supplied, but the bench has no power supply; name it as 'power_supply' under instruments",
+            "the block is supplied, but the bench has no power supply; add 'power_supply' under instruments",
         )
     limits = _limits_of_supply(part(data, *_INSTRUMENT))
     seen: dict[tuple[str, str], int] = {}
@@ -249,7 +253,7 @@ def supply_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
             yield (*place, *inside), text
     pause_s = _value(part(data, *_UNIT, "pause"), DURATION)
     if pause_s and limits is not None and limits.together:
-        yield (*_UNIT, "pause"), "this supply switches all of its outputs at once; leave 'pause' out"
+        yield (*_UNIT, "pause"), "this supply switches all outputs together; remove 'pause'"
 
 
 @dataclass(frozen=True)
@@ -298,10 +302,10 @@ def _against_block(rail: _Rail) -> Iterator[tuple[Place, str]]:
 def _voltages_against_block(rail: _Rail) -> Iterator[tuple[Place, str]]:
     voltage_v, tolerance_v = rail.get("voltage"), rail.get("tolerance")
     if voltage_v == 0.0:
-        yield ("voltage",), "a rail has a voltage; leave out what the block is not fed by"
+        yield ("voltage",), "a rail needs a voltage above 0; remove rails that do not feed the block"
         return
     if tolerance_v == 0.0:
-        yield ("tolerance",), "the tolerance is more than nothing: no supply keeps a voltage exactly"
+        yield ("tolerance",), "state a tolerance above 0 V: no supply keeps a voltage exactly"
     span = rail.all(("limits", "minimum"), ("limits", "maximum"))
     if span and span[0] >= span[1]:
         yield ("limits",), f"the minimum of {span[0]:g} V is not below the maximum of {span[1]:g} V"
@@ -314,7 +318,7 @@ def _voltages_against_block(rail: _Rail) -> Iterator[tuple[Place, str]]:
     elif span and not span[0] <= worst_v[0] <= worst_v[1] <= span[1]:
         yield (
             ("voltage",),
-            f"within its tolerance the rail has {worst_v[0]:g} to {worst_v[1]:g} V, but the block may be given "
+            f"within its tolerance the rail has {worst_v[0]:g} to {worst_v[1]:g} V, but the block tolerates "
             f"{span[0]:g} to {span[1]:g} V only",
         )
     protection_v = rail.get("over_voltage")

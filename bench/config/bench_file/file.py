@@ -83,7 +83,7 @@ class BenchFile(FileModel):
     @classmethod
     def _of_the_mains(cls, line_hz: float) -> float:
         if line_hz not in {50.0, 60.0}:
-            raise ValueError(f"the mains have 50 Hz or 60 Hz, not {line_hz:g} Hz")
+            raise ValueError(f"state 50 Hz or 60 Hz for the mains, not {line_hz:g} Hz")
         return line_hz
 
     @classmethod
@@ -97,7 +97,7 @@ class BenchFile(FileModel):
         if part(simulation, "effects") and part(data, "effects"):
             yield (
                 ("effects",),
-                "the simulated bench has effects here and in 'simulation'; put all of them there",
+                "the simulated bench has effects here and in 'simulation'; move all of them there",
             )
         wrong: list[tuple[Place, str]] = []
         # effects of the simulation may use the file's top-level formulas; duplicate names are reported above
@@ -311,19 +311,22 @@ class Standing:
         which = f"{self.instrument}: its {certificate.words}"
         if self.foreign:
             yield (
-                f"{which}, is of serial number {certificate.serial}, but {self.answered} answered: nothing of it "
-                "is counted; take the right instrument, or state the certificate of this one in the bench file"
+                f"{which}, is of serial number {certificate.serial}, but {self.answered} answered: its values "
+                "are not used; take the right instrument, or state the certificate of this one in the bench file"
             )
             return
         if self.expired:
             until = certificate.valid_until
-            yield f"{which}, expired on {until}: its values count, with the drift since; have it calibrated"
+            yield f"{which}, expired on {until}: its values are used with the drift since; have it calibrated"
         if self.day < certificate.date:
-            yield f"{which}, is dated after the readings ({self.day}): its values count as far back as ahead"
+            yield (
+                f"{which}, is dated after the readings ({self.day}): its values are used for earlier days "
+                "as for later ones"
+            )
         if isinstance(self.section, VoltmeterForm):
             range_v = self.section.range
             if self.section.certificate is not None and self.section.certificate.of_range(range_v) is None:
-                yield f"{which}, says nothing of the {range_v:g} V range: there the data sheet's limits count"
+                yield f"{which}, does not cover the {range_v:g} V range: the data sheet's limits apply there"
 
     def to_json(self, *, why_not: str) -> dict[str, Any]:
         """Return the entry of a result on this certificate; `why_not` says why it is not applied, or is empty."""

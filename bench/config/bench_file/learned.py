@@ -88,7 +88,8 @@ class StandEntry(FileModel):
             raise ValueError(f"covariance_rad2 of {k} means has {k} rows of {k} numbers, and is symmetric")
         if np.min(np.linalg.eigvalsh(matrix)) < -1e-9 * np.max(np.abs(matrix)):
             raise ValueError(
-                "covariance_rad2 is no covariance: a combination of angles has a negative variance"
+                "covariance_rad2 is not a covariance: a combination of angles has a negative variance; "
+                "run 'bench learn' again"
             )
         missing = {mean.angle for mean in self.means} - set(self.remount)
         if missing:
@@ -196,7 +197,7 @@ def load_learned(path: Path, bench: BenchFile) -> LearnedFile:
     if file.learned_for != learned_for(bench):
         text = (
             f"learned of bench {file.bench} with another stand, head, installations or meters than {bench.name} "
-            "has now; learn anew ('bench learn'), or take 'learned' out of the bench file"
+            "has now; learn again ('bench learn'), or remove 'learned' from the bench file"
         )
         raise FileMistakes(path, [FileMistake(0, "learned_for", text)])
     return file
@@ -260,7 +261,7 @@ class PriorFile(FileModel):
         if not usable:
             yield (
                 ("covariance",),
-                "is no covariance: not symmetric, or not positive; take the file as it was written",
+                "is not a covariance (not symmetric or not positive); restore the file from 'bench learn'",
             )
 
 

@@ -137,14 +137,14 @@ class OperatorTruth(FileModel):
     @classmethod
     def _has_steps(cls, resolution_rad: float) -> float:
         if resolution_rad == 0.0:
-            raise ValueError("a scale has steps: expected a resolution such as '1 arcsec'")
+            raise ValueError("state the resolution of the scale, such as '1 arcsec'")
         return resolution_rad
 
     @field_validator("turn_time")
     @classmethod
     def _in_order(cls, turn_time_s: tuple[float, ...]) -> tuple[float, ...]:
         if turn_time_s[0] > turn_time_s[1]:
-            raise ValueError("the first is the shortest time, the second the longest")
+            raise ValueError("state the shortest time first, then the longest")
         return turn_time_s
 
 
@@ -166,15 +166,15 @@ class FaultSection(FileModel):
     @model_validator(mode="after")
     def _makes_sense(self) -> FaultSection:
         if self.probability is not None and self.at is not None:
-            raise ValueError("a fault strikes with a probability or at an exchange, not both")
+            raise ValueError("a fault strikes with a probability or at an exchange; remove one of the two")
         if self.probability is None and self.at is None and self.matching is None:
             raise ValueError(f"say when '{self.fault}' strikes: give probability, at or matching")
         if self.seconds and self.fault not in _TAKE_SECONDS:
-            raise ValueError(f"'{self.fault}' has no duration; leave out seconds")
+            raise ValueError(f"'{self.fault}' has no duration; remove 'seconds'")
         if self.fault == "late" and not self.seconds:
-            raise ValueError("'late' needs seconds: by how much")
+            raise ValueError("state 'seconds', the delay of 'late'")
         if self.error is not None and self.fault != "error":
-            raise ValueError(f"'{self.fault}' puts no error into the queue; leave out error")
+            raise ValueError(f"'{self.fault}' puts no error into the queue; remove 'error'")
         return self
 
     def to_plain(self) -> dict[str, Any]:
@@ -239,7 +239,7 @@ class CheckBlockSection(FileModel):
     file).
 
     The chart gives one false alarm in `arl` runs (default 370), or, with `k`, as many as one Shewhart chart with
-    limits of k standard deviations. `smoothing` is the λ of its EWMA, which starts anew on the day `restarted`.
+    limits of k standard deviations. `smoothing` is the λ of its EWMA, which starts again on the day `restarted`.
     `limits` sets the basis of the limits: u as "stated", u "scaled" to the baseline, or the "scatter" of the
     baseline alone. `between_runs` names the sources of u that vary from run to run. With `rule: refuse`, a run
     starts only if the last check was in control and is no older than `max_age`; with `warn`, the run only warns.
@@ -268,17 +268,17 @@ class CheckBlockSection(FileModel):
     def _of_coefficients(cls, drift: Mapping[str, DriftSection]) -> Mapping[str, DriftSection]:
         for name, section in drift.items():
             if name not in COEFFICIENTS:
-                raise ValueError(f"{name} is no coefficient; they are {', '.join(COEFFICIENTS)}")
+                raise ValueError(f"{name} is not a coefficient; choose from {', '.join(COEFFICIENTS)}")
             if section.value(name)[1] < 0.0:
-                raise ValueError(f"{name}: a standard uncertainty is not negative")
+                raise ValueError(f"{name}: state a standard uncertainty of 0 or more")
         return drift
 
     @model_validator(mode="after")
     def _one_of_each(self) -> CheckBlockSection:
         if self.arl is not None and self.k is not None:
-            raise ValueError("arl and k say the same thing; state one of them")
+            raise ValueError("'arl' and 'k' state the same limit; remove one")
         if self.baseline_days is not None and self.reference:
-            raise ValueError("baseline_days and reference both say what the block is; state one of them")
+            raise ValueError("'baseline_days' and 'reference' both state the block's values; remove one")
         return self
 
     def is_of(self, unit_type: str, serial: str, type_of_bench: str) -> bool:

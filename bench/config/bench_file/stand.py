@@ -39,8 +39,7 @@ _NAME: Final = re.compile(r"[a-z][a-z0-9]{0,30}")
 def _names_a_column(name: str) -> str:
     if _NAME.fullmatch(name) is None:
         raise ValueError(
-            f"a rail names columns of the readings: a small letter, then small letters and digits, such as "
-            f"'p15', not '{name}'"
+            f"a rail's name is a small letter, then small letters and digits, such as 'p15', not '{name}'"
         )
     return name
 
@@ -106,15 +105,15 @@ class DriftForm(FileModel):
     @model_validator(mode="after")
     def _can_come_about(self) -> DriftForm:
         if self.drift == 0.0:
-            raise ValueError("the drift is more than nothing: no two samples are ever the same")
+            raise ValueError("state a drift above 0: no two samples are equal")
         if not 0.0 < self.interval <= self.per:
-            raise ValueError(
-                "the interval is longer than nothing and no longer than the time that the drift is per"
-            )
+            raise ValueError("state an interval above 0 and at most the time of the drift")
         if self.timeout > MOST_SAMPLES * self.interval:
-            raise ValueError(f"an interval so short takes more than {MOST_SAMPLES} samples until the timeout")
+            raise ValueError(
+                f"this interval takes more than {MOST_SAMPLES} samples until the timeout; lengthen it"
+            )
         if self.timeout < self.per + self.interval:
-            raise ValueError("the timeout is at least the time that the drift is per and one interval")
+            raise ValueError("state a timeout of at least the time of the drift and one interval")
         return self
 
 
@@ -183,13 +182,13 @@ class Location(FileModel):
     @classmethod
     def _on_the_ground(cls, height_m: float) -> float:
         if not -500.0 <= height_m <= 9000.0:
-            raise ValueError(f"a bench stands between -500 m and 9000 m, not at {height_m:g} m")
+            raise ValueError(f"state a height between -500 m and 9000 m, not {height_m:g} m")
         return height_m
 
 
 def _plausible_gravity(g_m_s2: float) -> float:
     if not 9.75 <= g_m_s2 <= 9.85:
-        raise ValueError(f"local gravity lies between 9.75 and 9.85 m/s^2, not at {g_m_s2:g} m/s^2")
+        raise ValueError(f"state local gravity between 9.75 and 9.85 m/s^2, not {g_m_s2:g} m/s^2")
     return g_m_s2
 
 
@@ -235,9 +234,9 @@ class ErrorSize(FileModel):
     @model_validator(mode="after")
     def _k_where_normal(self) -> ErrorSize:
         if self.distribution == "normal" and self.k is None:
-            raise ValueError("a normal distribution needs k: how many standard deviations the limit is")
+            raise ValueError("state 'k', the limit of a normal distribution in standard deviations")
         if self.distribution == "rectangular" and self.k is not None:
-            raise ValueError("a rectangular distribution has no k; leave it out")
+            raise ValueError("a rectangular distribution has no 'k'; remove it")
         return self
 
     def to_distribution(self) -> Distribution:
@@ -248,8 +247,8 @@ class ErrorSize(FileModel):
 def _of_a_bench(limit_rad: float) -> float:
     if limit_rad > LARGEST_RAD:
         raise ValueError(
-            f"an error of {math.degrees(limit_rad):.3g} deg is no limit of a bench, which is "
-            f"{math.degrees(LARGEST_RAD):g} deg at most; are arcsec or arcmin meant?"
+            f"an error of {math.degrees(limit_rad):.3g} deg is too large for a limit of a bench, "
+            f"{math.degrees(LARGEST_RAD):g} deg at most; check the unit (arcsec, arcmin)"
         )
     return limit_rad
 
@@ -319,7 +318,7 @@ class ScaleFactors(FileModel):
     @classmethod
     def _not_zero(cls, scale_v_g: float) -> float:
         if scale_v_g == 0.0:
-            raise ValueError("a scale factor is not zero")
+            raise ValueError("state a scale factor other than 0")
         return scale_v_g
 
     @property
@@ -345,7 +344,7 @@ class PopulationSection(FileModel):
     mean: AccelerationG = 0.0
     standard_deviation: Annotated[
         SizeG,
-        above_zero("blocks that are all alike need no verification; state a standard deviation above zero"),
+        above_zero("identical blocks need no verification; state a standard deviation above zero"),
     ]
 
 
@@ -366,9 +365,7 @@ class StatedRule(FileModel):
     @model_validator(mode="after")
     def _band_with_its_rule(self) -> Self:
         if self.rule == "simple acceptance" and self.guard_band is not None:
-            raise ValueError(
-                "simple acceptance takes no guard band off the limit; leave it out, or say rule: guarded"
-            )
+            raise ValueError("simple acceptance has no guard band; remove it, or state 'rule: guarded'")
         return self
 
 
@@ -414,7 +411,7 @@ class TemperatureError(ErrorSize):
     correlation_time: (
         Annotated[
             SpanS,
-            above_zero("expected more than nothing; leave it out where the offset stays throughout a run"),
+            above_zero("state a value above 0; remove it if the offset is constant in a run"),
         ]
         | None
     ) = None

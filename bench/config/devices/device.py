@@ -172,9 +172,7 @@ WIRE_FACTS: Final = ("READ_TERMINATION", "WRITE_TERMINATION")
 """Names that the facts of every wired instrument define; with a serial port, also `SERIAL`."""
 
 
-Timeout = Annotated[
-    DurationS, above_zero("expected a duration longer than nothing such as '5 s', got {:g} s")
-]
+Timeout = Annotated[DurationS, above_zero("expected a duration above 0 such as '5 s', got {:g} s")]
 
 
 class WiredForm(DeviceSection):
@@ -292,7 +290,7 @@ class CertifiedGain(Certified):
     @classmethod
     def _small(cls, gain: float) -> float:
         if abs(gain) > LARGEST_GAIN:
-            raise ValueError(f"a correction of the gain is within ±1 %, such as '-12 ppm', not {gain:g}")
+            raise ValueError(f"state a gain correction within ±1 %, such as '-12 ppm', not {gain:g}")
         return gain
 
 
@@ -317,10 +315,10 @@ class RangeValues(FileModel):
     @model_validator(mode="after")
     def _says_something(self) -> RangeValues:
         if self.gain is None and self.offset is None:
-            raise ValueError("say what was found on this range: gain, offset or both")
+            raise ValueError("state 'gain', 'offset' or both for this range")
         if self.offset is not None and abs(self.offset.correction) > LARGEST_GAIN * self.range:
             raise ValueError(
-                f"a correction of the zero is within 1 % of the range, not {self.offset.correction:g} V"
+                f"state a zero correction within 1 % of the range, not {self.offset.correction:g} V"
             )
         return self
 
@@ -336,7 +334,7 @@ class AngleValue(Certified):
     @classmethod
     def _small(cls, angle_rad: float) -> float:
         if abs(angle_rad) > LARGEST_OF_SCALE_RAD:
-            raise ValueError(f"a correction of the scale is within ±1°, not {_degrees(angle_rad)}")
+            raise ValueError(f"state a scale correction within ±1°, not {_degrees(angle_rad)}")
         return angle_rad
 
 
@@ -365,7 +363,7 @@ class Certificate(FileModel):
     def _later(cls, until: datetime.date | None, info: ValidationInfo) -> datetime.date | None:
         begun = info.data.get("date")
         if until is not None and begun is not None and until < begun:
-            raise ValueError(f"the certificate is of {begun}: it cannot have expired before, on {until}")
+            raise ValueError(f"the certificate is of {begun}: but expired before, on {until}")
         return until
 
     def years_until(self, day: datetime.date) -> float:
@@ -415,12 +413,14 @@ class HeadCertificate(Certificate):
         angles = sorted(value.angle % turn for value in values)
         gaps = [b - a for a, b in pairwise([*angles, angles[0] + turn])]
         if len(angles) > 1 and min(gaps) < _ROUNDING_RAD:
-            raise ValueError(f"{_degrees(angles[gaps.index(min(gaps))])} stands twice in the table")
+            raise ValueError(
+                f"{_degrees(angles[gaps.index(min(gaps))])} appears twice in the table; keep one"
+            )
         if max(gaps) > WIDEST_GAP_RAD + _ROUNDING_RAD:
             low = gaps.index(max(gaps))
             raise ValueError(
-                f"the table says nothing between {_degrees(angles[low])} and {_degrees(angles[low] + max(gaps))}: "
-                f"its angles are at most {_degrees(WIDEST_GAP_RAD)} apart, all round"
+                f"the table has no angle between {_degrees(angles[low])} and {_degrees(angles[low] + max(gaps))}: "
+                f"state angles at most {_degrees(WIDEST_GAP_RAD)} apart over the whole turn"
             )
         return values
 
@@ -450,7 +450,7 @@ def of_known_ranges(certificate: VoltmeterCertificate, known_v: Iterable[float])
 
 def _refuse_twice(names: list[str], what: str) -> None:
     if twice := repeated(names):
-        raise ValueError(f"the {what} {', '.join(twice)} stands twice; leave one out")
+        raise ValueError(f"the {what} {', '.join(twice)} appears twice; keep one")
 
 
 def _degrees(angle_rad: float) -> str:

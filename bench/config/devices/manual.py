@@ -39,7 +39,7 @@ class ManualHeadSection(HeadForm):
     @model_validator(mode="after")
     def _readable(self) -> ManualHeadSection:
         if self.tolerance < self.scale_division / 2:
-            raise ValueError("the tolerance is less than half a division of the scale: no reading would pass")
+            raise ValueError("the tolerance is below half a division of the scale; widen it")
         return self
 
     def driver_options(self) -> dict[str, Any]:
@@ -78,9 +78,7 @@ class ManualLevelSection(LevelForm):
     by_hand: ClassVar = True
 
     driver: Literal["manual-level"]
-    division: Annotated[
-        SizeRad, above_zero("a vial has divisions: expected the value of one such as '5 arcsec'")
-    ]
+    division: Annotated[SizeRad, above_zero("state the value of one division, such as '5 arcsec'")]
     reading: Annotated[float, Field(gt=0.0, le=1.0)] = 0.2
     divisions: Annotated[float, Field(gt=0.0, le=100.0)] = 10.0
     scale: Annotated[Ratio, Field(ge=0.0, lt=1.0)] = 0.05
@@ -132,9 +130,9 @@ class ManualOutput(FileModel):
     @model_validator(mode="after")
     def _can_be_set(self) -> ManualOutput:
         if self.minimum >= self.maximum:
-            raise ValueError(f"the minimum {self.minimum:g} V is not below the maximum {self.maximum:g} V")
+            raise ValueError(f"the minimum {self.minimum:g} V must be below the maximum {self.maximum:g} V")
         if self.current == 0.0 or self.voltage_digit <= 0.0 or self.current_digit == 0.0:
-            raise ValueError("expected more than nothing: an output gives a current, a display has digits")
+            raise ValueError("state a value above 0")
         return self
 
     def limits(self) -> OutputLimits:
@@ -161,7 +159,7 @@ class ManualSupplySection(SupplyForm):
 
     driver: Literal["manual-supply"]
     outputs: Annotated[dict[str, ManualOutput], Field(min_length=1)]
-    tolerance: Annotated[VoltageV, above_zero("expected more than nothing: no output is exact")] = 0.1
+    tolerance: Annotated[VoltageV, above_zero("state a value above 0: no output is exact")] = 0.1
 
     @property
     def limits(self) -> SupplyLimits:

@@ -115,11 +115,11 @@ class Devices:
         """Add a device from an origin `place`; of two devices with the same name, neither is used."""
         wrong = _wrong_declaration(device)
         if wrong:
-            self.troubles.append(f"{place} is not to be used: {wrong}")
+            self.troubles.append(f"{place} cannot be used: {wrong}")
         elif device.name in self.places:
             first = self.places[device.name]
             self.doubled[device.name] = (
-                f"the driver '{device.name}' is brought by {first} and by {place}; take one of them away"
+                f"the driver '{device.name}' is in {first} and in {place}; remove one of them"
             )
             self.found.pop(device.name, None)
         else:
@@ -184,7 +184,7 @@ def _take_from(result: Devices, module: ModuleType, place: str) -> None:
             result.add(replace(one, package=module.__package__ or ""), place)
         else:
             result.troubles.append(
-                f"{place} is not to be used: its DEVICE is no bench.config.devices.device.Device"
+                f"{place} cannot be used: its DEVICE is no bench.config.devices.device.Device"
             )
 
 
@@ -209,7 +209,7 @@ def _wrong_declaration(device: Device) -> str | None:
         or not issubclass(section, DeviceSection)
         or not hasattr(section, "role")
     ):
-        return f"the section of '{device.name}' has no role that a bench knows"
+        return f"the section of '{device.name}' has no known role"
     stated = get_args(section.model_fields["driver"].annotation)
     if stated != (device.name,):
         return f"the section of '{device.name}' does not have driver: Literal['{device.name}']"
@@ -262,8 +262,8 @@ def _strange(driver: object, names: tuple[str, ...]) -> str | None:
     if not isinstance(driver, str) or difflib.get_close_matches(driver, names, n=1, cutoff=0.5):
         return None
     return (
-        f"expected {', '.join(names[:-1])} or {names[-1]}, got '{driver}'; an instrument of your own is found in "
-        "the folder that --devices DIR or BENCH_DEVICES names"
+        f"expected {', '.join(names[:-1])} or {names[-1]}, got '{driver}'; for an instrument of your own, "
+        "name its folder with --devices DIR or BENCH_DEVICES"
     )
 
 
@@ -312,8 +312,8 @@ class UnknownVoltmeter(VoltmeterForm):
         """Raise `BenchError`: without the driver, limits and accuracy are unknown."""
         raise BenchError(
             self.name,
-            f"the driver '{self.driver}' is not here, so nobody knows how exact its voltmeters are",
-            "name the folder it is in with --devices or BENCH_DEVICES, or install its distribution",
+            f"the driver '{self.driver}' is missing, and with it the accuracy of its voltmeters",
+            "name its folder with --devices or BENCH_DEVICES, or install it",
         )
 
 

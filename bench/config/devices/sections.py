@@ -248,7 +248,7 @@ class HeadForm(DeviceSection):
         return self.by_hand
 
 
-_NO_HEAD: Final = "expected more than nothing: no head is exact, and none turns without a speed"
+_NO_HEAD: Final = "state a value above 0: every head has a tolerance and a speed"
 
 
 class MotorisedHeadForm(HeadForm, WiredForm):
@@ -271,11 +271,11 @@ class MotorisedHeadForm(HeadForm, WiredForm):
         low, high = (f"{math.degrees(angle_rad):g}°" for angle_rad in (self.minimum, self.maximum))
         if self.minimum + 2.0 * self.backoff >= self.maximum:
             raise ValueError(
-                f"between the minimum {low} and the maximum {high} no angle can be come to from both sides, "
-                f"backing off by {math.degrees(self.backoff):g}°"
+                f"between the minimum {low} and the maximum {high} no angle can be approached from both "
+                f"sides; widen them, or shorten the back-off of {math.degrees(self.backoff):g}°"
             )
         if self.backoff <= self.tolerance:
-            raise ValueError("the head must back off by more than its tolerance")
+            raise ValueError("state a back-off above the tolerance")
         return self
 
     def travel(self) -> dict[str, float]:
@@ -305,7 +305,7 @@ class ReadOutHeadForm(HeadForm, WiredForm):
 
     tolerance: Annotated[SizeRad, above_zero(_NO_HEAD)]
     backoff: SizeRad = math.radians(1.0)
-    rest: Annotated[SizeRad, above_zero("expected more than nothing: no encoder stands still")] = 2 * ARCSEC
+    rest: Annotated[SizeRad, above_zero("state a value above 0: no encoder stands still")] = 2 * ARCSEC
     settle: SpanS = 2.0
     speed: Annotated[SpeedRadS, above_zero(_NO_HEAD)] = math.radians(90.0)
     hands_free: bool = False
@@ -316,11 +316,11 @@ class ReadOutHeadForm(HeadForm, WiredForm):
     @model_validator(mode="after")
     def _can_be_come_to(self) -> ReadOutHeadForm:
         if self.backoff <= self.tolerance:
-            raise ValueError("the head must back off by more than its tolerance")
+            raise ValueError("state a back-off above the tolerance")
         if self.settle == 0.0:
-            raise ValueError("expected a time longer than nothing for 'settle': rest is seen over a time")
+            raise ValueError("state 'settle' above 0 s: rest is judged over a time")
         if self.hands_free and self.typed:
-            raise ValueError("who types an angle has no hands free: state 'hands_free' or 'typed', not both")
+            raise ValueError("state 'hands_free' or 'typed', not both: typing needs a hand")
         return self
 
     @property
@@ -358,7 +358,7 @@ OF_THE_AIR: Final = ("rate", "lag", "off_lag")
 """Keys of the simulation section that affect any simulated chamber."""
 
 
-_NO_CHAMBER: Final = "expected more than nothing: no chamber is at once where it is sent, nor never"
+_NO_CHAMBER: Final = "state a value above 0: every chamber takes time"
 
 
 class ChamberTruth(FileModel):
@@ -384,7 +384,7 @@ class TemperatureRange(FileModel):
     @model_validator(mode="after")
     def _in_order(self) -> TemperatureRange:
         if self.minimum >= self.maximum:
-            raise ValueError(f"the minimum {self.minimum:g} °C is not below the maximum {self.maximum:g} °C")
+            raise ValueError(f"the minimum {self.minimum:g} °C must be below the maximum {self.maximum:g} °C")
         return self
 
     def refuse_outside(self, temperature_c: float, what: str) -> None:
@@ -415,12 +415,10 @@ class ControlledChamberForm(ChamberForm, WiredForm):
     """
 
     band: (
-        Annotated[SizeK, above_zero("the band is more than nothing: no air keeps its temperature exactly")]
+        Annotated[SizeK, above_zero("state a band above 0 K: no chamber keeps its temperature exactly")]
         | None
     ) = None
-    slow_after: Annotated[SpanS, above_zero("expected a while such as 5 min: at once no air has moved")] = (
-        300.0
-    )
+    slow_after: Annotated[SpanS, above_zero("state a time such as 5 min: air needs time")] = 300.0
 
     def limits(self) -> tuple[float, float, float | None]:
         """Return the lowest and highest demand, °C, and the band, K (`drivers.chambers.ChamberLimits`)."""
@@ -498,9 +496,7 @@ class SupplyTruth(FileModel):
     current: SizeA | None = None
     current_by_temperature: Annotated[float, reads(OF_CURRENT)] = 2e-3
     in_rush: Annotated[Ratio, Field(ge=1.0)] = 3.0
-    in_rush_time: Annotated[
-        SpanS, above_zero("expected more than nothing: no capacitor is charged at once")
-    ] = 0.05
+    in_rush_time: Annotated[SpanS, above_zero("state a value above 0: capacitors need time to charge")] = 0.05
     brown_out: Annotated[Ratio, Field(gt=0.0, lt=1.0)] = 0.8
     dead_offset: VoltageV = 2e-3
     dead_noise: VoltageV = 5e-4

@@ -93,7 +93,7 @@ class Keithley2000Section(OneChannelForm):
     @model_validator(mode="after")
     def _set_to_its_port(self) -> Keithley2000Section:
         if is_serial(self.resource) and self.interface != "rs232":
-            raise ValueError("a serial port is an RS-232: say 'interface: rs232', and set the meter to it")
+            raise ValueError("a serial port is RS-232: state 'interface: rs232', and set the meter to it")
         return self
 
     @property
@@ -123,7 +123,9 @@ _KEITHLEY_2000 = Device(
 
 def _on_a_card(number: int) -> int:
     if number // 100 not in multiplexer.SLOTS or number % 100 not in multiplexer.CARD_CHANNELS:
-        raise ValueError(f"a {multiplexer.CARD} has the channels {multiplexer.CHANNELS_TEXT}, not {number}")
+        raise ValueError(
+            f"a {multiplexer.CARD} has only the channels {multiplexer.CHANNELS_TEXT}, not {number}"
+        )
     return number
 
 
@@ -150,7 +152,7 @@ class Keysight34970ASection(SerialPortForm):
     @classmethod
     def _one_signal_each(cls, inputs: dict[Channel, int]) -> dict[Channel, int]:
         if len(set(inputs.values())) < len(inputs):
-            raise ValueError("two signals are on one channel of the multiplexer")
+            raise ValueError("two signals share one channel of the multiplexer; change one")
         return inputs
 
     @field_validator("channel_delay")
@@ -160,7 +162,9 @@ class Keysight34970ASection(SerialPortForm):
         whole = abs(steps - round(steps)) < 1e-3
         longest_s = multiplexer.LONGEST_CHANNEL_DELAY_S
         if not (0.0 <= delay_s <= longest_s and whole):
-            raise ValueError(f"a channel delay is 0 to {longest_s:g} s in steps of 1 ms, not {delay_s:g} s")
+            raise ValueError(
+                f"state a channel delay of 0 to {longest_s:g} s in steps of 1 ms, not {delay_s:g} s"
+            )
         return delay_s
 
     def driver_options(self) -> dict[str, Any]:
@@ -184,7 +188,7 @@ class Keysight34970AThermometerSection(ThermometerForm, WiredForm):
     """A temperature sensor on a channel of a 34901A card, such as 104.
 
     A four-wire `pt100` has its sense wires ten channels higher, such as on 114. If `resource` is that of the
-    voltmeter for the signals, the sensor is an extra channel of that meter, which is then configured anew after
+    voltmeter for the signals, the sensor is an extra channel of that meter, which is then configured again after
     each temperature.
     """
 

@@ -54,7 +54,7 @@ def check(plan: Plan, bench: BenchFile, *, dry_run: bool = False) -> list[str]:
 
 def _time_problems(plan: Plan) -> Iterator[str]:
     if not plan.longest_duration_s() < LONGEST_S:
-        yield f"the procedure may take more than {LONGEST_S / _DAY:.0f} days: look for a slip in a time or a count"
+        yield f"the procedure may take more than {LONGEST_S / _DAY:.0f} days: check its times and counts"
 
 
 def _installation_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
@@ -63,7 +63,7 @@ def _installation_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
     for label, key in reversed(first.items()):
         if label not in known:
             listed = ", ".join(known)
-            yield f"step {key}: the bench file has no installation {label} (it has {listed}); state it there"
+            yield f"step {key}: the bench file has no installation {label} (it has {listed}); add it there"
 
 
 def _reading_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
@@ -78,12 +78,12 @@ def _reading_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
     for value, key in nplc.items():
         if value not in bench.nplc_supported:
             listed = ", ".join(f"{n:g}" for n in bench.nplc_supported)
-            yield f"step {key}: the voltmeters do not integrate over {value:g} NPLC; take one of {listed}"
+            yield f"step {key}: the voltmeters cannot integrate over {value:g} NPLC; choose from {listed}"
     for count, key in samples.items():
         if count > bench.most_samples:
-            yield f"step {key}: {count} samples are more than the {bench.most_samples} that a voltmeter holds"
+            yield f"step {key}: {count} samples exceed the {bench.most_samples} that a voltmeter stores"
         elif count < bench.least_samples:
-            yield f"step {key}: {count} samples are fewer than the {bench.least_samples} that a voltmeter takes"
+            yield f"step {key}: {count} samples are fewer than the {bench.least_samples} that a voltmeter needs"
 
 
 def _level_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
@@ -93,14 +93,14 @@ def _level_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
         return
     if bench.instruments.level is None:
         yield (
-            f"step {first.key}: the platform is to be levelled, but the bench file has no level; state one under "
-            "instruments, or leave 'level' out in a copy of the procedure"
+            f"step {first.key}: the procedure levels the platform, but the bench file has no level; add "
+            "one under instruments, or remove 'level' in a copy of the procedure"
         )
     low_rad, high_rad = bench.head_limits_rad or (-bench.head_backoff_rad, 0.0)
     if low_rad > -bench.head_backoff_rad + ROUNDING_RAD or high_rad < -ROUNDING_RAD:
         yield (
-            f"step {first.key}: the level is read with the head at 0°, come to with rising angle, but the head may "
-            f"go from {np.degrees(low_rad):g}° to {np.degrees(high_rad):g}°"
+            f"step {first.key}: the level is read with the head at 0°, approached with rising angle, but "
+            f"the limits of the head are {np.degrees(low_rad):g}° to {np.degrees(high_rad):g}°"
         )
 
 
@@ -111,8 +111,9 @@ def _scan_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
         order = read_order(in_scan_order(bench.instruments.voltmeters, scan))
         if order != scan:
             yield (
-                f"step {key}: the channels are to be read in the order {scan}, but this bench's multiplexer can do "
-                f"{order} alone; leave 'scans' out in a copy of the procedure"
+                f"step {key}: the procedure reads the channels in the order {scan}, but this bench's "
+                "multiplexer can only use "
+                f"{order} alone; remove 'scans' in a copy of the procedure"
             )
 
 
@@ -143,8 +144,8 @@ def _signal_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
     for reference_v, key in reversed(references.items()):
         if reference_v is not None and abs(reference_v) > range_v:
             yield (
-                f"step {key}: the reference of {reference_v:g} V is more than the voltmeters' range of "
-                f"{range_v:g} V; take a smaller one"
+                f"step {key}: the reference of {reference_v:g} V exceeds the voltmeters' range of "
+                f"{range_v:g} V; choose a smaller one"
             )
     largest_g = max((float(np.max(np.abs(f))) for f in orientations(plan, bench).values()), default=0.0)
     if largest_g > bench.unit_under_test.range:
@@ -159,7 +160,7 @@ def _temperature_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
     chamber = bench.instruments.chamber
     if demands and chamber is None:
         key = demands[next(reversed(demands))]
-        yield f"step {key}: the procedure sets temperatures, but the bench file has no chamber"
+        yield f"step {key}: the procedure sets temperatures, but the bench file has no chamber; add one"
     limits = {"the block": bench.unit_under_test.temperature} | ({"the chamber": chamber} if chamber else {})
     for target_c, key in reversed(demands.items()):
         for what, allowed in limits.items():
@@ -174,11 +175,10 @@ def _settling_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
     if first is None:
         return
     if chamber is None:
-        yield f"step {first.key}: the temperature is to settle, but the bench file has no chamber"
+        yield f"step {first.key}: the procedure waits for a temperature, but the bench file has no chamber; add one"
     elif chamber.by_hand:
         yield (
-            f"step {first.key}: the temperature is to settle, but a person reads it and cannot be asked again and "
-            "again; take a plain soak"
+            f"step {first.key}: the procedure waits for a temperature, but a person reads it; state a plain soak"
         )
 
 
@@ -221,7 +221,7 @@ def prompts_without_default(plan: Plan) -> Iterator[str]:
     """Yield a sentence for each prompt that a dry run cannot answer."""
     for step in plan.steps:
         if isinstance(step, Ask) and step.default is None:
-            yield f"step {step.key}: the prompt '{step.text}' has no default, which a dry run needs; give one"
+            yield f"step {step.key}: the prompt '{step.text}' has no default, which a dry run needs; state one"
 
 
 # --- what it takes ----------------------------------------------------------------------------------

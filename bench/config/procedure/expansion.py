@@ -185,7 +185,7 @@ class Expansion:
         series = verb.series or self._next_series(verb.label)
         if (verb.label, series) in self._mounted:
             where = mount_in_words(verb.label, series)
-            text = f"installation {where} was visited before; give this visit a series of its own"
+            text = f"installation {where} was visited before; give this visit another series"
             self._once(context, (*place, "series"), text)
         self._mounted.add((verb.label, series))
         inside = replace(context, installation=verb.label, series=series)
@@ -272,8 +272,8 @@ class Expansion:
         if context.place in self._read:
             where = mount_in_words(context.installation, context.series)
             text = (
-                f"point {context.point} of pass {context.pass_number} in installation {where} is read a "
-                "second time; number the points on with 'first_point', or put both into one repeat"
+                f"point {context.point} of pass {context.pass_number} in installation {where} is read "
+                "twice; continue the numbers with 'first_point', or put both into one repeat"
             )
             self._once(context, place, text)
         self._read.add(context.place)

@@ -67,15 +67,15 @@ class SettleForm(ActionVerb):
     @model_validator(mode="after")
     def _can_come_about(self) -> SettleForm:
         if self.precision <= 0.0:
-            raise ValueError("the precision is more than nothing: no two samples are ever the same")
+            raise ValueError("state a precision above 0: no two samples are equal")
         if not 0.0 < self.interval <= self.window:
-            raise ValueError("the interval is longer than nothing and no longer than the window")
+            raise ValueError("state an interval above 0 and at most the window")
         if self.timeout > MOST_SAMPLES * self.interval:
-            raise ValueError(f"an interval so short takes more than {MOST_SAMPLES} samples until the timeout")
-        if self.timeout < self.window + self.interval:
             raise ValueError(
-                "the timeout is at least the window and one interval: one sample is older than it"
+                f"this interval takes more than {MOST_SAMPLES} samples until the timeout; lengthen it"
             )
+        if self.timeout < self.window + self.interval:
+            raise ValueError("state a timeout of at least the window and one interval")
         return self
 
     def plan_steps(self, key: Callable[[str], str]) -> Iterator[Step]:
@@ -167,7 +167,7 @@ _TURN_RAD: Final = math.tau + 1e-9
 
 def _within_a_turn(angle_rad: float) -> float:
     if abs(angle_rad) > _TURN_RAD:
-        raise ValueError(f"an angle lies within ±360°, not at {math.degrees(angle_rad):g}°")
+        raise ValueError(f"state an angle within ±360°, not {math.degrees(angle_rad):g}°")
     return angle_rad
 
 
@@ -183,7 +183,7 @@ Angle = Annotated[AngleRad, AfterValidator(_within_a_turn)]
 class LevelVerb(FileModel):
     """Read the level on the platform with the head at 0°, in two positions half a turn apart.
 
-    The head is set to 0° anew `settings` times: its setting error dominates the uncertainty of the zero offset α2.
+    The head is set to 0° again `settings` times: its setting error dominates the uncertainty of the zero offset α2.
     """
 
     settings: Annotated[int, Field(ge=1, le=100)] = 1
@@ -192,7 +192,7 @@ class LevelVerb(FileModel):
 class LevelSection(LevelVerb):
     """Level the platform before the block is mounted, then read the level; repeat if it is off by over `within`."""
 
-    within: Annotated[SizeRad, above_zero("expected more than nothing: no platform is exactly level")] = (
+    within: Annotated[SizeRad, above_zero("state a value above 0: no platform is exactly level")] = (
         10.0 * ARCSEC
     )
 
@@ -212,9 +212,11 @@ class InstallationVerb(FileModel):
     @classmethod
     def _oriented(cls, label: str) -> str:
         if label in UNORIENTED:
-            raise ValueError(f"'{label}' stands for readings without orientation and cannot be mounted")
+            raise ValueError(
+                f"'{label}' marks readings without orientation and cannot be mounted; choose another label"
+            )
         if not label.isalnum():
-            raise ValueError(f"a label is letters and digits such as '1' or 'V', not '{label}'")
+            raise ValueError(f"state a label of letters and digits such as '1' or 'V', not '{label}'")
         return label
 
 
@@ -233,13 +235,13 @@ class RepeatVerb(FileModel):
     @model_validator(mode="after")
     def _one_of_them(self) -> RepeatVerb:
         if (self.times is None) == (self.directions is None):
-            raise ValueError("a repeat has either 'times' or 'directions'")
+            raise ValueError("a repeat has 'times' or 'directions'; remove one")
         return self
 
     @model_validator(mode="after")
     def _a_scan_for_each(self) -> RepeatVerb:
         if self.scans is not None and len(self.scans) != self.passes:
-            raise ValueError(f"'scans' has an order for each pass: {self.passes}, not {len(self.scans)}")
+            raise ValueError(f"state an order in 'scans' for each pass: {self.passes}, not {len(self.scans)}")
         return self
 
     @property
@@ -307,7 +309,7 @@ class ReadVerb(FileModel):
     @model_validator(mode="after")
     def _pause_between_two(self) -> ReadVerb:
         if self.pause and self.times == 1:
-            raise ValueError("a pause stands between readings; say with 'times' how many there are")
+            raise ValueError("'pause' is between readings; state their number with 'times'")
         return self
 
 
@@ -325,7 +327,7 @@ class InputVerb(FileModel):
     @model_validator(mode="after")
     def _voltage_of_a_reference(self) -> InputVerb:
         if (self.source == "reference") != (self.voltage is not None):
-            raise ValueError("an input of source 'reference' has a voltage, and no other has")
+            raise ValueError("state 'voltage' if, and only if, the source is 'reference'")
         return self
 
 
@@ -354,15 +356,15 @@ class PromptVerb(ActionVerb):
     @model_validator(mode="after")
     def _default_fits(self) -> PromptVerb:
         if (self.kind is PromptKind.CHOOSE) != bool(self.choices):
-            raise ValueError("a prompt of kind 'choose' has choices, and no other kind has")
+            raise ValueError("state 'choices' if, and only if, the prompt is of kind 'choose'")
         if self.kind is not PromptKind.NUMBER and not (self.minimum is None and self.maximum is None):
-            raise ValueError("only a prompt of kind 'number' has a minimum and a maximum")
+            raise ValueError("remove 'minimum' and 'maximum', or make the prompt of kind 'number'")
         if self.default is None:
             return self
         if self.kind is PromptKind.CHOOSE and self.default not in self.choices:
-            raise ValueError(f"the default '{self.default}' is not among the choices")
+            raise ValueError(f"the default '{self.default}' is not among the choices; choose one of them")
         if self.kind is PromptKind.CONFIRM and self.default not in {"yes", "no"}:
-            raise ValueError(f"the default of a confirmation is yes or no, not '{self.default}'")
+            raise ValueError(f"state yes or no as the default of a confirmation, not '{self.default}'")
         if self.kind is PromptKind.NUMBER:
             self._check_default_number(self.default)
         return self
@@ -436,9 +438,9 @@ class PowerVerb(ActionVerb):
     @model_validator(mode="after")
     def _goes_together(self) -> PowerVerb:
         if self.off_for is not None and self.switch != "cycle":
-            raise ValueError("only a cycle has 'off_for': how long the block is off in it")
+            raise ValueError("only a cycle has 'off_for'; remove it")
         if self.warm_up is not None and self.switch == "off":
-            raise ValueError("a block that is switched off does not warm up; leave 'warm_up' out")
+            raise ValueError("a block that is off does not warm up; remove 'warm_up'")
         return self
 
     def plan_steps(self, key: Callable[[str], str]) -> Iterator[Step]:
@@ -476,7 +478,7 @@ class _StepEntry(FileModel):
         if len(given) != 1:
             given.sort(key=VERBS.index)
             got = f", not {' and '.join(given)} together" if given else ", and this one has none"
-            raise ValueError(f"a step has one of the verbs {', '.join(VERBS)}{got}")
+            raise ValueError(f"state one verb a step from {', '.join(VERBS)}{got}")
         return self
 
     @property

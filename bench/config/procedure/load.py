@@ -10,7 +10,16 @@ from typing import Any, Final
 
 from bench.base.computing import uncollected
 from bench.base.files import MEGABYTE
-from bench.base.yaml_files import Document, FileMistake, FileMistakes, Place, load_document, part, validated
+from bench.base.yaml_files import (
+    Document,
+    FileMistake,
+    FileMistakes,
+    Place,
+    document_of,
+    load_document,
+    part,
+    validated,
+)
 from bench.config.procedure.check import check
 from bench.config.procedure.expansion import Expansion
 from bench.config.procedure.file import IncludedFile, ProcedureFile
@@ -29,7 +38,7 @@ MOST_FILES: Final = 1_000
 MOST_DEEP: Final = 100
 """The greatest depth of files that include each other."""
 
-_TOO_DEEP: Final = "steps and included files stand too deep in each other; put fewer of them into one another"
+_TOO_DEEP: Final = "steps and included files are nested too deeply; nest fewer"
 
 
 @dataclass(frozen=True)
@@ -48,16 +57,19 @@ class Procedure:
 
 
 @uncollected()
-def load_procedure(path: Path) -> Procedure:
-    """Read and check a procedure. Raises `FileMistakes` with every mistake in it and its included files."""
+def load_procedure(path: Path, content: bytes | None = None) -> Procedure:
+    """Read and check a procedure. Raises `FileMistakes` with every mistake in it and its included files.
+
+    With `content` the file itself is not read, as it may not be written yet.
+    """
     try:
-        return _loaded(path)
+        return _loaded(path, content)
     except RecursionError:
         raise FileMistakes(path, [FileMistake(0, "steps", _TOO_DEEP)]) from None
 
 
-def _loaded(path: Path) -> Procedure:
-    tree = _Tree(path)
+def _loaded(path: Path, content: bytes | None) -> Procedure:
+    tree = _Tree(path, content)
     if tree.mistakes:
         raise FileMistakes(path, sorted(set(tree.mistakes), key=_in_order))
     root = tree.files[path.resolve()]
@@ -78,15 +90,15 @@ def _in_order(mistake: FileMistake) -> tuple[str, int, str, str]:
 class _Tree:
     """A procedure file and all included files, by resolved path, with the mistakes in all of them."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, content: bytes | None) -> None:
         self.documents: dict[Path, Document] = {}
         self.files: dict[Path, IncludedFile] = {}
         self.mistakes: list[FileMistake] = []
         self._refused: dict[Path, str] = {}
         self._checked: set[tuple[Path, frozenset[str]]] = set()
-        self._root = load_document(path, MOST_BYTES)
+        self._root = load_document(path, MOST_BYTES) if content is None else document_of(path, content)
         if not (isinstance(self._root.data, dict) and {"procedure", "steps"} & set(self._root.data)):
-            text = "this is no procedure: it has neither 'procedure' nor 'steps'"
+            text = "this is not a procedure: 'procedure' and 'steps' are missing"
             raise FileMistakes(path, [FileMistake(0, "", text)])
         self._read(self._root, ProcedureFile, ())
         self._check_scopes(self._root, part(self._root.data, "steps"), ("steps",), _Scope())
@@ -121,7 +133,7 @@ class _Tree:
         key = _resolved(path)
         if key in chain:
             circle = [*chain[chain.index(key) :], path]
-            return f"the file includes itself: {' → '.join(p.name for p in circle)}"
+            return f"the file includes itself, remove that: {' → '.join(p.name for p in circle)}"
         if key in self.documents:
             return ""
         if key not in self._refused:
@@ -130,17 +142,17 @@ class _Tree:
 
     def _included(self, path: Path, key: Path, chain: tuple[Path, ...]) -> str:
         if path.suffix.lower() not in _SUFFIXES or key.suffix.lower() not in _SUFFIXES:
-            return f"{path}: a file to include ends with .yaml or .yml"
+            return f"{path}: name a file that ends with .yaml or .yml"
         if len(self.documents) > MOST_FILES:
-            return f"more than {MOST_FILES} files are included; put their steps into fewer"
+            return f"more than {MOST_FILES} files are included; merge some"
         if len(chain) >= MOST_DEEP:
-            return f"{path.name}: files include each other more than {MOST_DEEP} deep; include it further up"
+            return f"{path.name}: files are nested more than {MOST_DEEP} levels deep; include it further up"
         try:
             included = load_document(path)
         except FileMistakes as error:
             return self._unreadable(path, error.mistakes[0])
         if not (isinstance(included.data, dict) and "steps" in included.data):
-            return f"{path}: this is no procedure: it has no 'steps'"
+            return f"{path}: this is not a procedure: 'steps' is missing"
         self._read(included, IncludedFile, chain)
         return ""
 
@@ -151,7 +163,7 @@ class _Tree:
         """
         if not mistake.line:
             return f"{path}: {mistake.text}"
-        told = f"this is not YAML in UTF-8; 'bench check {path.name}' says more"
+        told = f"this is not YAML in UTF-8; 'bench check {path.name}' shows the line"
         self.mistakes.append(FileMistake(mistake.line, "", told, str(path)))
         return ""
 
@@ -203,17 +215,17 @@ class _Scope:
         match verb:
             case _ if "input" in self.within:
                 if verb in _NOT_IN_AN_INPUT:
-                    text = f"{_a(verb)} stands inside an input, where no signal is connected; end it before"
+                    text = f"{_a(verb)} is inside an input, where no signal is connected; move it out"
             case "installation" if verb in self.within:
-                text = "an installation stands inside another; end the first one before it"
+                text = "an installation is inside another; end the first one before it"
             case "temperatures" if verb in self.within:
-                text = "a list of temperatures stands inside another; put all into one"
+                text = "a list of temperatures is inside another; merge them"
             case "turn" | "read" if "installation" not in self.within:
-                text = f"a {verb} stands outside of an installation: nobody knows how the block is mounted"
+                text = f"a {verb} is outside of an installation; move it into the steps of one"
             case "read" if "turn" not in self.within:
-                text = "a read stands outside of a turn: put it into the turn's steps"
+                text = "a read is outside of a turn; move it into the turn's steps"
             case "turn" | "repeat" | "temperatures" | "level" if "turn" in self.within:
-                text = f"{_a(verb)} stands inside the steps of a turn; put it around the turn"
+                text = f"{_a(verb)} is inside the steps of a turn; put it around the turn"
         return text
 
 

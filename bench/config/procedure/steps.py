@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Final, Literal, Protocol, TypeVar
 
 from bench.base.arrays import ARCSEC
+from bench.base.languages import message
 from bench.base.text import APPROACH, degrees, duration
 from bench.base.yaml_files import FileModel
 from bench.config.bench_file.stand import UnitSupplySection
@@ -31,7 +32,7 @@ SETTLING: Final = "settling"
 """The reason stated for a wait between a turn and its reading."""
 
 _UNITS: Final[Mapping[Settled, str]] = {"signals": "V", "temperature": "K"}
-_INPUTS: Final = {SHORTED: "the shorted input", REFERENCE: "the reference input"}
+_INPUTS: Final = {SHORTED: message("the shorted input"), REFERENCE: message("the reference input")}
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,7 +131,7 @@ class Mount(Step):
 
     def describe(self) -> str:
         """Return a one-line description of the action."""
-        return f"mount the block in installation {mount_in_words(self.installation, self.series)}"
+        return message(f"mount the block in installation {mount_in_words(self.installation, self.series)}")
 
     def takes_s(self, times: Times) -> float:
         """Return the expected duration, s."""
@@ -150,11 +151,11 @@ class _AtPoint(Step):
         """Return the place in words, such as "installation 1" or "the shorted input (series 2)"."""
         if self.installation in _INPUTS:
             return _INPUTS[self.installation] + ("" if self.series == 1 else f" (series {self.series})")
-        return f"installation {mount_in_words(self.installation, self.series)}"
+        return message(f"installation {mount_in_words(self.installation, self.series)}")
 
     def where(self) -> str:
         """Return the place, the pass and the point in words."""
-        return f"{self.place()}, pass {self.pass_number}, point {self.point}"
+        return message(f"{self.place()}, pass {self.pass_number}, point {self.point}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,7 +171,9 @@ class Turn(_AtPoint):
 
     def describe(self) -> str:
         """Return a one-line description of the action."""
-        return f"turn the head to {degrees(self.target_rad)}, {APPROACH[self.direction]}, for {self.where()}"
+        return message(
+            f"turn the head to {degrees(self.target_rad)}, {APPROACH[self.direction]}, for {self.where()}"
+        )
 
     def takes_s(self, times: Times) -> float:
         """Return the expected duration, s."""
@@ -188,7 +191,7 @@ class Wait(Step):
 
     def describe(self) -> str:
         """Return a one-line description of the action."""
-        return f"wait {duration(self.duration_s)}: {self.reason}"
+        return message(f"wait {duration(self.duration_s)}: {self.reason}")
 
     def takes_s(self, times: Times) -> float:
         """Return the expected duration, s."""
@@ -213,8 +216,8 @@ class Settle(Step):
 
     def describe(self) -> str:
         """Return a one-line description of the action."""
-        whose = "signals stay" if self.what == "signals" else "temperature stays"
-        return (
+        whose = message("signals stay") if self.what == "signals" else message("temperature stays")
+        return message(
             f"wait until the {whose} within {precision_in_words(self)} for {duration(self.window_s)}, "
             f"at most {duration(self.timeout_s)}"
         )
@@ -238,11 +241,11 @@ class SelectInput(Step):
         """Return a one-line description of the action."""
         match self.source:
             case "short":
-                return "short the three inputs"
+                return message("short the three inputs")
             case "reference":
-                return f"switch the three inputs to the reference of {self.reference_v:g} V"
+                return message(f"switch the three inputs to the reference of {self.reference_v:g} V")
             case "signal":
-                return "switch the three inputs back to the signals"
+                return message("switch the three inputs back to the signals")
 
     def takes_s(self, times: Times) -> float:
         """Return the expected duration, s."""
@@ -268,10 +271,11 @@ class Read(_AtPoint):
 
     def describe(self) -> str:
         """Return a one-line description of the action."""
-        where = "" if self.target_rad is None else f" at {degrees(self.target_rad)}"
-        return (
-            f"read {self.where()}{where}: {self.samples} samples of {self.nplc:g} power-line cycles"
-            f"{scan_in_words(self)}"
+        where = self.where()
+        if self.target_rad is not None:
+            where = message(f"{where} at {degrees(self.target_rad)}")
+        return message(
+            f"read {where}: {self.samples} samples of {self.nplc:g} power-line cycles{scan_in_words(self)}"
         )
 
     def takes_s(self, times: Times) -> float:
@@ -297,7 +301,7 @@ class Ask(Step):
     def describe(self) -> str:
         """Return a one-line description of the action."""
         default = "" if self.default is None else f" [{self.default}]"
-        return f"ask: {self.text}{default}"
+        return message(f"ask: {self.text}{default}")
 
     def takes_s(self, times: Times) -> float:
         """Return the expected duration, s."""
@@ -315,7 +319,7 @@ class SetTemperature(Step):
 
     def describe(self) -> str:
         """Return a one-line description of the action."""
-        return f"set the chamber to {self.target_c:g} °C"
+        return message(f"set the chamber to {self.target_c:g} °C")
 
     def takes_s(self, times: Times) -> float:
         """Return the expected duration, s."""
@@ -339,12 +343,18 @@ class Power(Step):
     def describe(self) -> str:
         """Return a one-line description of the action."""
         if self.switch == "off":
-            return "switch the block off"
-        off = f" off for {duration(self.off_s)} and" if self.off_s else " off and"
+            return message("switch the block off")
+        off = message(f" off for {duration(self.off_s)} and") if self.off_s else message(" off and")
         warm = (
-            "let it warm up" if self.warm_up_s is None else f"let it warm up for {duration(self.warm_up_s)}"
+            message("let it warm up")
+            if self.warm_up_s is None
+            else message(f"let it warm up for {duration(self.warm_up_s)}")
         )
-        again = f"switch the block{off} on again" if self.switch == "cycle" else "switch the block on"
+        again = (
+            message(f"switch the block{off} on again")
+            if self.switch == "cycle"
+            else message("switch the block on")
+        )
         return f"{again}, {warm if self.warm_up_s != 0.0 else 'without warm-up'}"
 
     def takes_s(self, times: Times) -> float:
@@ -356,7 +366,7 @@ class Power(Step):
 class Level(Step):
     """The level on the platform is read with the head at 0°, in two positions half a turn apart.
 
-    The head is set to 0° anew `settings` times. With `within_rad` the platform is levelled for the mounting
+    The head is set to 0° again `settings` times. With `within_rad` the platform is levelled for the mounting
     that follows, and levelled again while its tilt is larger than that. Without `within_rad` the tilt of the
     platform is only read, at the end of the mounting for which it was levelled.
     """
@@ -373,11 +383,11 @@ class Level(Step):
         """Return a one-line description of the action."""
         where = f"installation {mount_in_words(self.installation, self.series)}"
         if self.within_rad is None:
-            what = f"read the level as the platform stands, levelled for {where}"
+            what = message(f"read the level as the platform stands, levelled for {where}")
         else:
-            what = f"level the platform to {self.within_rad / ARCSEC:g}″ for {where}, read the level"
-        times = "" if self.settings == 1 else f", {self.settings} settings of the head"
-        return f"{what} in two positions{times}"
+            what = message(f"level the platform to {self.within_rad / ARCSEC:g}″ for {where}, read the level")
+        times = "" if self.settings == 1 else message(f", {self.settings} settings of the head")
+        return message(f"{what} in two positions{times}")
 
     def takes_s(self, times: Times) -> float:
         """Return the expected duration of turns, readings (two positions, two axes) and levelling, s."""
@@ -428,7 +438,7 @@ def precision_in_words(step: Settle) -> str:
 
 def scan_in_words(step: Read) -> str:
     """Return the clause on the scan order, such as ", the channels in the order z, y, x"; empty without one."""
-    return f", the channels in the order {', '.join(step.scan)}" if step.scan else ""
+    return message(f", the channels in the order {', '.join(step.scan)}") if step.scan else ""
 
 
 # --- how long ---------------------------------------------------------------------------------------

@@ -62,7 +62,9 @@ class Catalogue(MutableMapping[str, Effect]):
         known = dict(self._shipped)
         for place, effect in self._installed():
             if effect.name in known:
-                self.troubles.append(f"{place} brings an effect '{effect.name}', and there is one already")
+                self.troubles.append(
+                    f"{place} brings an effect '{effect.name}', which exists already; rename it"
+                )
             else:
                 known[effect.name] = effect
         return known
@@ -81,7 +83,7 @@ class Catalogue(MutableMapping[str, Effect]):
         own = {effect.name: effect for effect in self.own}
         for effect in effects:
             if effect.name in self._known:
-                raise ValueError(f"the bench has an effect '{effect.name}' already; give yours another name")
+                raise ValueError(f"the bench already has an effect '{effect.name}'; rename yours")
             if own.setdefault(effect.name, effect) != effect:
                 raise ValueError(
                     f"two formulas of the name '{effect.name}' differ; rename one, or leave it out"
@@ -128,7 +130,7 @@ class Catalogue(MutableMapping[str, Effect]):
                 self.troubles.append(f"{place} cannot be loaded ({type(error).__name__}: {error})")
                 continue
             if not effects:
-                self.troubles.append(f"{place}: {entry.value} is no effect and has none in it")
+                self.troubles.append(f"{place}: {entry.value} is not an effect and contains none")
             yield from ((place, effect) for effect in effects)
 
 

@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from bench.base.arrays import ARCSEC, CHANNELS, Floats, Mask
+from bench.base.arrays import ARCSEC, CHANNELS, MINUTE, Floats, Mask
 from bench.model.conditions import Conditions
 from bench.model.geometry import Block
 
@@ -156,6 +156,46 @@ def wave(values: Values, phase: Floats, prefix: str = "") -> Floats:
     return values[f"{prefix}cosine"] * np.cos(phase) + values[f"{prefix}sine"] * np.sin(phase)
 
 
+def lagged(signal: Floats, time_s: Floats, lag_s: float) -> Floats:
+    """Return a signal (n,) after a first-order lag that was in equilibrium at its first value.
+
+    The solution is exact for a signal linear between the times. It holds its value where time stands still, and
+    restarts from the signal where time goes back (a new run).
+    """
+    if lag_s <= 0.0 or len(signal) == 0:
+        return signal
+    behind = np.empty_like(signal)
+    behind[0] = signal[0]
+    for i in range(1, len(signal)):
+        elapsed = time_s[i] - time_s[i - 1]
+        if elapsed < 0.0:
+            behind[i] = signal[i]
+        elif elapsed == 0.0:
+            behind[i] = behind[i - 1]
+        else:
+            rise = (signal[i] - signal[i - 1]) * lag_s / elapsed
+            behind[i] = signal[i] - rise + (behind[i - 1] - signal[i - 1] + rise) * np.exp(-elapsed / lag_s)
+    return behind
+
+
+def lag_of(*minutes: int) -> Parameter:
+    """Return a lag parameter whose grid is zero and the given minutes."""
+    grid = (0.0, *(m * MINUTE for m in minutes))
+    return Parameter("lag", "min", MINUTE, plausible=10 * MINUTE, per_channel=False, grid=grid)
+
+
+def play(signal: Floats, width: float) -> Floats:
+    """Return a signal (n,) after a play of half-width `width`, whose slack is central at the first value."""
+    if width <= 0.0 or len(signal) == 0:
+        return signal
+    behind = np.empty_like(signal)
+    at = signal[0]
+    for i, value in enumerate(signal.tolist()):
+        at = min(max(at, value - width), value + width)
+        behind[i] = at
+    return behind
+
+
 PASS: Final = " pass "
 """The text between mounting and pass number in the label of a pass."""
 
@@ -259,11 +299,11 @@ class InPart(Effect):
         """Derive the class attributes from the parts. Raises `ValueError` if the parts act at different stages."""
         effects = [applied.effect for applied in self.parts]
         if len({effect.stage for effect in effects}) != 1:
-            raise ValueError("the parts of a shape act at one stage of the model")
+            raise ValueError("the parts of a shape must act at one stage of the model")
         told = {
             "stage": effects[0].stage,
             "subsystem": effects[0].subsystem,
-            "sentence": f"what the readings do not tell of the shape of {self.of}",
+            "sentence": f"what the readings leave open about the shape of {self.of}",
             "shown_by": effects[0].shown_by,
             "needs_history": any(effect.needs_history or effect.lasts for effect in effects),
             "needs_path": any(effect.needs_path for effect in effects),

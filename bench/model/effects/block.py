@@ -11,7 +11,7 @@ import numpy as np
 
 from bench.base.arrays import HOUR, MINUTE, Floats
 from bench.model.conditions import Conditions, HeadPath, head_path
-from bench.model.effects.base import BlockEffect, Parameter, Seen, Values
+from bench.model.effects.base import BlockEffect, Parameter, Seen, Values, lag_of, lagged
 
 # --- nonlinearity -----------------------------------------------------------------------------------
 # The forms are those of the model equation in IEEE Std 1293-2018; i is a channel's own axis, j and k the
@@ -61,7 +61,7 @@ class OddQuadraticNonlinearity(BlockEffect):
 
     name = "odd_quadratic_nonlinearity"
     parameters = (_size("Koq", "ug/g^2", 20e-6),)
-    sentence = "the output of the accelerometer has a part like the square of the acceleration with its sign"
+    sentence = "the output of the accelerometer has a part with the signed square of the acceleration"
     shown_by = "12 or more angles in a turn; a centrifuge above 1 g"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
@@ -137,7 +137,9 @@ class Hysteresis(BlockEffect):
             "width_g", "g", 1.0, plausible=0.25, per_channel=False, grid=(0.0, 0.1, 0.25, 0.5, 0.8), default=0.0
         ),
     )  # fmt: skip
-    sentence = "the output of the accelerometer depends on the side from which the acceleration came"
+    sentence = (
+        "the output of the accelerometer depends on the side from which the acceleration changes (hysteresis)"
+    )
     shown_by = "both directions of approach"
     needs_history = True
     needs_path = True
@@ -211,39 +213,11 @@ def _extremes(start: Floats, end: Floats, sine: Floats, cosine: Floats) -> Float
 # --- temperature ------------------------------------------------------------------------------------
 
 
-def lagged(signal: Floats, time_s: Floats, lag_s: float) -> Floats:
-    """Return a signal (n,) after a first-order lag that was in equilibrium at its first value.
-
-    The solution is exact for a signal linear between the times. It holds its value where time stands still, and
-    restarts from the signal where time goes back (a new run).
-    """
-    if lag_s <= 0.0 or len(signal) == 0:
-        return signal
-    behind = np.empty_like(signal)
-    behind[0] = signal[0]
-    for i in range(1, len(signal)):
-        elapsed = time_s[i] - time_s[i - 1]
-        if elapsed < 0.0:
-            behind[i] = signal[i]
-        elif elapsed == 0.0:
-            behind[i] = behind[i - 1]
-        else:
-            rise = (signal[i] - signal[i - 1]) * lag_s / elapsed
-            behind[i] = signal[i] - rise + (behind[i - 1] - signal[i - 1] + rise) * np.exp(-elapsed / lag_s)
-    return behind
-
-
-def _lag(*minutes: int) -> Parameter:
-    """Return a lag parameter whose grid is zero and the given minutes."""
-    grid = (0.0, *(m * MINUTE for m in minutes))
-    return Parameter("lag", "min", MINUTE, plausible=10 * MINUTE, per_channel=False, grid=grid)
-
-
 class ThermalBias(BlockEffect):
     """Bias b_T T, where T is the temperature minus the reference after a first-order lag."""
 
     name = "thermal_bias"
-    parameters = (Parameter("b_T", "ug/K", 1e-6, plausible=60e-6, per_channel=True), _lag(5, 10, 20, 30))
+    parameters = (Parameter("b_T", "ug/K", 1e-6, plausible=60e-6, per_channel=True), lag_of(5, 10, 20, 30))
     sentence = "the bias of the accelerometer follows the temperature, at once or behind a lag"
     shown_by = "the same settings at two temperatures; a step of temperature shows the lag"
     needs_history = True
@@ -258,7 +232,7 @@ class ThermalScale(BlockEffect):
     """Scale-factor change k_T T K_ii a_i, T the temperature minus the reference after a first-order lag."""
 
     name = "thermal_scale"
-    parameters = (Parameter("k_T", "ppm/K", 1e-6, plausible=100e-6, per_channel=True), _lag(5, 10, 20, 30))
+    parameters = (Parameter("k_T", "ppm/K", 1e-6, plausible=100e-6, per_channel=True), lag_of(5, 10, 20, 30))
     sentence = "the scale factor of the accelerometer follows the temperature, at once or behind a lag"
     shown_by = "the same settings at two temperatures; a step of temperature shows the lag"
     needs_history = True

@@ -12,8 +12,7 @@ from typing import Any, Final, Generic, Protocol, TypeVar
 import numpy as np
 
 from bench.base.arrays import ARCSEC, CHANNELS, HOUR, MINUTE, Floats, Mask
-from bench.model.effects.base import Effect, Parameter, Seen, Stage, Subsystem, Values
-from bench.model.effects.block import lagged
+from bench.model.effects.base import Effect, Parameter, Seen, Stage, Subsystem, Values, lagged
 from bench.model.geometry import STAND_ANGLES
 
 # --- expressions ------------------------------------------------------------------------------------
@@ -86,13 +85,15 @@ def parse(text: str) -> ast.expr:
     Raises `ExpressionError` for any other Python syntax.
     """
     if len(text) > MOST_CHARACTERS:
-        raise ExpressionError(f"the expression has {len(text)} characters; {MOST_CHARACTERS} is the most")
+        raise ExpressionError(
+            f"the expression has {len(text)} characters; {MOST_CHARACTERS} are the limit; shorten it"
+        )
     plain = QUANTITY.sub(lambda found: f"({found[1]}).{found[2].translate(_PLAIN)}", text.strip())
     try:
         tree = ast.parse(plain, mode="eval").body
     except (SyntaxError, ValueError, MemoryError, RecursionError) as error:
         reason = error.msg if isinstance(error, SyntaxError) else type(error).__name__
-        raise ExpressionError(f"this cannot be read as a formula ({reason})") from None
+        raise ExpressionError(f"this is not a formula ({reason})") from None
     _refuse_others(tree, plain, MOST_NESTED)
     return tree
 
@@ -109,7 +110,7 @@ def _refuse_others(node: ast.AST, text: str, deeper: int) -> None:
         case ast.Attribute(value=ast.Constant(value=int() | float()), attr=unit):
             if unit not in UNITS:
                 raise ExpressionError(
-                    f"'{unit}' after a number is no unit of a formula; there are {', '.join(UNITS)}"
+                    f"'{unit}' after a number is not a unit of formulas; choose from {', '.join(UNITS)}"
                 )
             return
         case ast.BinOp(left=left, op=op, right=right) if type(op) in _OPERATORS:
@@ -130,14 +131,14 @@ def _refuse_others(node: ast.AST, text: str, deeper: int) -> None:
             return
     written = ast.get_source_segment(text, node) if isinstance(node, ast.expr) else None
     raise ExpressionError(
-        f"'{written or text}' may not stand in a formula; numbers, with a unit where they have one, names, "
-        f"+ - * / **, comparisons and {', '.join(known_functions())} may"
+        f"'{written or text}' is not allowed in a formula; use numbers with units, names, + - * / **, "
+        f"comparisons and {', '.join(known_functions())} may"
     )
 
 
 def _refuse_call(name: str, given: int) -> None:
     if name not in known_functions():
-        raise ExpressionError(f"there is no function '{name}'; there are {', '.join(known_functions())}")
+        raise ExpressionError(f"unknown function '{name}'; choose from {', '.join(known_functions())}")
     wanted = 2 if name in OF_TWO else 1
     if given != wanted:
         raise ExpressionError(f"{name} takes {wanted} argument{'s' * (wanted > 1)}, not {given}")
@@ -195,14 +196,14 @@ def _read(node: ast.expr, reading: ExpressionReading[Term]) -> Term:
             return reading.operation(_COMPARISONS[type(op)], _read(left, reading), _read(right, reading))
         case ast.Call(func=ast.Name(id=name), args=arguments):
             return reading.call(name, [_read(argument, reading) for argument in arguments])
-    raise ExpressionError(f"'{ast.unparse(node)}' may not stand in a formula")  # not reached after `parse`
+    raise ExpressionError(f"'{ast.unparse(node)}' is not allowed in a formula")  # not reached after `parse`
 
 
 def _as_float(value: int | float) -> float:
     try:
         return float(value)
     except OverflowError:
-        raise ExpressionError("a number in the formula is too large to hold") from None
+        raise ExpressionError("a number in the formula is too large; use a smaller one") from None
 
 
 class ValueReading:
@@ -262,8 +263,7 @@ class DegreeReading:
         if symbol in {"+", "-"}:
             if left != right:
                 raise ExpressionError(
-                    "a term has no size in it: each must be multiplied by one of the sizes, so that the effect is "
-                    "nothing where they are zero"
+                    "a term has no size; multiply each term by a size, so that the effect vanishes for zero sizes"
                 )
             return left
         if symbol == "*" and left + right <= 1:
@@ -273,14 +273,14 @@ class DegreeReading:
         if left == right == 0:
             return 0
         raise ExpressionError(
-            "a size is multiplied by another or stands in a power, a divisor or a comparison: the effect is not "
-            f"linear in it; {GRID_HINT}"
+            "a size is multiplied by another, or is in a power, a divisor or a comparison: the effect is "
+            "not linear in it; {GRID_HINT}"
         )
 
     def call(self, name: str, arguments: list[int]) -> int:
         """Return 0. Raises `ExpressionError` if an argument contains a size."""
         if any(arguments):
-            raise ExpressionError(f"a size stands in {name}: the effect is not linear in it; {GRID_HINT}")
+            raise ExpressionError(f"a size is in {name}: the effect is not linear in it; {GRID_HINT}")
         return 0
 
 
@@ -333,20 +333,25 @@ class FormulaEffect(Effect):
                 raise ExpressionError(_unknown_name(name, self.stage, variables))
         for parameter in self.parameters:
             if parameter.name not in names:
-                raise ExpressionError(f"the parameter '{parameter.name}' does not stand in the expression")
+                raise ExpressionError(
+                    f"the parameter '{parameter.name}' is not in the expression; use or remove it"
+                )
         shapes = {parameter.name for parameter in self.parameters if parameter.is_shape}
         for lag in lags_in(self.expression):
             if not isinstance(lag, ast.Constant | ast.Attribute) and not (
                 isinstance(lag, ast.Name) and lag.id in shapes
             ):
-                raise ExpressionError("the lag of 'lagged' is a number of seconds or a parameter with a grid")
+                raise ExpressionError(
+                    "state the lag of 'lagged' as a number of seconds or a parameter with a grid"
+                )
         if (self.adds_to in STAND_ANGLES) != (self.stage is Stage.STAND):
             raise ExpressionError(
-                f"'adds_to' says of an effect of the stand, and of no other, which angle: {', '.join(STAND_ANGLES)}"
+                "'adds_to' names the angle that an effect of the stand adds to, for no other effect: "
+                f"{', '.join(STAND_ANGLES)}"
             )
         sizes = frozenset(parameter.name for parameter in self.parameters if not parameter.is_shape)
         if interpret(self.expression, DegreeReading(sizes)) != 1:
-            raise ExpressionError("the expression has no size in it: a parameter without a grid is one")
+            raise ExpressionError("the expression has no size; add a parameter without a grid")
 
     @property
     def needs_history(self) -> bool:  # type: ignore[override]
@@ -469,7 +474,7 @@ def _lagged(course: Floats, time_s: Floats, lag: Floats) -> Floats:
 
 
 def _unknown_name(name: str, stage: Stage, variables: Mapping[str, Variable]) -> str:
-    text = f"'{name}' is neither a parameter nor a variable; at the stage '{stage}' there are"
+    text = f"'{name}' is unknown; at the stage '{stage}' there are"
     return f"{text} {', '.join(variables)}"
 
 

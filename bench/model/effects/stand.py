@@ -101,7 +101,7 @@ class HeadEccentricity(HeadEffect):
 
     name = "head_eccentricity"
     parameters = (angle("cosine", 8), angle("sine", 8))
-    sentence = "the head's circle is off its axis: its angle is wrong by a sine that goes round once a turn"
+    sentence = "the head's circle is off its axis: its angle is wrong by a sine with one period a turn"
     shown_by = "a second reading of the circle opposite the first; a polygon and autocollimator"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
@@ -114,7 +114,7 @@ class HeadEllipticity(HeadEffect):
 
     name = "head_ellipticity"
     parameters = (angle("cosine", 5), angle("sine", 5))
-    sentence = "the head's circle is not round: its angle is wrong by a sine that goes round twice a turn"
+    sentence = "the head's circle is not round: its angle is wrong by a sine with two periods a turn"
     shown_by = "a remount turned by 90 deg on the platform; a polygon and autocollimator"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
@@ -127,7 +127,7 @@ class HeadGraduation(HeadEffect):
 
     name = "head_graduation"
     parameters = tuple(angle(f"at_{mark:03d}", 4) for mark in MARKS_DEG)
-    sentence = "marks of the head's scale are off their places, by the same in every pass"
+    sentence = "marks of the head's scale are displaced, equally in every pass"
     shown_by = "24 angles in a turn; a polygon and autocollimator"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
@@ -161,7 +161,7 @@ class AxisWobble(StandEffect):
         angle("sine", 5),
         Parameter("harmonic", "1", 1.0, plausible=1.0, per_channel=False, grid=(1.0, 2.0), default=1.0),
     )
-    sentence = "the head's axis wobbles: it tilts out of the plane of rotation as the head goes round"
+    sentence = "the head's axis wobbles: it tilts out of the plane of rotation as the head turns"
     shown_by = "a remount turned by 90 deg (twice a turn) or 180 deg (once a turn); a mirror on the shaft"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
@@ -176,7 +176,7 @@ class BracketTilt(ConstantAngle):
     name = "bracket_tilt"
     column = "axis_tilt"
     parameters = (angle("angle", 30),)
-    sentence = "what carries the block tilted by the same at all angles when the block was mounted"
+    sentence = "the bracket tilted when the block was mounted, equally at all angles"
     shown_by = "a return to installation 1 at the end; a remount turned by 180 deg"
 
 
@@ -194,7 +194,7 @@ class FoundationTilt(StandEffect):
             grid=(3 * HOUR, 4.5 * HOUR, 7 * HOUR, 12 * HOUR, 24 * HOUR), default=24 * HOUR,
         ),
     )  # fmt: skip
-    sentence = "the foundation tilts to and fro in the course of hours or of the day"
+    sentence = "the foundation tilts to and fro over hours or the day"
     shown_by = "a level on the foundation, read with each setting; the same setting through a day"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
@@ -218,9 +218,9 @@ class BlockSlip(StandEffect):
     name = "block_slip"
     parameters = tuple(angle(column, 60) for column in MOUNTING_ANGLES)
     apart = (*((column,) for column in MOUNTING_ANGLES), MOUNTING_ANGLES)
-    sentence = "the block slipped or was clamped anew: its mounting angles are others in some passes"
+    sentence = "the block slipped or was clamped again: its mounting angles changed between passes"
     shown_by = (
-        "a mark across block and platform, looked at in each pass; a pass repeated with the clamps tightened"
+        "a mark across block and platform, checked in each pass; a pass repeated with the clamps tightened"
     )
     per_mount = True
     per_pass = True
@@ -260,7 +260,7 @@ class HeadZeroShift(HeadEffect):
 
     name = "head_zero_shift"
     parameters = (angle("angle", 60),)
-    sentence = "the zero of the head's scale was another in some passes, as after it was set anew"
+    sentence = "the zero of the head's scale changed between passes, as after setting it again"
     shown_by = (
         "a level on the platform at 0 deg, read in each pass; the head's reference run before each pass"
     )
@@ -293,9 +293,7 @@ class MetersExchanged(VoltmeterEffect):
         *((f"{one}{other}_gain", f"{one}{other}_zero") for one, other in PAIRS),
         tuple(f"{one}{other}_{what}" for one, other in PAIRS[:2] for what in ("gain", "zero")),
     )
-    sentence = (
-        "two voltmeters were at each other's channels in some passes: their gains and zeros are exchanged"
-    )
+    sentence = "two voltmeters were swapped in some passes, and so were their gains and zeros"
     shown_by = "the meters' serial numbers, read in each pass; a shorted and a reference input in each pass"
     per_mount = True
     per_pass = True

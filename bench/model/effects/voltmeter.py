@@ -7,7 +7,18 @@ from typing import Final
 import numpy as np
 
 from bench.base.arrays import HOUR, MINUTE, Floats
-from bench.model.effects.base import Effect, Parameter, Seen, Stage, Subsystem, Values, VoltmeterEffect
+from bench.model.effects.base import (
+    Effect,
+    Parameter,
+    Seen,
+    Stage,
+    Subsystem,
+    Values,
+    VoltmeterEffect,
+    lag_of,
+    lagged,
+    play,
+)
 
 NORMAL_V: Final = 2.5
 """The voltage for which the sizes of the nonlinearity are stated."""
@@ -35,7 +46,7 @@ class VoltmeterDrift(VoltmeterEffect):
 
     name = "voltmeter_drift"
     parameters = (Parameter("rate", "uV/h", 1e-6 / HOUR, plausible=15e-6 / HOUR, per_channel=False),)
-    sentence = "the zero of the voltmeters drifts evenly with time, alike in all channels"
+    sentence = "the zero of the voltmeters drifts evenly with time, equally in all channels"
     shown_by = "a shorted input in each pass"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
@@ -65,6 +76,95 @@ class VoltmeterWarmUp(VoltmeterEffect):
         return np.broadcast_to(left[:, None], seen.signal.shape)
 
 
+_SHAPES: Final = (
+    lag_of(5, 10, 15, 20, 30, 45, 60, 75, 90, 105, 120, 150, 180),
+    Parameter("width", "K", 1.0, plausible=1.0, per_channel=False, grid=(0.0, 0.5, 1.0, 2.0, 4.0)),
+)
+"""A lag, as found in a 34420A in an air bath (90 to 110 min), or a hysteresis of half-width `width`."""
+
+
+def _followed(values: Values, seen: Seen) -> Floats:
+    """Return the temperature of the meters as their gain and zero follow it, K, shape (n,)."""
+    conditions = seen.conditions
+    behind = lagged(conditions.meter_warmth_k, conditions.elapsed_s, float(values["lag"]))
+    return play(behind, float(values["width"]))
+
+
+class VoltmeterThermalGain(VoltmeterEffect):
+    """Gain change g T of each channel's meter, T its temperature less 23 °C, behind a lag or with hysteresis."""
+
+    name = "voltmeter_thermal_gain"
+    parameters = (Parameter("gain", "ppm/K", 1e-6, plausible=2e-6, per_channel=True), *_SHAPES)
+    sentence = (
+        "the gain of the voltmeter follows the temperature of the meter, at once, late, or with hysteresis"
+    )
+    shown_by = "two reference voltages, such as 0 and 10 V, at two temperatures of the meter"
+    needs_history = True
+
+    def addition(self, values: Values, seen: Seen) -> Floats:
+        """Return gain_i T U_i in volts, shape (n, 3)."""
+        return _followed(values, seen)[:, None] * seen.signal * values["gain"]
+
+
+class VoltmeterThermalOffset(VoltmeterEffect):
+    """Zero change o T of each channel's meter, T its temperature less 23 °C, behind a lag or with hysteresis."""
+
+    name = "voltmeter_thermal_offset"
+    parameters = (Parameter("offset", "uV/K", 1e-6, plausible=1e-6, per_channel=True), *_SHAPES)
+    sentence = (
+        "the zero of the voltmeter follows the temperature of the meter, at once, late, or with hysteresis"
+    )
+    shown_by = "a shorted input at two temperatures of the meter"
+    needs_history = True
+
+    def addition(self, values: Values, seen: Seen) -> Floats:
+        """Return offset_i T in volts, shape (n, 3)."""
+        return _followed(values, seen)[:, None] * np.broadcast_to(values["offset"], seen.signal.shape)
+
+
+class VoltmeterMove(VoltmeterEffect):
+    """A jump of the zero of each channel's meter, `at` a time since the start of the run, as after a move."""
+
+    name = "voltmeter_move"
+    parameters = (
+        Parameter("step", "uV", 1e-6, plausible=10e-6, per_channel=True),
+        Parameter(
+            "at", "h", HOUR, plausible=HOUR, per_channel=False,
+            grid=(HOUR, 2 * HOUR, 4 * HOUR, 8 * HOUR), default=HOUR,
+        ),
+    )  # fmt: skip
+    sentence = "the readings jumped: the meter or its leads were moved, or a junction was touched"
+    shown_by = "a shorted input before and after the move"
+
+    def addition(self, values: Values, seen: Seen) -> Floats:
+        """Return step_i in volts from the time `at` on, shape (n, 3)."""
+        after = seen.conditions.elapsed_s >= float(values["at"])
+        return np.where(after[:, None], values["step"], np.zeros_like(seen.signal))
+
+
+class ReferenceSupply(VoltmeterEffect):
+    """Change s v of a reference at the inputs, v the voltage of its supply rail less the nominal voltage."""
+
+    name = "reference_supply"
+    parameters = (
+        Parameter("sensitivity", "uV/V", 1e-6, plausible=1e-6, per_channel=False),
+        Parameter("rail", "1", 1.0, plausible=1.0, per_channel=False, grid=(1.0, 2.0, 3.0), default=1.0),
+    )
+    sentence = "the reference at the inputs follows the voltage that supplies it"
+    shown_by = "the supply of the reference swept up and down, twice"
+
+    def addition(self, values: Values, seen: Seen) -> Floats:
+        """Return s v in volts at the reference input, shape (n, 3); zero at other inputs."""
+        conditions, number = seen.conditions, round(float(values["rail"]))
+        if not 1 <= number <= conditions.above_nominal_v.shape[1]:
+            return np.zeros_like(seen.signal)
+        at_reference = np.array([mount.installation == "R" for mount in conditions.mounts])[conditions.mount]
+        change = np.where(
+            at_reference, values["sensitivity"] * conditions.above_nominal_v[:, number - 1], 0.0
+        )
+        return np.broadcast_to(change[:, None], seen.signal.shape)
+
+
 class RangeOffset(VoltmeterEffect):
     """A different zero and gain of each channel's meter on the range that autorange uses below 1.2 V."""
 
@@ -73,7 +173,7 @@ class RangeOffset(VoltmeterEffect):
         Parameter("offset", "uV", 1e-6, plausible=40e-6, per_channel=True),
         Parameter("gain", "ppm", 1e-6, plausible=20e-6, per_channel=True),
     )
-    sentence = "the voltmeters have another zero and gain on the range that they use below 1.2 V"
+    sentence = "zero and gain of the voltmeters differ on the range used below 1.2 V"
     shown_by = "a fixed range; a reference voltage below 1.2 V, read on both ranges"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
@@ -88,7 +188,7 @@ class ChannelCrosstalk(VoltmeterEffect):
 
     name = "channel_crosstalk"
     parameters = (Parameter("fraction", "ppm", 1e-6, plausible=25e-6, per_channel=False),)
-    sentence = "a reading keeps a part of the voltage of the channel that was read before it"
+    sentence = "a reading keeps a part of the previous channel's voltage"
     shown_by = "the scan order of the channels reversed once; a longer delay after a channel is switched"
     needs_history = True
 
@@ -107,7 +207,7 @@ class VoltmeterGain(VoltmeterEffect):
 
     name = "voltmeter_gain"
     parameters = (Parameter("gain", "ppm", 1e-6, plausible=30e-6, per_channel=False),)
-    sentence = "the voltmeters read a common factor too much"
+    sentence = "the voltmeters read too much by a common factor"
     shown_by = "a reference voltage at the inputs; the voltmeters' calibration"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
@@ -122,7 +222,7 @@ class ReferenceStep(VoltmeterEffect):
     parameters = (Parameter("step", "ppm", 1e-6, plausible=20e-6, per_channel=False),)
     sentence = (
         "all voltages changed by a common factor between two passes: the reference of the meters made a step, "
-        "or g was another"
+        "or gravity changed"
     )
     shown_by = "a reference voltage at the inputs in each pass; all passes on one day"
     per_mount = True
@@ -139,7 +239,7 @@ class VoltmeterOffset(VoltmeterEffect):
 
     name = "voltmeter_offset"
     parameters = (Parameter("offset", "uV", 1e-6, plausible=50e-6, per_channel=False),)
-    sentence = "the voltmeters have a zero error, alike in all channels"
+    sentence = "the voltmeters have a zero error, equally in all channels"
     shown_by = "a shorted input"
 
     def addition(self, values: Values, seen: Seen) -> Floats:

@@ -14,8 +14,9 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, RedirectResponse, Response
 
 from bench.base.text import visible
-from bench.base.yaml_files import dotted, read_yaml
+from bench.base.yaml_files import FileMistake, FileMistakes, document_of, dotted, read_yaml, validated
 from bench.config.bench_file.file import BenchFile
+from bench.config.shipped import CONFIG
 from bench.panel.access import STATE, Person, Refusal, Role
 from bench.panel.bench_fields import (
     METERS_PLACE,
@@ -28,19 +29,18 @@ from bench.panel.bench_fields import (
     placed,
     values_of,
 )
-from bench.panel.bench_files import (
-    BenchText,
+from bench.panel.launching import choices
+from bench.panel.own_files import (
+    FileText,
     difference,
-    listed,
-    mistakes_in,
     new_path,
     own_file,
-    read_bench,
+    own_files,
+    read_file,
     shipped_file,
     shipped_files,
-    write_bench,
+    write_file,
 )
-from bench.panel.launching import choices
 from bench.panel.searching import IDENTIFY, OFFERS, TEST, Findings, Search
 from bench.panel.shared import Panel, acting, looking, page, panel_of
 from drivers.clock import utc_now
@@ -61,7 +61,7 @@ class FormState:
 
     name: str
     start: str
-    base: BenchText
+    base: FileText
     values: dict[str, str]
     groups: list[Group] = field(default_factory=list)
     placed: Placed = field(default_factory=Placed)
@@ -80,8 +80,43 @@ def benches(request: Request) -> Response:
     """Show the bench files of the working folder and the shipped ones to start from."""
     _operator(request)
     return page(
-        request, "benches.html.j2", own=listed(), shipped=list(shipped_files()), folder=str(Path().resolve())
+        request,
+        "benches.html.j2",
+        own=listed(),
+        shipped=list(shipped_files(CONFIG)),
+        folder=str(Path().resolve()),
     )
+
+
+@dataclass(frozen=True)
+class Listed:
+    """A bench file in the list: its name, its description, and the number of its mistakes."""
+
+    name: str
+    path: str
+    description: str
+    mistakes: int
+
+
+def listed() -> list[Listed]:
+    """Return the bench files of the working folder for the list."""
+    rows = []
+    for name, path in own_files(CONFIG).items():
+        try:
+            text = read_file(path)
+            mistakes, file = mistakes_in(text.text, path)
+        except Refusal:
+            mistakes, file = (FileMistake(0, "", "it cannot be read"),), None
+        rows.append(Listed(name, str(path), file.description if file else "", len(mistakes)))
+    return rows
+
+
+def mistakes_in(text: str, path: Path) -> tuple[tuple[FileMistake, ...], BenchFile | None]:
+    """Return the mistakes of a bench file with this text, and the bench file if there are none."""
+    try:
+        return (), validated(document_of(path, text.encode()), BenchFile)
+    except FileMistakes as mistakes:
+        return mistakes.mistakes, None
 
 
 # --- the form ---------------------------------------------------------------------------------------
@@ -93,7 +128,7 @@ def form(request: Request) -> Response:
     asked = request.query_params
     state = _begun(asked.get("file", ""), asked.get("start", ""), asked.get("name", ""))
     if asked.get("written"):
-        state.note = f"{state.base.path} is written."
+        state.note = f"{state.base.path} was written."
     _judge(state)
     return _shown(request, state)
 
@@ -101,20 +136,22 @@ def form(request: Request) -> Response:
 def _begun(name: str, start: str, new_name: str = "") -> FormState:
     """Return the form of a file as it stands. Raises `Refusal` if there is none."""
     if name:
-        base = read_bench(own_file(name))
+        base = read_file(own_file(CONFIG, name))
         return FormState(name, "", base, _values(base.text))
-    shipped = read_bench(shipped_file(start))
+    shipped = read_file(shipped_file(CONFIG, start))
     values = _values(shipped.text)
     if new_name := new_name.strip():
         values["name"] = new_name
-    return FormState(new_name, start, BenchText(shipped.path, shipped.text), values)
+    return FormState(new_name, start, FileText(shipped.path, shipped.text), values)
 
 
 def _values(text: str) -> dict[str, str]:
     try:
         return values_of(read_yaml(text).data)
     except yaml.YAMLError as error:
-        raise Refusal(409, "the file is no YAML; 'bench check' says where, mend it in an editor") from error
+        raise Refusal(
+            409, "the file is not YAML; 'bench check' shows where: correct it in an editor"
+        ) from error
 
 
 def _judge(state: FormState) -> None:
@@ -125,7 +162,7 @@ def _judge(state: FormState) -> None:
     try:
         state.written = changed_text(state.base.text, state.values, state.groups)
     except (yaml.YAMLError, TypeError, KeyError, AttributeError) as error:
-        raise Refusal(409, "the file has a form that is not understood here; mend it in an editor") from error
+        raise Refusal(409, "the form cannot show this file; correct it in an editor") from error
     mistakes, state.file = mistakes_in(state.written, state.base.path)
     state.placed = placed(mistakes, state.groups)
 
@@ -161,13 +198,13 @@ def _typed(given: Mapping[str, str]) -> FormState:
     """Return the form with what was typed. Raises `Refusal` for texts that no form of the panel sends."""
     for text in given.values():
         if len(text) > LONGEST and "\n" not in text:
-            raise Refusal(400, f"a field holds at most {LONGEST} characters")
+            raise Refusal(400, f"shorten the field to at most {LONGEST} characters")
     file, start, name = given.get("file", ""), given.get("start", ""), given.get("new_name", "").strip()
     state = _begun(file, start, name)
     for name, text in given.items():
         if name in OF_BENCH or name.startswith(_OF_FORM):
             if visible(text) != text or not (text.isprintable() or not text):
-                raise Refusal(400, f"{name}: only characters that can be printed are taken")
+                raise Refusal(400, f"{name}: use printable characters only")
             state.values[name] = text.strip()
     return state
 
@@ -215,22 +252,20 @@ def _write(panel: Panel, person: Person, state: FormState, expected: str) -> boo
     from bench.panel.round_trip import signed
 
     try:
-        path = state.base.path if not state.start else new_path(state.name)
+        path = state.base.path if not state.start else new_path(CONFIG, state.name)
     except Refusal as refusal:
         state.placed.at.setdefault("new_name", []).append(refusal.text)
         return False
     if state.placed.number:
-        state.refusal = f"Not written: {state.placed.number} mistakes. Each stands at its field."
+        state.refusal = f"Not written: {state.placed.number} mistakes. See each at its field."
         return False
     state.written = signed(state.written, person.name, utc_now())
-    if expected == state.base.sha256 and write_bench(
+    if expected == state.base.sha256 and write_file(
         path, state.written, expected, panel.settings.runs / STATE
     ):
         return True
-    state.refusal = (
-        "Not written: the file was changed since this form was shown. Look at the difference below."
-    )
-    state.difference = difference(read_bench(path).text, state.written, path.name)
+    state.refusal = "Not written: the file changed since this form was opened. See the difference below."
+    state.difference = difference(read_file(path).text, state.written, path.name)
     return False
 
 
@@ -292,10 +327,10 @@ def searched(request: Request) -> Response:
 
 
 async def test(request: Request) -> Response:
-    """Start a process that opens, tests and reads the instruments of a bench file that is written."""
+    """Start a process that opens, tests and reads the instruments of a bench file that was written."""
     _, given = await acting(request, Role.OPERATOR)
     name = given.get("file", "")
-    path = own_file(name)
+    path = own_file(CONFIG, name)
     await run_in_threadpool(search_of(panel_of(request)).begin, TEST, bench=path)
     return RedirectResponse(f"/bench/form?file={quote(name)}#try", status_code=303)
 

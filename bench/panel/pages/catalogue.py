@@ -62,7 +62,7 @@ def _where(request: Request) -> str:
     """Return the catalogue that the panel shows. Raises `Refusal` (404) if it has none."""
     where = panel_of(request).settings.catalogue
     if not where:
-        raise Refusal(404, "this panel shows no catalogue: it is begun with --catalogue")
+        raise Refusal(404, "this panel has no catalogue; start it with --catalogue")
     return where
 
 
@@ -94,5 +94,5 @@ def _figure(where: str, unit: str) -> str:
     with open_catalogue(where, existing=True) as catalogue:
         calibrations = unit_calibrations(catalogue, unit)
     if not calibrations:
-        raise Refusal(404, f"{unit}: no calibration to draw")
+        raise Refusal(404, f"{unit}: no calibration to draw; calibrate a run of it")
     return unit_file(calibrations)

@@ -44,7 +44,7 @@ async def table(request: Request) -> Response:
     found, panel = run_of(request), panel_of(request)
     name, form = request.path_params["table"], request.path_params["form"]
     if form not in FORMS:
-        raise Refusal(404, "there is no such form of a table")
+        raise Refusal(404, "no such form of a table; choose one of the page")
     if name == LIVE:
         rows = live_table(without_infinity(await panel.followers.points(found.folder)))
     else:

@@ -10,11 +10,13 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import JSONResponse, RedirectResponse, Response, StreamingResponse
 
+from bench.base.languages import message
 from bench.base.numbers import without_infinity
 from bench.panel.access import Person, Refusal, Role
 from bench.panel.holding import change, read_holding, require_holder
 from bench.panel.launching import resume_run
 from bench.panel.outcome import Outcome, outcome_of
+from bench.panel.pages.queue import next_unit
 from bench.panel.shared import acting, looking, page, panel_of, person_of, wants_json
 from bench.panel.stream import as_event
 from bench.run.events import RecordError, Wish
@@ -55,6 +57,7 @@ async def run(request: Request) -> Response:
         run=found,
         state=state,
         outcome=ended,
+        next_unit=next_unit(panel_of(request)),
         state_json=json.dumps(without_infinity(state)),
     )
 
@@ -64,7 +67,14 @@ async def outcome(request: Request) -> Response:
     found = run_of(request)
     state = await panel_of(request).followers.state(found.folder)
     told = await run_in_threadpool(_outcome, request, found, state)
-    return page(request, "outcome.html.j2", run=found, state=state, outcome=told)
+    return page(
+        request,
+        "outcome.html.j2",
+        run=found,
+        state=state,
+        outcome=told,
+        next_unit=next_unit(panel_of(request)),
+    )
 
 
 def _outcome(request: Request, run: Run, state: Mapping[str, Any]) -> Outcome:
@@ -83,7 +93,7 @@ async def stream(request: Request) -> Response:
     """Send the snapshot of a run at each change, as server-sent events."""
     found, name, streams = run_of(request), looking(request).name, panel_of(request).streams
     if streams[name] >= MOST_STREAMS:
-        raise Refusal(429, f"{name} has {MOST_STREAMS} live pages open; close one")
+        raise Refusal(429, message(f"{name} has {MOST_STREAMS} live pages open; close one"))
     events = panel_of(request).followers.stream(found.folder)
     return StreamingResponse(
         _as_long_as_signed_in(request, events, name),
@@ -126,7 +136,7 @@ def checked(asked: AskedPrompt | None, prompt_id: str, text: str) -> dict[str, s
     Raises `Refusal` (409) if the question is no longer open.
     """
     if asked is None or asked.prompt.id != prompt_id:
-        raise Refusal(409, "this question does not stand any more")
+        raise Refusal(409, "this question is closed; load the page again")
     return {
         "problem": problem_with_answer(asked.prompt, text),
         "understood": understood_answer(asked.prompt, text),
@@ -146,10 +156,10 @@ async def answer(request: Request) -> Response:
     await _doing(require_holder, run.folder, person)
     prompt_id, text = sent.get("id", ""), sent.get("text", "")
     if len(text) > LONGEST:
-        raise Refusal(413, f"an answer has at most {LONGEST} characters")
+        raise Refusal(413, f"shorten the answer to at most {LONGEST} characters")
     asked = await panel_of(request).followers.prompt(run.folder)
     if asked is None or asked.prompt.id != prompt_id:
-        raise Refusal(409, "this question does not stand any more: it was answered, or another is asked")
+        raise Refusal(409, "this question is closed: it was answered, or another one is open")
     if problem := problem_with_answer(asked.prompt, text):
         raise Refusal(422, problem)
     await _doing(leave_answer, run.folder, LeftAnswer(prompt_id, text, _who(person)))
@@ -164,7 +174,7 @@ async def wish(request: Request) -> Response:
     if word != STOP:
         await _doing(require_holder, run.folder, person)
     if len(reason) > LONGEST_REASON:
-        raise Refusal(413, f"a reason has at most {LONGEST_REASON} characters")
+        raise Refusal(413, f"shorten the reason to at most {LONGEST_REASON} characters")
     try:
         asked = parse_wish(f"{word} {reason}")
     except ValueError as mistake:
@@ -172,9 +182,9 @@ async def wish(request: Request) -> Response:
     if not await _doing(is_being_written, run.folder):
         if asked.wish is Wish.ABORT:
             return await _given_up(request, run, person)
-        raise Refusal(409, "nobody is carrying out this run")
+        raise Refusal(409, "no program is carrying out this run")
     await _doing(leave_wish, run.folder, RunControl(asked.wish, asked.reason, who=_who(person)))
-    return _done(request, run, f"{asked.wish} is asked for")
+    return _done(request, run, f"{asked.wish} was sent")
 
 
 async def control(request: Request) -> Response:
@@ -193,7 +203,7 @@ async def resume(request: Request) -> Response:
     run = panel_of(request).runs.run(request.path_params["name"])
     await _doing(_hold, run, person)
     await _doing(resume_run, run)
-    return _done(request, run, "it goes on")
+    return _done(request, run, "it continues")
 
 
 async def give_up(request: Request) -> Response:
@@ -208,7 +218,7 @@ async def _given_up(request: Request, run: Run, person: Person) -> Response:
     from bench.services.execution import give_up as end_for_good  # takes long to import
 
     left = await _doing(end_for_good, run, _who(person))
-    return _done(request, run, "; ".join(("ended for good", *left)))
+    return _done(request, run, "; ".join((message("ended for good"), *left)))
 
 
 def _hold(run: Run, person: Person) -> None:
@@ -227,7 +237,7 @@ async def _doing(work: Callable[..., Told], *given: object) -> Told:
     try:
         return await run_in_threadpool(work, *given)
     except OSError as error:
-        raise Refusal(409, f"it cannot be written ({error.strerror}); free the disk") from error
+        raise Refusal(409, message(f"it cannot be written ({error.strerror}); free the disk")) from error
 
 
 def _done(request: Request, run: Run, what: str) -> Response:

@@ -11,6 +11,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import Response
 
+from bench.base.languages import message
 from bench.panel.access import Refusal, Role
 from bench.panel.folder import UNREAD, RunRow
 from bench.panel.shared import APART, looking, page, panel_of
@@ -78,7 +79,7 @@ async def check_block(request: Request) -> Response:
         told = "" if isinstance(why, NoCheckBlock) else str(why)
         return page(request, "no_check_block.html.j2", told=told, may=person.role is not Role.VIEWER)
     frame = "/check/chart" + (f"?of={asked}" if asked else "")
-    return page(request, "framed.html.j2", title="Check block", frame=frame, back="/")
+    return page(request, "framed.html.j2", title=message("Check block"), frame=frame, back="/")
 
 
 async def chart(request: Request) -> Response:
@@ -92,7 +93,7 @@ async def chart(request: Request) -> Response:
 def _kind(request: Request) -> str:
     asked = request.query_params.get("of", "")
     if asked not in KINDS:
-        raise Refusal(400, "of: expected real or simulated")
+        raise Refusal(400, message("of: expected real or simulated"))
     return asked
 
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import re
 from typing import Final
-from urllib.parse import quote
+from urllib.parse import quote, urlsplit
 
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 
-from bench.panel.access import LONGEST_SESSION, Refusal, Role
+from bench.base.languages import known_language
+from bench.panel.access import LANGUAGE, LONGEST_SESSION, Refusal, Role
 from bench.panel.shared import acting, fields, page, panel_of
 
 _HERE: Final = re.compile(r"/(?:[^/\\\s][^\\]*)?")
@@ -28,14 +29,14 @@ async def signed_in(request: Request) -> Response:
     panel = panel_of(request)
     link, token = sent.get("link", ""), sent.get("token", "")
     if link and not panel.settings.loopback:
-        raise Refusal(403, "links sign in on the bench's computer alone; take a token")
+        raise Refusal(403, "links work on the bench's computer only; use a token")
     sign_in_by = panel.access.sign_in_by_link if link else panel.access.sign_in_by_token
     person = await run_in_threadpool(sign_in_by, link or token)
     if person is None:
         wrong = (
-            "this link was used, or is too old; 'bench panel link' makes another"
+            "this link was used or has expired; 'bench panel link' makes another"
             if link
-            else "nobody's token"
+            else "unknown token; 'bench panel token NAME' makes one"
         )
         return _form(request, sent.get("next", "/"), wrong=wrong, status=403)
     response = RedirectResponse(_here(sent.get("next", "/")), status_code=303)
@@ -57,6 +58,16 @@ async def sign_out(request: Request) -> Response:
     await run_in_threadpool(panel.access.sign_out, person.secret)
     response = RedirectResponse("/sign-in", status_code=303)
     response.delete_cookie(panel.settings.cookie)
+    return response
+
+
+def choose_language(request: Request) -> Response:
+    """Keep the language that a person chose in a cookie, and show the page from which it was chosen again."""
+    response = RedirectResponse(
+        _here(urlsplit(request.headers.get("referer", "/")).path or "/"), status_code=303
+    )
+    if name := known_language(request.path_params["name"]):
+        response.set_cookie(LANGUAGE, name, max_age=int(LONGEST_SESSION.total_seconds()), samesite="lax")
     return response
 
 

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import math
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import timedelta
-from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
 from urllib.parse import quote
@@ -15,11 +14,9 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 
+from bench.base.languages import message
 from bench.base.requests import fields_of
 from bench.base.text import visible
-from bench.base.yaml_files import FileMistakes
-from bench.config.procedure.load import load_procedure
-from bench.config.procedure.plan import Mount, Read, Turn
 from bench.config.shipped import CONFIG, PROCEDURES
 from bench.panel.access import Person, Refusal, Role
 from bench.panel.holding import change, read_holding
@@ -36,6 +33,8 @@ from bench.panel.launching import (
     start,
     start_run,
 )
+from bench.panel.own_files import own_files
+from bench.panel.procedure_files import offered_procedures
 from bench.panel.shared import Panel, acting, looking, page, panel_of
 from bench.run.sentences import duration
 from bench.services.requests.measuring import RunRequest
@@ -43,13 +42,11 @@ from drivers.clock import utc_now
 
 FORM: Final = ("procedure", "bench", "unit", "operator", "name", "dry_run")
 """The fields of `RunRequest` in the form; label, help and kind come from the request."""
-IN_THE_PANEL: Final = {"dry_run": ("Practice", "Simulated instruments, and you answer.")}
+IN_THE_PANEL: Final = {"dry_run": ("Practice", message("Simulated instruments, and you answer."))}
 """Label and help of fields with another meaning in the panel than at a terminal."""
 FOLDERS: Final = {"procedures": PROCEDURES, "bench_files": CONFIG}
 """The folder of the files to choose from, for fields with these completions (`Option.completes`)."""
 LONGEST: Final = 100
-MOST_OFFERED: Final = 500
-"""Number of procedures whose duration is cached."""
 BEGINS_WITHIN: Final = timedelta(seconds=30)
 
 
@@ -62,6 +59,9 @@ def form(request: Request) -> Response:
     person = _operator(request)
     given = {name: request.query_params.get(name, "")[:LONGEST] for name in (*FORM, "after", "like")}
     given["operator"] = person.name
+    given["bench"] = (
+        given["bench"] or os.environ.get("BENCH_FILE", "") or next(iter(own_files(CONFIG)), "paper-stand")
+    )
     if given["like"]:
         given |= _files_of(panel_of(request).runs.run(given["like"]).manifest)
     after = None
@@ -76,46 +76,6 @@ def form(request: Request) -> Response:
         procedures=offered_procedures(),
         given=given,
         after=after and f"{OF_RUN}{after.name}",
-    )
-
-
-@dataclass(frozen=True)
-class OfferedProcedure:
-    """A procedure as the form offers it: its title, expected time, number of readings, and a drawing.
-
-    `dots` are the angles of the test points on a circle of radius 1, x to the right and y down. A file with
-    mistakes has the first of them as its `title`, and nothing else.
-    """
-
-    name: str
-    title: str
-    time: str = ""
-    readings: int = 0
-    mountings: int = 0
-    dots: tuple[tuple[float, float], ...] = ()
-
-
-def offered_procedures() -> list[OfferedProcedure]:
-    """Return the procedures that may be chosen, each with its duration on a typical bench."""
-    found = choices(PROCEDURES).items()
-    return [_offered(name, file, file.stat().st_mtime_ns if file.is_file() else 0) for name, file in found]
-
-
-@lru_cache(maxsize=MOST_OFFERED)
-def _offered(name: str, file: Path, _changed_ns: int) -> OfferedProcedure:
-    try:
-        procedure = load_procedure(file)
-    except (FileMistakes, OSError, ValueError) as mistakes:
-        return OfferedProcedure(name, str(mistakes).partition("\n")[0])
-    plan = procedure.plan
-    angles = sorted({step.target_rad for step in plan.steps if isinstance(step, Turn)})
-    return OfferedProcedure(
-        name,
-        procedure.title,
-        duration(plan.expected_duration_s()),
-        sum(isinstance(step, Read) for step in plan.steps),
-        sum(isinstance(step, Mount) for step in plan.steps),
-        tuple((round(math.sin(angle), 3), round(-math.cos(angle), 3)) for angle in angles),
     )
 
 
@@ -145,11 +105,12 @@ async def check(request: Request) -> Response:
     """Start a separate process that checks and tries the chosen run."""
     person, sent = await acting(request, Role.OPERATOR)
     panel = panel_of(request)
-    wish = await run_in_threadpool(_wished, panel, person, sent)
+    wish = await run_in_threadpool(wished, panel, person, sent)
     return RedirectResponse(f"/start/{wish.id}", status_code=303)
 
 
-def _wished(panel: Panel, person: Person, sent: dict[str, str]) -> WishFolder:
+def wished(panel: Panel, person: Person, sent: Mapping[str, str], queued: str = "") -> WishFolder:
+    """Start the check of the run that a form asks for, for the item `queued` of the queue. Raises `Refusal`."""
     given: dict[str, str | bool] = {
         "procedure": str(chosen_procedure(sent.get("procedure", ""), panel.runs).absolute()),
         "bench": str(chosen_bench(sent.get("bench", ""), panel.runs).absolute()),
@@ -160,7 +121,7 @@ def _wished(panel: Panel, person: Person, sent: dict[str, str]) -> WishFolder:
             given[one.name] = sent.get(one.name, "") == "yes"
         elif one.kind == "text" and (text := _text(sent, one.name)):
             given[one.name] = text
-    wanted = WantedRun(given).hashed()
+    wanted = WantedRun(given, queued=queued).hashed()
     name_of(wanted, panel.runs)
     wish = panel.wishes.new(wanted)
     start([str(wish.path.absolute())], wish.path / "trying.log", program=("-m", "bench.panel.launching"))
@@ -195,8 +156,17 @@ async def go(request: Request) -> Response:
 
 def _begun(panel: Panel, person: Person, wish: WishFolder) -> str:
     if not wish.found().startable:
-        raise Refusal(409, "what was found forbids it, or it is not checked yet")
-    run = start_run(wish, panel.runs)
+        raise Refusal(409, "the check found an obstacle, or is not finished")
+    wanted = wish.wanted()
+    name = name_of(wanted, panel.runs)
+    if wanted.queued:
+        panel.queue.claim(wanted.queued, name, panel.runs.holds)
+    try:
+        run = start_run(wish, name, panel.runs)
+    except BaseException:
+        if wanted.queued and wish.started() != name:
+            panel.queue.change(wanted.queued, run="", begun=None)
+        raise
     if not read_holding(run.folder).holder:
         change(run.folder, "take", person)
     return run.name
@@ -208,10 +178,15 @@ def _operator(request: Request) -> Person:
     return person
 
 
-def _text(sent: dict[str, str], name: str) -> str:
-    text = sent.get(name, "").strip()
+def _text(sent: Mapping[str, str], name: str) -> str:
+    return printable(sent.get(name, ""), name)
+
+
+def printable(text: str, name: str) -> str:
+    """Return what was typed in a field without outer blanks. Raises `Refusal` (400) if it cannot be printed."""
+    text = text.strip()
     if len(text) > LONGEST or (text and not text.isprintable()) or visible(text) != text:
-        raise Refusal(400, f"{name}: at most {LONGEST} characters that can be printed")
+        raise Refusal(400, message(f"{name}: at most {LONGEST} characters that can be printed"))
     return text
 
 

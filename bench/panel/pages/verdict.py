@@ -9,6 +9,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 
+from bench.base.languages import message
 from bench.panel.access import Refusal, Role
 from bench.panel.folder import Issued, read_page
 from bench.panel.launching import NEXT
@@ -50,7 +51,7 @@ def view(request: Request) -> Response:
     run, what = _run(request), request.path_params["what"]
     title, file = VIEWS.get(what, ("", ""))
     if not title:
-        raise Refusal(404, "there is no such page of a run")
+        raise Refusal(404, message("there is no such page of a run"))
     read_page(run, file)  # says what is missing, in the panel's own page
     here = f"/runs/{quote(run.name)}"
     return page(
@@ -94,7 +95,7 @@ async def diagnose(request: Request) -> Response:
     before = panel.diagnosing.get(run.name)
     if before is None or before.status is not None:
         if len(at_work) >= 2:
-            raise Refusal(429, "two runs are being diagnosed already; wait until one is done")
+            raise Refusal(429, message("two runs are being diagnosed already; wait until one is done"))
         for old in [name for name, one in panel.diagnosing.items() if one.status is not None][:-MOST_TOLD]:
             del panel.diagnosing[old]
         panel.diagnosing[run.name] = await run_in_threadpool(begin, run)

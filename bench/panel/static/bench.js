@@ -1,12 +1,12 @@
 "use strict";
-// The form of a bench file: a choice on which other fields depend shows them at once; a search that ends is shown.
+// The form of a bench file or a procedure: a choice on which other fields depend shows them at once; a search that ends is shown.
 (function () {
   const form = document.getElementById("bench");
   if (!form) return;
   const show = form.querySelector("button[value=show]");
   for (const choice of form.querySelectorAll("[data-shows]")) {
     choice.addEventListener("change", () => {
-      form.action = "/bench/form#" + choice.id;
+      form.action = form.action.split("#")[0] + "#" + choice.id;
       form.requestSubmit(show);
     });
   }
@@ -18,14 +18,14 @@
       const reply = await fetch("/bench/search", { headers: { accept: "application/json" } });
       if (!(await reply.json()).at_work) {
         const typing = document.activeElement && document.activeElement.matches("input, select, textarea");
-        if (searching) searching.textContent = "The search is done.";
+        if (searching) searching.textContent = _("The search is done.");
         if (typing) return;
         if (again) location.reload();
         else form.requestSubmit(form.querySelector("[data-found]"));
         return;
       }
     } catch (error) {
-      if (searching) searching.textContent = "The panel does not answer; it is asked again.";
+      if (searching) searching.textContent = _("The panel does not answer; it is asked again.");
     }
     setTimeout(look, 500);
   }

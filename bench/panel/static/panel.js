@@ -18,17 +18,17 @@
   let checkTimer = 0, checkNumber = 0, sureOf = "";
   let called = "", outcomeAsked = 0;  /* the question that was announced; how often the outcome was asked for */
 
-  const put = (id, text) => { const at = $(id); if (at.textContent !== text) at.textContent = text; };
+  const put = (id, told) => { const at = $(id), text = _(told); if (at.textContent !== text) at.textContent = text; };
   const show = (id, shown) => { $(id).hidden = !shown; };
   const made = (name, text, kind) => {
     const one = document.createElement(name);
-    if (text !== undefined) one.textContent = text;
+    if (text !== undefined) one.textContent = _(text);
     if (kind) one.className = kind;
     return one;
   };
   const seconds = (s) => {
-    if (s >= 3600) return `${Math.floor(s / 3600)} h ${String(Math.floor(s % 3600 / 60)).padStart(2, "0")} min`;
-    if (s >= 60) return `${Math.floor(s / 60)} min ${String(Math.floor(s % 60)).padStart(2, "0")} s`;
+    if (s >= 3600) return _(`${Math.floor(s / 3600)} h ${String(Math.floor(s % 3600 / 60)).padStart(2, "0")} min`);
+    if (s >= 60) return _(`${Math.floor(s / 60)} min ${String(Math.floor(s % 60)).padStart(2, "0")} s`);
     return `${Math.floor(s)} s`;
   };
   const now = () => Date.now() + offset;
@@ -44,7 +44,7 @@
   const showControl = () => {
     const control = state.control || {}, asking = control.asking || [];
     show("who", !state.ended);
-    put("who", holding() ? "You are in control" : holder() ? `${holder()} is in control` : "Nobody is in control");
+    put("who", holding() ? _("You are in control") : holder() ? _(`${holder()} is in control`) : _("Nobody is in control"));
     const key = JSON.stringify([control, state.ended]);
     if ($("control").dataset.key === key) return;
     $("control").dataset.key = key;
@@ -58,17 +58,17 @@
     if (me.role !== "viewer" && !state.ended) {
       if (holding()) {
         for (const name of asking) {
-          offered.push(made("strong", `${name} asks for control`, "name"));
-          button(`Give it to ${name}`, "grant", name);
-          button("Keep it", "deny", name);
+          offered.push(made("strong", _(`${name} asks for control`), "name"));
+          button(_(`Give it to ${name}`), "grant", name);
+          button(_("Keep it"), "deny", name);
         }
-        button("Let go of control", "release");
-      } else if (!holder()) button("Take control", "take");
+        button(_("Let go of control"), "release");
+      } else if (!holder()) button(_("Take control"), "take");
       else {
-        if (asking.includes(me.name)) offered.push(made("span", `${holder()} is asked for it`, "soft"));
-        else button("Ask for control", "ask");
-        if ((control.denied || []).includes(me.name)) offered.push(made("span", `${holder()} keeps it`, "soft"));
-        if (me.role === "supervisor") button("Take over by force", "force");
+        if (asking.includes(me.name)) offered.push(made("span", _(`${holder()} is asked for it`), "soft"));
+        else button(_("Ask for control"), "ask");
+        if ((control.denied || []).includes(me.name)) offered.push(made("span", _(`${holder()} keeps it`), "soft"));
+        if (me.role === "supervisor") button(_("Take over by force"), "force");
       }
     }
     const focused = $("control").contains(document.activeElement);
@@ -104,6 +104,8 @@
     show("drawing", text !== "");
     if (!text) { $("drawing").replaceChildren(); return; }
     const parsed = new DOMParser().parseFromString(text, "image/svg+xml").documentElement;
+    for (const one of parsed.querySelectorAll("text")) one.textContent = _(one.textContent);
+    if (parsed.hasAttribute("aria-label")) parsed.setAttribute("aria-label", _(parsed.getAttribute("aria-label")));
     $("drawing").replaceChildren(document.importNode(parsed, true));
   };
 
@@ -117,7 +119,7 @@
     show("typing", Boolean(wants));
     if (!prompt) { $("buttons").replaceChildren(); return; }
     show("signs", prompt.kind === "angle" && matchMedia("(pointer: coarse)").matches);
-    put("typed-label", prompt.kind === "angle" ? "Angle read on the scale" : `Value${prompt.unit ? " in " + prompt.unit : ""}`);
+    put("typed-label", prompt.kind === "angle" ? _("Angle read on the scale") : prompt.unit ? _(`Value in ${prompt.unit}`) : _("Value"));
     typed.placeholder = prompt.kind === "angle" ? "45 00 10" : "";
     const buttons = prompt.buttons.map((of, i) => {
       const one = made("button", of.label, i === 0 ? "primary huge" : "");
@@ -126,7 +128,7 @@
       return one;
     });
     if (wants && !prompt.enter) {
-      const one = made("button", "Answer", "primary huge");
+      const one = made("button", _("Answer"), "primary huge");
       one.type = "submit";
       buttons.unshift(one);
     }
@@ -138,7 +140,7 @@
 
   const begin = (words) => {
     show("typing", true);
-    put("typed-label", "Answer, with the reason");
+    put("typed-label", _("Answer, with the reason"));
     $("typed").value = words;
     $("typed").focus();
     check();
@@ -157,7 +159,7 @@
     const submit = $("buttons").querySelector("button[type=submit]");
     if (!submit || !shownPrompt || !shownPrompt.enter) return;
     const typed = $("typed").value.trim();
-    const text = typed && !$("typing").hidden ? `Answer ${typed}` : shownPrompt.buttons[0].label;
+    const text = typed && !$("typing").hidden ? _(`Answer ${typed}`) : shownPrompt.buttons[0].label;
     if (submit.textContent !== text) submit.textContent = text;
   };
 
@@ -173,7 +175,7 @@
         const found = await reply.json();
         if (found.problem) told(`✗ ${found.problem}`, "bad");
         else told(found.understood ? `✓ ${found.understood}` : "✓", "good");
-      } catch { /* the loss of connection is told elsewhere */ }
+      } catch { /* the loss of connection shows elsewhere */ }
     }, 120);
   };
 
@@ -197,7 +199,7 @@
     if (!shownPrompt) return;
     const text = $("typing").hidden ? "" : $("typed").value.trim();
     if (text || shownPrompt.enter) { answer(text); return; }
-    told(shownPrompt.kind === "angle" ? "✗ Nothing is typed: read the scale and type what it shows." : "✗ Nothing is typed.", "bad");
+    told(shownPrompt.kind === "angle" ? "✗ Nothing was typed: read the scale and type the angle." : "✗ Nothing was typed.", "bad");
     $("typed").focus();
   });
   $("typed").addEventListener("input", () => { keepDraft(); check(); });
@@ -227,18 +229,18 @@
       });
       const found = await reply.json().catch(() => ({}));
       if (reply.ok) { say("", ""); return true; }
-      say(found.problem || found.why || found.error || found.text || found.detail || `The panel refused this (${reply.status}).`, "bad");
+      say(found.problem || found.why || found.error || found.text || found.detail || _(`The panel refused this (${reply.status}).`), "bad");
     } catch {
-      say("This did not reach the panel: nothing was sent. Try again once the connection is back.", "bad");
+      say("The connection is down, and nothing was sent. Try again once it is back.", "bad");
     }
     return false;
   };
 
-  const AGAIN = { abort: ["Give up the run", () => "Give it up for good: press again"], redo: ["Redo the point", () => `Redo ${state.redo}: press again`] };
+  const AGAIN = { abort: [_("Give up the run"), () => _("Give it up for good: press again")], redo: [_("Redo the point"), () => _(`Redo ${state.redo}: press again`)] };
   for (const button of WISHES) {
     button.addEventListener("click", () => {
       const wish = button.dataset.wish, reason = ["skip", "abort"].includes(wish) ? $("reason").value.trim() : "";
-      if (["skip", "abort"].includes(wish) && !reason) { say("Say why first: type the reason beside it.", "bad"); $("reason").focus(); return; }
+      if (["skip", "abort"].includes(wish) && !reason) { say("Type the reason beside it first.", "bad"); $("reason").focus(); return; }
       if (wish in AGAIN && sureOf !== wish) {
         const [calm, asked] = AGAIN[wish];
         sureOf = wish;
@@ -253,8 +255,8 @@
   $("reasoned").addEventListener("submit", (event) => event.preventDefault());
   for (const id of ["resume-button", "alarm-resume"]) {
     $(id).addEventListener("click", async () => {
-      say("The program that resumes the run is being started …", "open");
-      if (await post("resume", {})) say("The instruments are being opened …", "open");
+      say(_("The program that resumes the run is being started …"), "open");
+      if (await post("resume", {})) say(_("The instruments are being opened …"), "open");
     });
   }
 
@@ -276,21 +278,21 @@
   const call = () => {
     if (soundOn() && audio) { audio.resume(); beep(); return; }
     $("now").classList.remove("flash");
-    void $("now").offsetWidth;  /* the animation begins anew */
+    void $("now").offsetWidth;  /* the animation begins again */
     $("now").classList.add("flash");
   };
   const press = (id, on, words) => {
     $(id).setAttribute("aria-pressed", String(on));
-    $(id).textContent = words;
+    $(id).textContent = _(words);
   };
   $("sound").addEventListener("click", () => {
     const on = !soundOn();
-    press("sound", on, on ? "Sound on" : "Sound off");
+    press("sound", on, on ? _("Sound on") : _("Sound off"));
     if (on) { audio = audio || new AudioContext(); call(); }
   });
   const makeBig = (on) => {
     document.body.classList.toggle("enlarged", on);
-    press("big", on, on ? "Normal" : "Big");
+    press("big", on, on ? _("Normal") : _("Big"));
     localStorage.setItem("big", on ? "yes" : "");
   };
   $("big").addEventListener("click", () => {
@@ -303,7 +305,7 @@
     if (state.ended || !holding()) { if (awake) { awake.release(); awake = null; } show("awake", false); return; }
     if (!("wakeLock" in navigator)) {
       show("awake", matchMedia("(pointer: coarse)").matches);
-      put("awake", "This device may darken its screen: lengthen the screen timeout in its settings.");
+      put("awake", _("This device may darken its screen: lengthen the screen timeout in its settings."));
       return;
     }
     if (awake && !awake.released) return;
@@ -315,11 +317,11 @@
   const showState = () => {
     const word = !state.alive && ["ready", "running", "paused"].includes(state.state) ? "dead" : state.state;
     const waits = state.prompt && word !== "dead";
-    const text = waits ? (holding() ? "waits for you" : "waits for an answer") : word === "dead" ? "no program" : word;
+    const text = waits ? (holding() ? _("waits for you") : _("waits for an answer")) : word === "dead" ? _("no program") : word;
     if (state.alive && $("message").classList.contains("open")) say("", "");
-    put("state", `${waits ? "?" : MARKS[word] || "○"} ${text}`);
+    put("state", `${waits ? "?" : MARKS[word] || "○"} ${_(text)}`);
     $("state").className = `state ${waits ? "waiting" : word}`;
-    document.title = `${state.prompt && holding() ? "● " : ""}${state.run}: ${text} – calibration bench`;
+    document.title = _(`${state.prompt && holding() ? "● " : ""}${state.run}: ${text} – calibration bench`);
 
     const prompt = state.prompt;
     put("todo", prompt ? prompt.text : state.doing);
@@ -327,7 +329,7 @@
     show("target", Boolean(prompt && prompt.target));
     if (prompt && prompt.target) {
       put("target-angle", prompt.target.replace("°", "°\u200b"));  /* a narrow screen breaks it here */
-      put("approach", prompt.direction > 0 ? "↺ rising, from below" : "↻ falling, from above");
+      put("approach", prompt.direction > 0 ? _("↺ rising, from below") : _("↻ falling, from above"));
     }
     show("answer", Boolean(prompt));
     if (!prompt) showLive({});
@@ -339,9 +341,9 @@
     if (state.ended) askOutcome(); else if ($("end").firstElementChild) { $("end").replaceChildren(); outcomeAsked = 0; }
     show("todo", !state.ended || !$("end").textContent.trim());
     const notes = [];
-    if (prompt && !holding()) notes.push(holder() ? `${holder()} answers here, or somebody at the terminal.` : "Take control to answer here; the terminal answers too.");
-    if (state.refused && state.refused.why) notes.push(`Not taken: “${state.refused.answer}” – ${state.refused.why}.`);
-    else if (state.answered) notes.push(`Last answer: “${state.answered.answer}”${state.answered.by ? ` by ${state.answered.by}` : ""}${state.answered.place ? ` (${state.answered.place})` : ""}.`);
+    if (prompt && !holding()) notes.push(holder() ? _(`${holder()} answers here, or somebody at the terminal.`) : _("Take control to answer here; the terminal answers too."));
+    if (state.refused && state.refused.why) notes.push(_(`Not taken: “${state.refused.answer}” – ${state.refused.why}.`));
+    else if (state.answered) notes.push(_(`Last answer: “${state.answered.answer}”${state.answered.by ? ` by ${state.answered.by}` : ""}${state.answered.place ? ` (${state.answered.place})` : ""}.`));
     if (state.why && !state.alarm) notes.push(state.why);
     put("told", state.ended ? "" : notes.join(" "));
 
@@ -349,12 +351,12 @@
     put("installation", where.installation ? `${where.installation}${where.series > 1 ? ` (visit ${where.series})` : ""}` : "–");
     put("pass", where.pass ? String(where.pass) : "–");
     put("point", where.point ? String(where.point) : "–");
-    put("reading-count", `${where.reading} of ${where.readings}`);
+    put("reading-count", `${where.reading} ${_("of")} ${where.readings}`);
     put("left", where.left || "–");
     show("left-part", !state.ended);
-    put("now-title", state.ended ? "Result" : "Now");
+    put("now-title", state.ended ? _("Result") : _("Now"));
     $("done").value = where.done;
-    put("steps", `step ${where.step || where.done} of ${where.steps}`);
+    put("steps", _(`step ${where.step || where.done} of ${where.steps}`));
 
     const angle = state.angle;
     put("commanded", angle ? `${angle.commanded} ${angle.direction === "rising" ? "↺" : "↻"}` : "–");
@@ -372,17 +374,17 @@
     put("outside", outsideWords());
     list("warnings", state.warnings, (warning) => {
       const one = made("div", undefined, `note ${warning.stops ? "bad" : "open"}`);
-      one.append(made("p", `⚠ ${warning.words}`));
-      if (warning.causes.length) one.append(made("p", `probable cause: ${warning.causes.join(" or ")}`, "soft"));
+      one.append(made("p", `⚠ ${_(warning.words)}`));
+      if (warning.causes.length) one.append(made("p", _(`probable cause: ${warning.causes.join(" or ")}`), "soft"));
       return one;
     });
     list("log", state.log, (line) => {
       const one = made("li");
-      one.append(made("span", clock(line.time), "soft"), ` ${line.words}`);
+      one.append(made("span", clock(line.time), "soft"), ` ${_(line.words)}`);
       if (line.by) one.append(" ", made("span", `(${line.by})`, "soft name"));
       return one;
     });
-    list("to-do", state.to_do, (words) => made("li", `still to do: ${words}`));
+    list("to-do", state.to_do, (words) => made("li", _(`still to do: ${words}`)));
     live.dataset.events = state.events;
     live.dataset.prompt = prompt ? prompt.id : "";
     live.dataset.ended = state.ended;
@@ -413,9 +415,9 @@
   /* Marks in the plots and warnings speak of the same readings: some lie outside by chance, and that is no warning. */
   const outsideWords = () => {
     const told = BenchPlots.outside(points, kOfBand);
-    const none = state.warnings.length ? "" : "No early warning. ";
+    const none = state.warnings.length ? "" : _("No early warning. ");
     if (!told.values) return none.trim();
-    return `${none}${told.outside} of ${told.values} values lie outside ± ${kOfBand}·u; about ${told.expected} do by chance.`;
+    return none + _(`${told.outside} of ${told.values} values lie outside ± ${kOfBand}·u; about ${told.expected} do by chance.`);
   };
 
   const askOutcome = async () => {
@@ -440,13 +442,13 @@
   const showReading = () => {
     const reading = state.reading;
     if (!reading) return;
-    put("reading-words", `${reading.words}, ${reading.samples} samples, ${clock(reading.time)}`);
+    put("reading-words", _(`${reading.words}, ${reading.samples} samples, ${clock(reading.time)}`));
     put("rest", reading.rest);
     for (const channel of reading.channels) {
       const cells = document.querySelectorAll(`tr[data-channel="${channel.channel}"] td`);
-      cells[0].textContent = channel.value;
-      cells[1].textContent = channel.scatter;
-      const drift = `${channel.steady === false ? "⚠ " : ""}${channel.drift}${channel.outlier ? `; ⚠ ${channel.outlier}` : ""}`;
+      cells[0].textContent = _(channel.value);
+      cells[1].textContent = _(channel.scatter);
+      const drift = `${channel.steady === false ? "⚠ " : ""}${_(channel.drift)}${channel.outlier ? `; ⚠ ${_(channel.outlier)}` : ""}`;
       if (cells[2].textContent !== drift) cells[2].textContent = drift;
     }
   };
@@ -463,7 +465,7 @@
     put("not-live", value.why || "");
     put("to-go", value.to_go || "");
     show("settled", seen);
-    put("settled", value.settled ? "✓ settled" : "~ moving");
+    put("settled", value.settled ? _("✓ settled") : _("~ moving"));
     $("settled").className = `state ${value.settled ? "passed" : "waiting"}`;
     for (const row of document.querySelectorAll("[data-signal]")) row.hidden = !seen;
     if (!seen) return;
@@ -476,8 +478,9 @@
       const low = Math.min(...values), high = Math.max(...values), middle = (low + high) / 2, half = Math.max(high - low, LEAST_SPAN_V) / 2;
       const points = trace.map((one) => `${(300 - (at - one.at) / TRACE_S * 300).toFixed(1)} ${(20 - (one.volts[i] - middle) / half * 17).toFixed(1)}`);
       row.querySelector("path").setAttribute("d", `M${points.join("L")}`);
-      row.querySelector(".volts").textContent = `${value.signals_v[i] < 0 ? "−" : "+"}${Math.abs(value.signals_v[i]).toFixed(5)} V`;
-      row.querySelector(".span").textContent = `moved ${((high - low) * 1e6).toFixed(0)} µV`;
+      const volts = `${value.signals_v[i] < 0 ? "−" : "+"}${Math.abs(value.signals_v[i]).toFixed(5)} V`;
+      row.querySelector(".volts").textContent = _(volts);
+      row.querySelector(".span").textContent = _(`moved ${((high - low) * 1e6).toFixed(0)} µV`);
     }
     live.dataset.shown = value.time;
   };
@@ -488,13 +491,13 @@
     const silent = (performance.now() - heard) / 1000, cut = lost();
     document.body.classList.toggle("stale", cut);
     show("lost", cut);
-    if (cut) put("lost", gone || `✗ No connection to the panel for ${seconds(silent)}: this page is out of date. The run continues.`);
-    const age = state.last_time ? `last event ${seconds(Math.max(0, (now() - Date.parse(state.last_time)) / 1000))} ago` : "no event yet";
-    put("age", `${cut ? "✗ not connected" : "● connected"} · ${age}`);
+    if (cut) put("lost", gone || _(`✗ No connection to the panel for ${seconds(silent)}: this page is out of date. The run continues.`));
+    const age = state.last_time ? _(`last event ${seconds(Math.max(0, (now() - Date.parse(state.last_time)) / 1000))} ago`) : _("no event yet");
+    put("age", `${cut ? _("✗ not connected") : _("● connected")} · ${age}`);
     if (state.soak) {
       const left = state.soak.until ? Math.max(0, (Date.parse(state.soak.until) - now()) / 1000) : state.soak.left_s;
       put("soak-words", `${state.soak.words} (${state.soak.lasts})`);
-      put("soak-left", `${seconds(left)} left`);
+      put("soak-left", _(`${seconds(left)} left`));
     }
     if (cut !== tick.cut) { tick.cut = cut; allow(); }
     if (silent > OPEN_AGAIN_S && (performance.now() - opened) / 1000 > OPEN_AGAIN_S) open();
@@ -524,7 +527,7 @@
     source.addEventListener("error", async () => {
       if (source.readyState !== EventSource.CLOSED) return;
       const reply = await fetch("state", { headers: { accept: "application/json" } }).catch(() => null);
-      if (reply && reply.status === 401) gone = "✗ You are not signed in any more: load the page again.";
+      if (reply && reply.status === 401) gone = "✗ You are signed out: load the page again.";
       tick();
     });
   };

@@ -20,7 +20,7 @@ const BenchPlots = (() => {
 
   const made = (name, text, kind) => {
     const one = document.createElement(name);
-    if (text !== undefined) one.textContent = text;
+    if (text !== undefined) one.textContent = _(text);
     if (kind) one.className = kind;
     return one;
   };
@@ -31,6 +31,8 @@ const BenchPlots = (() => {
     one.addEventListener("click", act);
     return one;
   };
+  const NAMES = { round: _("round"), square: _("square"), triangle: _("triangle"), diamond: _("diamond") };
+  const WAYS = { angle: _("angle"), time: _("time"), value: _("value") };
   const group = (label, ...members) => {
     const one = made("div", undefined, "plot-group");
     one.setAttribute("role", "group");
@@ -44,14 +46,14 @@ const BenchPlots = (() => {
     const name = spec.channels[channel], told = (p) => withU(p.value[channel], (p.U || p.u || [])[channel], spec.unit);
     if (spec.kind === "bars") return points.map((p) => `${p.where} ${plain(p.value[0])}${p.group === "tied" ? " (tie)" : ""}`).join("; ");
     const standing = points.filter((p) => !p.struck);
-    if (!standing.length) return `${name}: no reading`;
+    if (!standing.length) return _(`${name}: no reading`);
     const most = standing.reduce((one, other) => (Math.abs(other.value[channel]) > Math.abs(one.value[channel]) ? other : one));
-    if (spec.kind === "signal") return `${name}: ${standing.length} readings, the largest ${told(most)}`;
+    if (spec.kind === "signal") return _(`${name}: ${standing.length} readings, the largest ${told(most)}`);
     const outside = standing.filter((p) => isOutside(spec, p, channel)).length;
-    if (spec.kind === "whiskers") return `worst ${name}: ${told(most)} (U, k = ${plain(spec.k)}) at ${degrees(most.angle, 2)}, limit ±${withU(spec.limit, 0, spec.unit)}; ${standing.length} points${outside ? `, ${outside} not accepted` : ""}`;
-    if (!spec.newest) return `${name}: largest ${told(most)} (u) at ${degrees(most.angle, 2)}; ${outside} of ${standing.length} outside ± ${plain(spec.k)}·u`;
+    if (spec.kind === "whiskers") return _(`worst ${name}: ${told(most)} (U, k = ${plain(spec.k)}) at ${degrees(most.angle, 2)}, limit ±${withU(spec.limit, 0, spec.unit)}; ${standing.length} points${outside ? `, ${outside} not accepted` : ""}`);
+    if (!spec.newest) return _(`${name}: largest ${told(most)} (u) at ${degrees(most.angle, 2)}; ${outside} of ${standing.length} outside ± ${plain(spec.k)}·u`);
     const last = points[points.length - 1];
-    return `${name}: last ${told(last)} (u); ${outside} of ${standing.length} outside ± ${plain(spec.k)}·u`;
+    return _(`${name}: last ${told(last)} (u); ${outside} of ${standing.length} outside ± ${plain(spec.k)}·u`);
   };
 
   class Chart {
@@ -113,30 +115,30 @@ const BenchPlots = (() => {
 
     makeTools() {
       const { channels, ways, sets, grey, title, table } = this.spec, made = [];
-      if (sets.length > 1) made.push(this.choice("Model", "set", sets.map((set, i) => [set.name, i])));
-      if (channels.length > 1) made.push(this.choice("Channel", "channel", [...channels.map((name, i) => [name, i]), ["all", -1]]));
-      if (ways.length > 1) made.push(this.choice("Axis", "way", [...ways.map((way) => [way, way]), ["both", "both"]]));
-      if (grey) made.push(group("Overlay", button(grey.name, () => this.overlay(), this.chosen.grey)));
-      const zooms = [["+", "Zoom in", 1 / STEP], ["−", "Zoom out", STEP]].map(([text, label, by]) => {
+      if (sets.length > 1) made.push(this.choice(_("Model"), "set", sets.map((set, i) => [set.name, i])));
+      if (channels.length > 1) made.push(this.choice(_("Channel"), "channel", [...channels.map((name, i) => [name, i]), [_("all"), -1]]));
+      if (ways.length > 1) made.push(this.choice(_("Axis"), "way", [...ways.map((way) => [WAYS[way], way]), [_("both"), "both"]]));
+      if (grey) made.push(group(_("Overlay"), button(grey.name, () => this.overlay(), this.chosen.grey)));
+      const zooms = [["+", _("Zoom in"), 1 / STEP], ["−", _("Zoom out"), STEP]].map(([text, label, by]) => {
         const one = button(text, () => this.zoomBy(by));
         one.setAttribute("aria-label", label);
         return one;
       });
-      made.push(group("Zoom", ...zooms, button("Reset", () => this.reset())));
+      made.push(group(_("Zoom"), ...zooms, button(_("Reset"), () => this.reset())));
       const saved = ["SVG", "PNG"].map((form) => button(form, () => BenchPicture.save(this, form.toLowerCase())));
       const tables = [["CSV", "csv"], ["Excel", "xlsx"]].map(([text, form]) => {
         const link = document.createElement("a");
         Object.assign(link, { className: "button quiet", textContent: text, href: `${table}.${form}`, download: `${this.run}-${table.split("/").pop()}.${form}` });
         return link;
       });
-      made.push(group("Save", ...tables, ...saved));
+      made.push(group(_("Save"), ...tables, ...saved));
       this.tools.setAttribute("role", "group");
-      this.tools.setAttribute("aria-label", `${title}: choice, zoom, export`);
+      this.tools.setAttribute("aria-label", _(`${title}: choice, zoom, export`));
       this.tools.replaceChildren(...made);
     }
 
     focusTool(text) {
-      const again = [...this.tools.querySelectorAll("button")].find((one) => one.textContent === text);
+      const again = [...this.tools.querySelectorAll("button")].find((one) => one.textContent === _(text));
       if (again) again.focus();
     }
 
@@ -200,9 +202,9 @@ const BenchPlots = (() => {
       }
       for (const pane of this.visible()) {
         const told = words(spec, set.points, pane.channel);
-        if (pane.told.textContent !== told) pane.told.textContent = told;
-        const against = pane.way === "value" ? "" : `, against the ${pane.way === "time" && set.points.some((p) => p.time === null) ? "order of the readings" : pane.way}`;
-        pane.svg.setAttribute("aria-label", `${spec.title}${spec.sets.length > 1 ? ` (${set.name})` : ""}. ${told}${against}. Arrow keys go from point to point.`);
+        if (pane.told.textContent !== told) pane.told.textContent = _(told);
+        const against = pane.way === "value" ? "" : _(`, against the ${pane.way === "time" && set.points.some((p) => p.time === null) ? _("order of the readings") : WAYS[pane.way]}`);
+        pane.svg.setAttribute("aria-label", _(`${spec.title}${spec.sets.length > 1 ? ` (${set.name})` : ""}. ${told}${against}. Arrow keys go from point to point.`));
         const width = pane.svg.clientWidth;
         if (!width) continue;
         Object.assign(pane, { spec, points: set.points, grey, shapes, width });
@@ -214,8 +216,8 @@ const BenchPlots = (() => {
 
     legendWords(groups, shapes, grey) {
       if (this.spec.kind === "bars") return this.spec.legend || "";
-      const told = this.spec.kind === "whiskers" || groups.length < 2 ? [] : groups.map((name) => `${shapes.get(name)}: installation ${name}`);
-      if (grey.length) told.push(`grey dots: ${grey[0].of}`);
+      const told = this.spec.kind === "whiskers" || groups.length < 2 ? [] : groups.map((name) => _(`${NAMES[shapes.get(name)]}: installation ${name}`));
+      if (grey.length) told.push(_(`grey dots: ${grey[0].of}`));
       return [this.spec.legend, told.join("; ")].filter(Boolean).join(" ");
     }
 
@@ -336,23 +338,23 @@ const BenchPlots = (() => {
 
   const judged = (p, of) => ({
     value: p.residual, u: p.u, angle: p.angle_deg, time: p.time_s, order: 1, group: p.installation, pass: p.pass, struck: p.struck, of,
-    where: `installation ${p.installation}, pass ${p.pass}, point ${p.point}`,
+    where: _(`installation ${p.installation}, pass ${p.pass}, point ${p.point}`),
   });
   const loadPrevious = async () => {
     const reply = await fetch("plots/previous", { headers: { accept: "application/json" } });
     const found = reply.ok ? await reply.json() : { run: "", points: [] };
-    const points = found.points.map((p) => judged(p, `run ${found.run}`));
-    return { points, told: "There is no earlier calibration of this unit." };
+    const points = found.points.map((p) => judged(p, _(`run ${found.run}`)));
+    return { points, told: _("There is no earlier calibration of this unit.") };
   };
 
   let live = null;
-  const previous = { name: "previous run", load: loadPrevious };
+  const previous = { name: _("previous run"), load: loadPrevious };
   /* Shows the residuals from predictions of a run in progress. */
   const show = (place, points, k) => {
     place.hidden = points.length === 0;
     if (!points.length) return;
     const spec = {
-      title: "Residuals against prediction", kind: "band", channels: ["x", "y", "z"], unit: points[points.length - 1].unit, k, newest: true,
+      title: _("Residuals against prediction"), kind: "band", channels: ["x", "y", "z"], unit: points[points.length - 1].unit, k, newest: true,
       ways: ["angle", "time"], sets: [{ name: "", points: points.map((p) => judged(p, "")) }], grey: previous, table: "plots/live",
     };
     if (live) live.show(spec); else live = new Chart(place.querySelector("[data-chart]"), spec);

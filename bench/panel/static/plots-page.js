@@ -7,7 +7,7 @@
 
   const made = (name, text, kind) => {
     const one = document.createElement(name);
-    if (text !== undefined) one.textContent = text;
+    if (text !== undefined) one.textContent = _(text);
     if (kind) one.className = kind;
     return one;
   };
@@ -27,12 +27,12 @@
 
   const ofReading = (one, value, of, i) => ({
     value, u: one.u, angle: one.angle_deg, time: one.time_s, order: i + 1, group: one.installation, pass: one.pass, of,
-    where: `installation ${one.installation}, pass ${one.pass}, point ${one.point}${one.series > 1 ? `, visit ${one.series}` : ""}`,
+    where: _(`installation ${one.installation}, pass ${one.pass}, point ${one.point}${one.series > 1 ? `, visit ${one.series}` : ""}`),
   });
   const ofResiduals = (told, of) => told.points.map((one, i) => ofReading(one, one.residual, of, i));
   const ofDelta = (points, of, beside = 0) => points.map((one, i) => ({
     value: [one.delta_g], u: [one.u], U: [one.U], angle: one.angle_deg, time: one.time_s === undefined ? null : one.time_s, order: i + 1,
-    group: "Δg", pass: one.pass, passed: one.passed, of, beside, where: one.pass === null ? "" : `pass ${one.pass}, point ${one.point}`,
+    group: "Δg", pass: one.pass, passed: one.passed, of, beside, where: one.pass === null ? "" : _(`pass ${one.pass}, point ${one.point}`),
   }));
   const ofBar = (where, value, group) => ({ value: [value], u: null, angle: null, time: null, where, group });
 
@@ -40,19 +40,19 @@
 
   const residuals = (told) => {
     const { previous } = told, overlay = previous && previous.residuals;
-    section("Residuals", "What the calibration leaves of each reading. The band is ± k·u of a single reading; “!” marks a reading outside it.", {
+    section(_("Residuals"), _("What the calibration leaves of each reading. The band is ± k·u of a single reading; “!” marks a reading outside it."), {
       kind: "band", channels: XYZ, unit: told.residuals.unit, k: told.k, ways: BOTH, table: `${here}/residuals`,
       sets: [{ name: "", points: ofResiduals(told.residuals, "") }],
-      grey: overlay ? { name: `previous run ${previous.run}`, points: ofResiduals(overlay, `run ${previous.run}`) } : null,
+      grey: overlay ? { name: _(`previous run ${previous.run}`), points: ofResiduals(overlay, _(`run ${previous.run}`)) } : null,
     });
   };
 
   const deltaG = (told) => {
     const { previous } = told, overlay = previous && previous.delta_g;
-    section("Δg at the verification points", "The error of the modulus with its expanded uncertainty U, and the limits. “!” marks a point that is not accepted.", {
+    section(_("Δg at the verification points"), _("The error of the modulus with its expanded uncertainty U, and the limits. “!” marks a point that is not accepted."), {
       kind: "whiskers", channels: ["Δg"], unit: "g", k: told.delta_g.points.length ? told.delta_g.points[0].k : told.k, limit: told.delta_g.limit_g, ways: BOTH,
       table: `${here}/delta-g`, sets: [{ name: "", points: ofDelta(told.delta_g.points, "") }],
-      grey: overlay ? { name: `previous run ${previous.run}`, points: ofDelta(overlay.points, `run ${previous.run}`, 1) } : null,
+      grey: overlay ? { name: _(`previous run ${previous.run}`), points: ofDelta(overlay.points, _(`run ${previous.run}`), 1) } : null,
     });
   };
 
@@ -61,40 +61,40 @@
     const points = (value, of = "") => readings.map((one, i) => ofReading(one, value(one), of, i));
     const less = (one, other) => one.map((value, i) => value - other[i]);
     const last = (one) => one.after || one.before;
-    const supplied = "what was found supplies";
-    section("Diagnosis: residuals by model", named ? "Before: by the model as it was given. After: with what was found. The simulated bench has noise of the same size." : "By the model as it was given, and of a simulated bench with noise of the same size.", {
+    const supplied = _("what was found supplies");
+    section(_("Diagnosis: residuals by model"), named ? _("Before: by the model as it was given. After: with what was found. The simulated bench has noise of the same size.") : _("By the model as it was given, and of a simulated bench with noise of the same size."), {
       kind: "band", channels: XYZ, unit, k: told.k, ways: BOTH, table: `${here}/diagnosis`,
-      sets: [{ name: "before", points: points((one) => one.before) }, ...(named ? [{ name: "after", points: points((one) => one.after) }] : []), { name: "simulated bench", points: points((one) => one.simulated) }],
+      sets: [{ name: _("before"), points: points((one) => one.before) }, ...(named ? [{ name: _("after"), points: points((one) => one.after) }] : []), { name: _("simulated bench"), points: points((one) => one.simulated) }],
       grey: named ? { name: supplied, points: points((one) => less(one.before, one.after), supplied) } : null,
     });
-    const simulated = named ? "simulated bench, with what was found" : "simulated bench, as it was given";
-    section("Diagnosis: signals", "What was measured, and what the simulated bench gives at the same angles.", {
+    const simulated = named ? _("simulated bench, with what was found") : _("simulated bench, as it was given");
+    section(_("Diagnosis: signals"), _("What was measured, and what the simulated bench gives at the same angles."), {
       kind: "signal", channels: XYZ, unit, k: told.k, ways: BOTH, table: `${here}/diagnosis`,
-      sets: [{ name: "measured", points: points((one) => one.signal).map((one) => ({ ...one, u: null })) }],
+      sets: [{ name: _("measured"), points: points((one) => one.signal).map((one) => ({ ...one, u: null })) }],
       grey: { name: simulated, points: points((one) => less(one.signal, last(one)), simulated).map((one) => ({ ...one, u: null })) },
     });
   };
 
   const deltaOfModels = (told) => {
     const { before, after } = told.diagnosis.delta_g;
-    const sets = [...(after ? [{ name: "after", points: ofDelta(after, "") }] : []), { name: "before", points: ofDelta(before, "") }];
-    section("Diagnosis: Δg by model", "Δg at the verification points with ± 2·u, by the model before and after.", {
+    const sets = [...(after ? [{ name: _("after"), points: ofDelta(after, "") }] : []), { name: _("before"), points: ofDelta(before, "") }];
+    section(_("Diagnosis: Δg by model"), _("Δg at the verification points with ± 2·u, by the model before and after."), {
       kind: "whiskers", channels: ["Δg"], unit: "g", k: told.k, limit: told.delta_g ? told.delta_g.limit_g : 0, ways: BOTH, table: `${here}/diagnosis-delta-g`,
-      sets, grey: after ? { name: "before, in grey", points: ofDelta(before, "before", 1) } : null,
+      sets, grey: after ? { name: _("before, in grey"), points: ofDelta(before, "before", 1) } : null,
     });
   };
 
   const heldOut = (folds) => {
     const points = folds.flatMap((one) => ["before", "after"].filter((name) => one[name] !== null).map((name) => ofBar(`${name}: ${one.what}`, one[name], name)));
-    if (points.length) section("Diagnosis: readings held out", "How far the other readings predict them: reduced χ², before and after. Noise alone gives 1, the dashed line.", {
-      kind: "bars", channels: ["reduced χ²"], unit: "", k: 2, ways: ["value"], axis: "reduced χ² of readings held out", reference: 1, table: `${here}/held-out`, sets: [{ name: "", points }], grey: null,
+    if (points.length) section(_("Diagnosis: readings held out"), _("How far the other readings predict them: reduced χ², before and after. Noise alone gives 1, the dashed line."), {
+      kind: "bars", channels: [_("reduced χ²")], unit: "", k: 2, ways: ["value"], axis: _("reduced χ² of readings held out"), reference: 1, table: `${here}/held-out`, sets: [{ name: "", points }], grey: null,
     });
   };
 
   const ranking = ({ found, rivals }) => {
     const kind = (one) => (one.name === found ? "named" : one.tied ? "tied" : "less");
-    section(`Diagnosis: ${found.replaceAll("_", " ")} and its rivals`, "How plausible each name is. A name that the readings cannot tell from the first says “tie”.", {
-      kind: "bars", channels: ["ln odds"], unit: "", k: 2, ways: ["value"], axis: "ln of the odds that it is there", table: `${here}/ranking`, grey: null,
+    section(_(`Diagnosis: ${found.replaceAll("_", " ")} and its rivals`), _("How plausible each name is. A name that the readings cannot tell from the first says “tie”."), {
+      kind: "bars", channels: [_("ln odds")], unit: "", k: 2, ways: ["value"], axis: _("ln of the odds that it is there"), table: `${here}/ranking`, grey: null,
       sets: [{ name: "", points: [...rivals].sort((a, b) => b.ln_odds - a.ln_odds).map((one) => ofBar(one.name.replaceAll("_", " "), one.ln_odds, kind(one))) }],
     });
   };
@@ -105,14 +105,14 @@
     const { diagnosis } = told, trouble = [...told.trouble];
     if (diagnosis) {
       if (diagnosis.residuals) ofModels(told);
-      if (diagnosis.older) trouble.push("The result of the diagnosis has no residuals: diagnose the run again to plot them.");
+      if (diagnosis.older) trouble.push(_("The result of the diagnosis has no residuals: diagnose the run again to plot them."));
       if (diagnosis.delta_g && diagnosis.delta_g.before.length) deltaOfModels(told);
       heldOut(diagnosis.held_out);
       diagnosis.ranking.forEach(ranking);
     }
     document.getElementById("plots-trouble").replaceChildren(...trouble.map((words) => made("p", words, "note bad")));
     page.dataset.shown = String(count);
-    document.getElementById("plots-state").textContent = count ? "" : "There is nothing to plot.";
+    document.getElementById("plots-state").textContent = count ? "" : _("There is nothing to plot.");
   };
 
   const ask = async () => {
@@ -120,8 +120,8 @@
     try {
       const reply = await fetch(`${here}/data`, { headers: { accept: "application/json" } });
       const told = await reply.json();
-      if (reply.ok) show(told); else state.textContent = `✗ ${told.problem}`;
-    } catch { state.textContent = "✗ No connection to the panel: load the page again."; }
+      if (reply.ok) show(told); else state.textContent = `✗ ${_(told.problem)}`;
+    } catch { state.textContent = _("✗ No connection to the panel: load the page again."); }
   };
   ask();
 })();

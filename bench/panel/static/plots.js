@@ -12,7 +12,7 @@ const BenchDrawing = (() => {
   const el = (name, attributes, text) => {
     const made = document.createElementNS(NS, name);
     for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
-    if (text !== undefined) made.textContent = text;
+    if (text !== undefined) made.textContent = _(text);
     return made;
   };
 
@@ -69,17 +69,17 @@ const BenchDrawing = (() => {
   const angleAxis = (points) => {
     const passes = points.map((p) => p.pass || 0), first = Math.min(...passes), last = Math.max(...passes);
     const beside = (p) => (last > first ? DODGE_DEG * ((p.pass || 0) - (first + last) / 2) / (last - first) : 0);
-    return { low: -12, high: 372, of: (p) => round(p.angle) + beside(p) + (p.beside || 0) * BESIDE_DEG, ticks: [0, 90, 180, 270, 360], name: "head angle / °" };
+    return { low: -12, high: 372, of: (p) => round(p.angle) + beside(p) + (p.beside || 0) * BESIDE_DEG, ticks: [0, 90, 180, 270, 360], name: _("head angle / °") };
   };
   const timeAxis = (points) => {
     if (points.some((p) => p.time === null)) {
       const most = Math.max(...points.map((p) => p.order));
-      return { low: 0.4, high: most + 0.6, of: (p) => p.order + (p.beside || 0) * 0.15, name: "reading, in order" };
+      return { low: 0.4, high: most + 0.6, of: (p) => p.order + (p.beside || 0) * 0.15, name: _("reading, in order") };
     }
     const times = points.map((p) => p.time), first = Math.min(...times), last = Math.max(...times);
     const [unit, size] = timeUnit(last - first);
     const room = Math.max((last - first) / size * 0.03, 0.02);
-    return { low: first / size - room, high: last / size + room, of: (p) => p.time / size, name: `time / ${unit}` };
+    return { low: first / size - room, high: last / size + room, of: (p) => p.time / size, name: _(`time / ${unit}`) };
   };
   const valueAxis = (points, spec) => {
     const values = points.map((p) => p.value[0]), low = Math.min(0, ...values), high = Math.max(0, ...values);
@@ -181,7 +181,7 @@ const BenchDrawing = (() => {
     const x = (p) => frame.x(frame.axis.of(p)), half = (p) => spec.k * p.u[channel];
     if (spec.kind === "whiskers" && spec.limit) {
       const lines = [spec.limit, -spec.limit].map((at) => el("line", { class: "limit", x1: frame.left, x2: frame.right, y1: frame.y(at), y2: frame.y(at) }));
-      const name = el("text", { class: "tick limit-name", x: frame.right - 4, y: frame.y(spec.limit) - 4, "text-anchor": "end" }, `limit ±${withU(spec.limit, 0, spec.unit)}`);
+      const name = el("text", { class: "tick limit-name", x: frame.right - 4, y: frame.y(spec.limit) - 4, "text-anchor": "end" }, _(`limit ±${withU(spec.limit, 0, spec.unit)}`));
       return [...lines, name];
     }
     if (spec.reference) return [el("line", { class: "limit", x1: frame.x(spec.reference), x2: frame.x(spec.reference), y1: frame.top, y2: frame.bottom })];

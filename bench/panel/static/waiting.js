@@ -1,5 +1,5 @@
 "use strict";
-// A page that waits for a process: it is asked for again until it waits no more, and shown anew only then.
+// A page that waits for a process: it is fetched again until the process ends, and only then shown again.
 (function () {
   const waiting = document.querySelector("[data-waiting]");
   if (!waiting) return;
@@ -11,7 +11,7 @@
       if (!now) { location.reload(); return; }
       if (now.textContent !== waiting.textContent) waiting.textContent = now.textContent;
     } catch (error) {
-      waiting.textContent = "The panel does not answer; it is asked again.";
+      waiting.textContent = _("The panel does not answer; it is asked again.");
     }
     setTimeout(look, 1000);
   }

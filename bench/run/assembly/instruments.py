@@ -110,7 +110,7 @@ def loaded_class(section: InstrumentForm, which: Literal["driver", "simulation"]
         return device.class_of(which)
     except Exception as error:
         cause = f"the {which} {getattr(device, which)} cannot be loaded ({type(error).__name__}: {error})"
-        raise BenchError(section.name, cause, "mend it, then start again") from error
+        raise BenchError(section.name, cause, "correct it, then start again") from error
 
 
 def _thermometer(sections: InstrumentsSection, meters: Sequence[Any], given: Surroundings) -> Any:
@@ -147,7 +147,7 @@ def _driver(section: InstrumentForm, given: Surroundings) -> Any:
         return driver(section.name, session, given.clock, ChamberLimits(*section.limits()), **options)
     if isinstance(section, WiredSupplyForm | LevelForm):
         return driver(section.name, session, given.clock, **options)
-    raise TypeError(f"{type(section).__name__} has a wire, but the form of no role")
+    raise TypeError(f"{type(section).__name__} has a wire, but no role of this bench uses it; remove it")
 
 
 def world_of(bench: BenchFile, model: ForwardModel, seed: int, clock: Clock) -> World:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from typing import Final
 
 from bench.base.files import cache_folder
+from bench.base.languages import message
 from bench.config.bench_file.file import BenchFile
 from bench.config.procedure.plan import Plan, Read
 from bench.config.procedure.steps import in_scan_order, read_order
@@ -32,7 +33,7 @@ from bench.run.events import Event, EventType
 from bench.run.instruments import Instruments
 from bench.run.person import NO, problem_with_answer
 from bench.run.runner import Observer
-from drivers.angles import parse_angle
+from drivers.angles import typed_angle
 from drivers.clock import Clock, Haste, SystemClock
 from drivers.interfaces import BenchError, Voltmeter
 from drivers.person import Answer, Person, Prompt, PromptKind, WatchingPerson
@@ -90,7 +91,9 @@ class LivingOperator:
         action = prompt.action
         if action["do"] in _LOOKED_AT:
             seen = self._hands.ask(prompt).text
-            return self._person.ask(replace(prompt, text=f"{prompt.text} (Simulated: it shows {seen}.)"))
+            return self._person.ask(
+                replace(prompt, text=f"{prompt.text} {message(f'(Simulated: it shows {seen}.)')}")
+            )
         answer = self._person.ask(prompt)
         if answer.prompt_id != prompt.id or problem_with_answer(prompt, answer.text):
             return answer  # invalid, so the caller asks again
@@ -98,7 +101,8 @@ class LivingOperator:
             typed = answer.text.strip() or prompt.default or ""
             if prompt.kind is PromptKind.CONFIRM:  # an encoder reads the head that the hands turn now
                 return self._hands.ask(prompt) if typed.lower() not in NO else answer
-            self._hands.turn_to(prompt.id, parse_angle(typed), action["direction"], action.get("backoff_rad"))
+            angle_rad = typed_angle(typed, action["target_rad"])
+            self._hands.turn_to(prompt.id, angle_rad, action["direction"], action.get("backoff_rad"))
         elif action["do"] in _DONE and answer.text.strip().lower() not in NO:
             self._hands.ask(prompt)
         return answer
@@ -279,7 +283,7 @@ def _simulated(
             faults=faults_of(bench),
         )
     except ValueError as error:
-        raise BenchError("simulation", str(error), "mend the faults in the bench file") from error
+        raise BenchError("simulation", str(error), "correct the faults in the bench file") from error
 
 
 TASK_TIME_S = 30.0

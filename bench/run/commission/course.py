@@ -84,22 +84,26 @@ def _pulled(evening: CommissioningSession, cable: Cable, first: Instrument) -> F
     most_s = TRIES * 2.0 * evening.timeout_s(name)
     back_s, still = _back(evening, [_look(evening, one) for one in cable.instruments])
     figures = (
-        Figure("loss told after", told_s, "s", f"{most_s:.3g} s is the most"),
+        Figure("loss reported after", told_s, "s", f"{most_s:.3g} s is the most"),
         Figure("answers again after", back_s, "s", f"{PATIENCE_S:g} s is the most"),
     )
     if still is not None:
-        said = f"did not come back after its cable was plugged in again ({still.cause})"
+        said = f"did not respond again after its cable was plugged in ({still.cause})"
         return Finding(CABLE, still.instrument, State.COULD_NOT, said, figures, still.remedy)
     if not why:
-        said = "went on answering with its cable pulled"
-        remedy = "was it another cable? The address in the bench file is then that of another instrument"
+        said = "still answered with its cable pulled"
+        remedy = (
+            "check which cable was pulled; if it was the right one, correct the address in the bench file"
+        )
         return Finding(CABLE, name, State.OTHER, said, figures, remedy)
     if told_s > most_s:
-        said = f"its loss was told after {told_s:.3g} s, more than {most_s:.3g} s"
+        said = f"its loss was reported after {told_s:.3g} s, more than {most_s:.3g} s"
         return Finding(
             CABLE, name, State.SLOWER, said, figures, "give it a shorter timeout in the bench file"
         )
-    return Finding(CABLE, name, State.WORKS, f"its loss was told ({why}), then it answered again", figures)
+    return Finding(
+        CABLE, name, State.WORKS, f"its loss was reported ({why}), then it answered again", figures
+    )
 
 
 def _looked_at(evening: CommissioningSession, instrument: Instrument) -> Finding:
@@ -175,7 +179,7 @@ def _identities(evening: CommissioningSession) -> None:
 
 def _who(evening: CommissioningSession, instrument: Instrument) -> Finding:
     by_hand = evening.section(instrument.name).by_hand
-    said = "is worked by hand" if by_hand else str(evening.identities[instrument.name])
+    said = "is operated by hand" if by_hand else str(evening.identities[instrument.name])
     return Finding(IDENTITY, instrument.name, State.WORKS, said)
 
 
@@ -189,9 +193,8 @@ def _tell_twins(evening: CommissioningSession) -> None:
 PARTS: Final = (
     Part(
         "limits",
-        "What lies beyond the limits of head, chamber and power supply is demanded while no wire is open: "
-        "it must be refused. "
-        "Nothing can move.",
+        "Values beyond the limits of head, chamber and power supply are demanded while no wire is open: "
+        "they must be refused. Nothing can move.",
         devices.check_limits,
     ),
     Part(
@@ -233,7 +236,7 @@ PARTS: Final = (
     ),
     Part(
         "cables",
-        "Every cable is pulled once and plugged in again: its loss must be told.",
+        "Every cable is pulled once and plugged in again: the program must report its loss.",
         check_cables,
         applies=lambda evening: any(not section.by_hand for section in evening.file.instruments.all()),
     ),

@@ -134,7 +134,7 @@ def _beyond(evening: CommissioningSession) -> Iterator[Beyond]:
 def _refused(beyond: Beyond) -> Finding:
     for what, demand in beyond.demands:
         refuse_or_say(beyond.instrument.name, what, demand)
-    said = f"what leads beyond {beyond.within} is refused before it is sent"
+    said = f"a demand beyond {beyond.within} is refused before it is sent"
     return Finding(LIMITS, beyond.instrument.name, State.WORKS, said)
 
 
@@ -148,10 +148,10 @@ def refuse_or_say(name: str, what: str, demand: Callable[[], object]) -> None:
     except LimitExceeded:
         return
     except BenchError as error:
-        said = f"{what} was not refused before it would have been sent ({error.cause})"
+        said = f"{what} was refused only after it was sent ({error.cause})"
     else:
         said = f"{what} was not refused"
-    remedy = "do not use it: its driver does not keep the limits of the bench file"
+    remedy = "do not use it: its driver ignores the limits of the bench file"
     raise CheckEnded(Finding(LIMITS, name, State.OTHER, said, remedy=remedy))
 
 
@@ -244,7 +244,7 @@ def _moved(
     if took_s <= TIME_MARGIN * (least_s - form.settle) + form.settle + TIME_MARGIN_S:
         return Finding(MOVE, head.name, State.WORKS, said, figures)
     return Finding(
-        MOVE, head.name, State.SLOWER, f"{said}, in {took_s:.2g} s where its speed makes {least_s:.2g} s", figures,
+        MOVE, head.name, State.SLOWER, f"{said}, in {took_s:.2g} s, not {least_s:.2g} s", figures,
         "check its speed in the bench file and in the controller, and its load",
     )  # fmt: skip
 
@@ -289,8 +289,8 @@ def _stopped(
     if left_rad > form.tolerance:
         said, remedy = "did not set off before it was stopped", "check its load, its motor and its speed"
     else:
-        said = f"was told to stop half way and went on to {degrees(rest_rad)}"
-        remedy = "do not use it before its stop works; keep to the emergency stop till then"
+        said = f"was commanded to stop half way but continued to {degrees(rest_rad)}"
+        remedy = "do not use it until its stop works; use the emergency stop meanwhile"
     return Finding(STOP, form.name, State.OTHER, said, figures, remedy)
 
 
@@ -307,9 +307,9 @@ def _at_rest(evening: CommissioningSession, motor: Motor, form: MotorisedHeadFor
             break
     with contextlib.suppress(Exception):
         motor.stop()
-    said = f"still turns after it was told to stop, at {degrees(before_rad)}"
+    said = f"still turns after a stop command, at {degrees(before_rad)}"
     raise CheckEnded(
-        Finding(STOP, form.name, State.OTHER, said, remedy="use the emergency stop; have the head seen to")
+        Finding(STOP, form.name, State.OTHER, said, remedy="press the emergency stop; have the head repaired")
     )
 
 
@@ -386,7 +386,7 @@ def _reversed(evening: CommissioningSession, level: Level) -> Finding:
         Figure(f"the platform {axis}", (a - b) / 2.0 / ARCSEC, "arcsec", f"a reading has u of {u:.2g} arcsec")
         for axis, a, b in pairs
     ]
-    said = "was read in both positions: its own zero drops out of half the difference"
+    said = "was read in both positions: its own zero cancels in half the difference"
     return Finding(REVERSED, level.name, State.WORKS, said, tuple(figures))
 
 
@@ -394,7 +394,7 @@ def _read_platform(evening: CommissioningSession, level: Level, *, turned: bool)
     if not level.asks_person:
         how = "half a turn from its first position" if turned else "in its first position, along the shaft"
         evening.confirm(
-            f"Put the level on the platform {how}. Does it lie there?",
+            f"Put the level on the platform {how}. Is it there?",
             default="yes",
             action={"do": "place_level", "turned": turned},
         )
@@ -427,7 +427,7 @@ def check_outputs(evening: CommissioningSession) -> None:
 def _read_outputs(supply: PowerSupply) -> Finding:
     states = supply.state("commission/outputs")
     if not states:
-        return Finding(OUTPUTS, supply.name, State.WORKS, "is read by hand once it was set up")
+        return Finding(OUTPUTS, supply.name, State.WORKS, "is read by hand after it is set up")
     said = ", ".join(
         f"{output} {'on' if state.on else 'off'}, set to {state.settings}" for output, state in states.items()
     )

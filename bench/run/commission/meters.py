@@ -136,8 +136,8 @@ def _judged_by_time(
         return Finding(found.check, found.instrument, found.state, found.said, figures)
     said = f"{found.said}, in {took_s:.3g} s where the driver expects {expected_s:.3g} s"
     remedy = (
-        "see what the meter does beside (display, filter, trigger delay, a slow adapter); the line frequency "
-        "in the bench file must be that of the mains"
+        "switch off display, filter and trigger delay, check the adapter, and compare the line frequency "
+        "in the bench file with the mains"
     )
     return Finding(found.check, found.instrument, State.SLOWER, said, figures, remedy)
 
@@ -200,7 +200,7 @@ def _started_together(evening: CommissioningSession, meters: Sequence[Voltmeter]
             TOGETHER, meters[-1].name, State.SLOWER,
             f"the meters ({names}) do not sample together: started within {spread.starts_s:.2g} s, the set took "
             f"{took_s:.3g} s", figures,
-            "find the slow wire (the other checks have the time of each), or settle longer before each reading",
+            "find the slow wire in the times of the other checks, or settle longer before each reading",
         )  # fmt: skip
     return Finding(TOGETHER, meters[0].name, State.WORKS, f"{names} sample the same moment", figures)
 
@@ -248,14 +248,16 @@ def _noise(evening: CommissioningSession, meter: Voltmeter) -> Finding:
         figures += shown
         wrong += trouble
     n = settings.samples
-    said = f"{n} samples at {settings.nplc:g} NPLC lie at zero, as data sheet or bench file allow"
+    said = (
+        f"{n} samples at {settings.nplc:g} NPLC lie within the limits of data sheet or bench file about zero"
+    )
     if not wrong:
         found = Finding(NOISE, meter.name, State.WORKS, said, tuple(figures))
         return _judged_by_time(evening, meter, settings, found, took_s)
     return Finding(
         NOISE, meter.name, State.OTHER, ", ".join(wrong), tuple(figures),
-        "see that the input is really shorted, at the meter's own terminals, and that it has warmed up for an "
-        "hour; if it stays so, have the meter adjusted",
+        "short the input at the meter's own terminals and warm it up for an hour; if the fault remains, "
+        "have the meter adjusted",
     )  # fmt: skip
 
 

@@ -145,16 +145,16 @@ class WireWatch:
 
 
 WISHES: Final = {
-    Wish.SKIP: "leave this out; the reason goes into the page",
-    Wish.ABORT: "end here; the bench is left safe and the page written",
+    Wish.SKIP: "leave this check out; the page states the reason",
+    Wish.ABORT: "end here; the bench is made safe and the page written",
 }
 """Wishes accepted at any prompt, with their effects."""
-ONLY_THESE: Final = "Here only :skip REASON and :abort are heard. "
+ONLY_THESE: Final = "Only :skip REASON and :abort work here. "
 MOST_LOSSES: Final = 2
 """Number of losses after which an instrument is no longer checked, because each loss costs several timeouts."""
 SLOW_PART: Final = 0.5
 """Greatest part of the timeout that a response may take; slower responses leave too little reserve."""
-_CHECK_WIRE: Final = "check cable and power; the wire log shows at which command"
+_CHECK_WIRE: Final = "check cable and power; the wire log shows the failed command"
 
 
 class Skipped(Exception):
@@ -280,7 +280,9 @@ class CommissioningSession:
         """
         name = instrument.name
         if not self.present(instrument):
-            found = Finding(check, name, State.COULD_NOT, "not tried, it was lost before", remedy=_CHECK_WIRE)
+            found = Finding(
+                check, name, State.COULD_NOT, "not tried: the instrument was lost before", remedy=_CHECK_WIRE
+            )
         else:
             taking_part = (instrument, *also)
             mark = self.watch.mark()
@@ -358,7 +360,7 @@ class CommissioningSession:
             said = f"{found.said}, but its wire failed on the way ({failures[0]})"
             return replace(found, instrument=name, state=State.OTHER, said=said, remedy=_CHECK_WIRE)
         if before is not None and after != before:
-            said = f"{found.said}, but an answer could not be understood and was asked for again"
+            said = f"{found.said}, but one answer was garbled and was requested again"
             return replace(found, instrument=name, state=State.OTHER, said=said, remedy=_CHECK_WIRE)
         exchanges = self.watch.exchanges(mark, name)
         if not by_answers or not exchanges or found.state is State.SLOWER:
@@ -373,6 +375,6 @@ class CommissioningSession:
             found,
             state=State.SLOWER,
             said=f"{found.said}, but the answer to {slowest.command} took {slowest.took_s:.2g} s",
-            remedy=f"find out what holds it up, or give it a timeout of more than {2.0 * slowest.took_s:.2g} s in "
+            remedy=f"find the cause of the delay, or set its timeout above {2.0 * slowest.took_s:.2g} s in "
             "the bench file",
         )

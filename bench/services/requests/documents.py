@@ -116,7 +116,7 @@ class DueUnits(_Dated):
 
 @dataclass(frozen=True, kw_only=True)
 class Batch(OnReadings):
-    """Many runs to be evaluated anew; the results are written into a folder."""
+    """Many runs to be evaluated again; the results are written into a folder."""
 
     over: Annotated[
         list[str],
@@ -145,7 +145,7 @@ class Batch(OnReadings):
 
 @dataclass(frozen=True, kw_only=True)
 class BatchCalibrate(Batch):
-    """Coefficients and verdicts of many runs, computed anew."""
+    """Coefficients and verdicts of many runs, computed again."""
 
     estimator: EstimatorField = "gls"
     nominal_angles: NominalField = False
@@ -159,7 +159,7 @@ class BatchCalibrate(Batch):
 
 @dataclass(frozen=True, kw_only=True)
 class BatchDiagnose(Batch):
-    """Diagnoses of many runs, computed anew."""
+    """Diagnoses of many runs, computed again."""
 
     strict: Annotated[bool, Option("Accept no changed effect under the same verdict.", common=True)] = False
 

@@ -143,6 +143,9 @@ class Coefficients(OnReadings):
             metavar="X,Y,Z",
         ),
     ] = None
+    without_temperature: Annotated[
+        bool, Option("Write a result whose model takes temperature out without it; the file says so.")
+    ] = False
 
 
 @dataclass(frozen=True)

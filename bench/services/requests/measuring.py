@@ -6,6 +6,7 @@ from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Annotated
 
+from bench.base.languages import message
 from bench.base.requests import Option
 from bench.services.requests.shared import (
     BenchField,
@@ -60,7 +61,9 @@ class DryRunRequest:
     _: KW_ONLY
     seed: SeedField = 1
     model: ModelField = None
-    name: Annotated[str | None, Option("Name of the run (default: procedure and time).", common=True)] = None
+    name: Annotated[
+        str | None, Option(message("Name of the run (default: procedure and time)."), common=True)
+    ] = None
     runs: RunsField = None
 
 
@@ -71,10 +74,12 @@ class RunRequest(DryRunRequest):
     dry_run: Annotated[
         bool, Option("Simulate instruments and clock; touch no hardware.", ("--dry-run",), common=True)
     ] = False
-    operator: Annotated[str, Option("Name of the operator, for the record.", common=True)] = ""
+    operator: Annotated[str, Option(message("Name of the operator, for the record."), common=True)] = ""
     unit: Annotated[
         str | None,
-        Option("Serial number of the block, instead of the bench file's.", metavar="SERIAL", common=True),
+        Option(
+            message("Serial number of the block, instead of the bench file's."), metavar="SERIAL", common=True
+        ),
     ] = None
     limit: LimitField = None
     rule: RuleField = None

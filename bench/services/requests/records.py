@@ -93,11 +93,19 @@ class ExportReadings:
 
 @dataclass(frozen=True)
 class ImportReadings:
-    """A readings file measured elsewhere, to be imported as a run."""
+    """A readings file measured elsewhere, or with `columns` a log of another program, to be imported as a run."""
 
     file: Annotated[Path, Option("Readings file.", argument=True)]
     _: KW_ONLY
     name: Annotated[str | None, Option("Name of the run (default: the file's).", common=True)] = None
+    columns: Annotated[
+        Path | None,
+        Option("Mapping of the columns of a stranger's log, as YAML.", metavar="FILE", common=True),
+    ] = None
+    preview: Annotated[bool, Option("Show the first rows as they would be imported, and import nothing.")] = (
+        False
+    )
+    skip_bad_rows: Annotated[bool, Option("Leave out rows of a log that cannot be read.")] = False
     bench: BenchField = None
     runs: RunsField = None
 

@@ -31,7 +31,7 @@ else:
         """Readings, by name or in memory."""
 
     class Bench:
-        """A bench file, by name or at hand."""
+        """A bench file, by name or loaded."""
 
     class Effects:
         """Files with effects."""

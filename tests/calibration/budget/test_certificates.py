@@ -158,7 +158,7 @@ def test_a_meter_whose_driver_is_not_here_is_taken_as_one_of_six_and_a_half_digi
     own, theirs = lines(unknown), lines(known)
     assert (
         own["voltmeter_gain[y]"].origin
-        == "the driver my-meter is not here: as of a meter of 6½ digits on 10 V"
+        == "the driver my-meter is missing: assumed as a meter of 6½ digits on 10 V"
     )
     assert {name: source.u for name, source in own.items()} == {
         name: source.u for name, source in theirs.items()

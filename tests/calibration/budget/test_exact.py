@@ -263,7 +263,7 @@ def test_a_certificate_is_never_touched_and_the_others_follow_it():
     assert found.mean[1] == pytest.approx(-14e-6, rel=0.02)
     assert np.sqrt(found.covariance[1, 1]) == pytest.approx(np.hypot(3e-6, np.sqrt(2) * 1e-6), rel=0.02)
     everyone = joint_errors(told(), [0, 1, 2], prior, ~NONE, 1.0)
-    assert everyone == "certificates state all of it"
+    assert everyone == "certificates cover all of it"
 
 
 def test_no_covariance_is_negative_and_no_difference_surer_than_by_bayes():
@@ -295,5 +295,5 @@ def test_no_covariance_is_negative_and_no_difference_surer_than_by_bayes():
 
 def test_limits_that_are_contradicted_are_told():
     said = joint_errors(told(values=20 * VALUES), [0, 1, 2], PRIOR, NONE, 1.0)
-    assert "contradict what certificates or makers' limits allow" in said
+    assert "contradict certificates or makers' limits" in said
     assert joint_errors(told(), [0, None, None], PRIOR, NONE, 1.0) == "no two of these meters were compared"

@@ -9,11 +9,11 @@ import pytest
 from lxml import etree
 
 from bench.calibration.budget.whole import dof_through
+from bench.calibration.intrinsic import joint_factor
 from bench.certificate import proof
 from bench.certificate.content import Before, uncertified
 from bench.certificate.dcc.document import document_of
 from bench.certificate.dcc.nodes import NAMESPACES, broken_rules
-from bench.certificate.dcc.results import region_factor
 from bench.certificate.gather import missing
 from bench.certificate.proof import Writer
 from bench.config.devices.device import Certificate as Held
@@ -88,7 +88,7 @@ def test_per_metre_and_second_squared_holds_the_uncertainty_of_gravity(root, iss
 
 def test_the_ellipsoid_of_twelve_holds_what_it_says():
     draws = np.random.default_rng(20261122).normal(size=(200_000, 12))
-    k = region_factor(0.9545, 12)
+    k = joint_factor(12, level=0.9545).k
     held = np.mean(np.sum(draws**2, axis=1) <= k * k)
     assert held == pytest.approx(0.9545, abs=4 * np.sqrt(0.9545 * 0.0455 / 200_000))
 

@@ -86,9 +86,9 @@ def test_coefficients_of_anothers_list_are_taken_by_their_names(bench, empty_fol
     scattered = sorted(range(12), key=lambda i: (i >= 9, order[i]))
     named = [NAMES[i].replace("K", "K_") for i in scattered]
     Path("x.xml").write_text(HEAD.format(real_list(named, [VALUES[i] for i in scattered], unit)))
-    refused(bench("certificate", "read", "x.xml", "--out", "c.json"), "say --g", "--noise")
+    refused(bench("certificate", "read", "x.xml", "--out", "c.json"), "give --g", "--noise")
     status, _, err = bench("certificate", "read", "x.xml", "--out", "c.json", "--g", 9.81, "--noise", "50 uV")
-    assert (status, "taken as not correlated" in err) == (0, True)
+    assert (status, "assumed uncorrelated" in err) == (0, True)
     taken = coefficients_of(json.loads(Path("c.json").read_text()), "it")
     scales = np.array([scale] * 9 + [1.0] * 3)
     assert np.allclose(taken.block.vector, np.array(VALUES) * scales, rtol=1e-14)
@@ -102,7 +102,7 @@ def test_coefficients_of_anothers_list_are_taken_by_their_names(bench, empty_fol
         (real_list([*NAMES[:11], "U0"]), "no list of the twelve"),
         (real_list() * 2, "more than one list"),
         (real_list(u=""), "states no uncertainty"),
-        (real_list(k_unit=r"\ampere"), "K is to be in"),
+        (real_list(k_unit=r"\ampere"), "give K in"),
         (real_list(k_unit=r"\furlong"), "furlong is not known"),
         (real_list(values=VALUES[:11]), "11 values, but 12 units"),
         (real_list().replace("0.07", "seven"), "'seven' is no number"),
@@ -151,7 +151,7 @@ def test_a_heads_certificate_is_printed_for_the_bench_file(bench, empty_folder):
     corrections = np.degrees([value.correction for value in head.values]) * 3600
     assert np.allclose(corrections, -np.array(errors), atol=1e-8)
     assert [value.U for value in head.values] == pytest.approx([np.radians(1 / 3600)] * 8, rel=1e-5)
-    assert "a bench file does not take" not in err
+    assert "a bench file cannot use" not in err
 
 
 def test_what_a_bench_file_would_not_take_is_said(bench, empty_folder):
@@ -160,7 +160,7 @@ def test_what_a_bench_file_would_not_take_is_said(bench, empty_folder):
     )
     Path("x.xml").write_text(HEAD.format(f"<dcc:list>{table}</dcc:list>"))
     status, _, err = bench("certificate", "read", "x.xml")
-    assert (status, "the table says nothing between" in err) == (0, True)
+    assert (status, "the table has no angle between" in err) == (0, True)
     Path("x.xml").write_text(HEAD.format("<dcc:text/>"))
     status, out, err = bench("certificate", "read", "x.xml")
     assert (status, "number: H-88" in out, "by hand" in err) == (0, True, True)

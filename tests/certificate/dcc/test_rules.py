@@ -28,8 +28,8 @@ def document(issued_certificate):
         (r"<si:unitXMLList>\volt \volt ", r"<si:unitXMLList>\volt ", "12 values, but 11 units"),
         (r"<si:unitXMLList>\volt \volt ", r"<si:unitXMLList>\vold \volt ", "vold is not known"),
         ("<dcc:conformityXMLList>", "<dcc:conformityXMLList>pass ", "not a statement for each value"),
-        ("<dcc:items>", "<!-- so --><dcc:items>", "which nobody signs for"),
-        ("<dcc:items>", "<dcc:items><x/>", "of no name space of a DCC"),
+        ("<dcc:items>", "<!-- so --><dcc:items>", "which no signature covers"),
+        ("<dcc:items>", "<dcc:items><x/>", "not in the name space of a DCC"),
     ],
 )
 def test_a_broken_rule_is_told(document, old, new, told):

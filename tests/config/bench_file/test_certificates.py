@@ -76,13 +76,13 @@ def test_all_mistakes_are_told_at_once(tmp_path):
         "gravity.date: expected a date such as 2026-03-02, got '1.2.2024'",
         "instruments.chamber.certificate.date: there is no day 2026-13-01",
         "instruments.chamber.certificate.values[1].correction: expected a difference of temperatures",
-        "head.certificate.values: the table says nothing between 180° and 360°: its angles are at most 45°",
+        "head.certificate.values: the table has no angle between 180° and 360°: state angles at most 45°",
         "voltmeters[1].certificate.date: there is no day 2026-02-30: expected a date such as 2026-03-02",
         "voltmeters[1].certificate.valid_untl: unknown key 'valid_untl'; did you mean 'valid_until'?",
         "voltmeters[1].certificate.values[1].gain: 'k' is missing",
-        "voltmeters[1].certificate.values[2]: say what was found on this range: gain, offset or both",
-        "voltmeters[2].certificate.valid_until: the certificate is of 2026-01-01: it cannot have expired",
-        "voltmeters[2].certificate.values[1].gain.correction: a correction of the gain is within ±1 %",
+        "voltmeters[1].certificate.values[2]: state 'gain', 'offset' or both for this range",
+        "voltmeters[2].certificate.valid_until: the certificate is of 2026-01-01: but expired before",
+        "voltmeters[2].certificate.values[1].gain.correction: state a gain correction within ±1 %",
         "voltmeters[2].certificate.values[1].gain.drift: expected a drift of the gain such as '8 ppm/year'",
         "voltmeters[2].certificate.values[1].gain.k: expected more than 0.0, got '0'",
         "voltmeters[3].certificate: the certificate states 11 V, but the meter has the ranges 0.1 V, 1 V, 10 V",
@@ -96,15 +96,15 @@ def test_all_mistakes_are_told_at_once(tmp_path):
     ("parts", "sentence"),
     [
         ({"head": table_certificate(dict.fromkeys((0, 40, 80, 440, 120, 160, 200, 240, 280, 320), 0.0))},
-         "80° stands twice in the table"),
+         "80° appears twice in the table; keep one"),
         ({"head": table_certificate(dict.fromkeys(range(0, 360, 30), 4000.0))}, "within ±1°, not 1.11111°"),
         ({"meters": {"x": meter_certificate(offset="0.2 V")}}, "within 1 % of the range, not 0.2 V"),
         ({"meters": {"x": {**meter_certificate(),
                            "values": [*meter_certificate()["values"], *meter_certificate()["values"]]}}},
-         "the range 10 V stands twice; leave one out"),
+         "the range 10 V appears twice; keep one"),
         ({"meters": {"x": {**meter_certificate(), "values": []}}}, "expected a list of at least 1"),
         ({"simulation": {"voltmeter": {"accuracy": "certificate"}}},
-         "voltmeter 1, 2, 3 has no certificate whose errors it could have"),
+         "voltmeter 1, 2, 3 has no certificate from which to draw errors"),
     ],
 )  # fmt: skip
 def test_what_is_no_certificate_is_told(tmp_path, parts, sentence):
@@ -130,8 +130,8 @@ def test_an_expired_certificate_is_said_from_the_day_after(tmp_path):
     (after,) = standings(bench, DAY + datetime.timedelta(days=1))
     assert list(on_the_day.remarks()) == []
     assert list(after.remarks()) == [
-        "voltmeter.y: its certificate C-1 of 2026-01-01, Met Lab, expired on 2026-06-01: its values count, with "
-        "the drift since; have it calibrated"
+        "voltmeter.y: its certificate C-1 of 2026-01-01, Met Lab, expired on 2026-06-01: its values are "
+        "used with the drift since; have it calibrated"
     ]
 
 
@@ -163,7 +163,7 @@ def test_a_head_that_a_person_turns_states_no_serial_number(tmp_path):
 def test_a_certificate_that_leaves_out_the_range_is_told(tmp_path):
     held = {**meter_certificate(), "values": [{"range": "1 V", "gain": {"U": "6 ppm", "k": 2}}]}
     (found,) = standings(certified(tmp_path, meters={"x": held}), DAY)
-    assert "says nothing of the 10 V range: there the data sheet's limits count" in next(found.remarks())
+    assert "does not cover the 10 V range: the data sheet's limits apply there" in next(found.remarks())
 
 
 # --- what is shown to be copied ---------------------------------------------------------------------

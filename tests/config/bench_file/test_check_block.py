@@ -40,14 +40,14 @@ def test_a_bench_file_need_not_have_one():
         ("rule: stop", "refuse"),
         ("max_age: 12", "duration"),
         ("arl: 5", "20"),
-        ("k: 3\n  arl: 370", "arl and k say the same thing"),
+        ("k: 3\n  arl: 370", "'arl' and 'k' state the same limit"),
         ("smoothing: 0", "0.03"),
         ("limits: guessed", "stated"),
         ("between_runs: [voltmeter_gain]", "mounting_roll"),
-        ("drift: {Kxw: {per_year: 1 uV/g, u: 1 uV/g}}", "Kxw is no coefficient"),
+        ("drift: {Kxw: {per_year: 1 uV/g, u: 1 uV/g}}", "Kxw is not a coefficient"),
         ("drift: {Kxx: {per_year: 1 uV, u: 1 uV/g}}", "scale factor"),
-        ("drift: {Kxx: {per_year: 1 uV/g, u: -1 uV/g}}", "not negative"),
-        ("reference: [a]\n  baseline_days: {first: 2026-01-01, last: 2026-01-02}", "state one of them"),
+        ("drift: {Kxx: {per_year: 1 uV/g, u: -1 uV/g}}", "of 0 or more"),
+        ("reference: [a]\n  baseline_days: {first: 2026-01-01, last: 2026-01-02}", "remove one"),
     ],
 )
 def test_what_it_cannot_say_is_told(tmp_path, line, told):

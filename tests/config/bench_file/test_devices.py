@@ -85,7 +85,7 @@ def test_without_it_the_driver_is_unknown(tmp_path):
         load_bench(own_bench(tmp_path))
     assert told.value.mistakes[0].text.startswith("expected agilent-34401a, ")
     assert (
-        ", got 'my-meter'; an instrument of your own is found in the folder that --devices"
+        ", got 'my-meter'; for an instrument of your own, name its folder with --devices"
         in told.value.mistakes[0].text
     )
 
@@ -96,7 +96,7 @@ def test_a_folder_is_named_on_the_command_line_for_that_command_alone(bench, fol
     assert "BENCH_DEVICES" not in os.environ
     assert bench("check", "quick", "--bench", path)[0] == 2
     status, _, err = bench("check", "quick", "--devices", tmp_path / "nowhere")
-    assert (status, "there is no such folder" in err) == (2, True)
+    assert (status, "no such folder; create it or name another" in err) == (2, True)
 
 
 def test_a_module_that_fails_is_one_sentence_and_stops_nobody_else(mine, bench, tmp_path):
@@ -129,7 +129,7 @@ def test_two_of_one_name_are_refused_with_both_places(mine, tmp_path):
     text = told.value.mistakes[0].text
     assert str(mine / "my_meter.py") in text
     assert str(mine / "second.py") in text
-    with pytest.raises(FileMistakes, match=r"'zaber' is brought by .*heads\.py and by .*third\.py; take one"):
+    with pytest.raises(FileMistakes, match=r"'zaber' is in .*heads\.py and in .*third\.py; remove one"):
         load_bench(find_bench("bench-motorised"))
 
 

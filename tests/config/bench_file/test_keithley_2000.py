@@ -43,7 +43,7 @@ def test_over_rs232_lines_end_as_the_meter_is_set(tmp_path, terminator, end):
         ({"serial": {"terminator": "nl"}}, "expected lf, cr, crlf or lfcr"),
         ({"serial": {"parity": "even"}}, "unknown key 'parity'; known: baud_rate, terminator"),
         ({"interface": "lan"}, "expected gpib or rs232"),
-        ({"interface": "gpib"}, "say 'interface: rs232'"),
+        ({"interface": "gpib"}, "state 'interface: rs232'"),
         ({"range": "3 V"}, "the keithley-2000 has the ranges 0.1 V, 1 V, 10 V, 100 V, 1000 V"),
     ],
 )

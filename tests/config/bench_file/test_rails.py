@@ -55,9 +55,9 @@ def test_a_warm_up_may_be_until_the_signals_have_settled(tmp_path):
 @pytest.mark.parametrize(
     ("changes", "place", "text"),
     [
-        ({"voltage": "17.9 V"}, "voltage", "17.7 to 18.1 V, but the block may be given -0.5 to 18 V only"),
-        ({"voltage": "-15 V"}, "voltage", "the block may be given -0.5 to 18 V only"),
-        ({"voltage": "0 V"}, "voltage", "leave out what the block is not fed by"),
+        ({"voltage": "17.9 V"}, "voltage", "17.7 to 18.1 V, but the block tolerates -0.5 to 18 V only"),
+        ({"voltage": "-15 V"}, "voltage", "the block tolerates -0.5 to 18 V only"),
+        ({"voltage": "0 V"}, "voltage", "remove rails that do not feed the block"),
         ({"tolerance": "0 V"}, "tolerance", "no supply keeps a voltage exactly"),
         ({"tolerance": "15 V"}, "tolerance", "lets a rail of 15 V be none"),
         ({"current_limit": "250 mA"}, "current_limit", "beyond the 0.2 A that the block may draw"),
@@ -66,7 +66,7 @@ def test_a_warm_up_may_be_until_the_signals_have_settled(tmp_path):
         ({"limits": {"minimum": "19 V"}}, "limits", "19 V is not below the maximum of 18 V"),
         ({"over_voltage": "15.1 V"}, "over_voltage", "within the rail's own tolerance, which ends at 15.2 V"),
         ({"over_voltage": "-16 V"}, "over_voltage", "within the rail's own tolerance"),
-        ({"over_voltage": "19 V"}, "over_voltage", "the block may be given -0.5 to 18 V only"),
+        ({"over_voltage": "19 V"}, "over_voltage", "the block tolerates -0.5 to 18 V only"),
         ({"name": "+15 V"}, "name", "a small letter, then small letters and digits"),
     ],
 )
@@ -94,9 +94,12 @@ def test_all_mistakes_are_told_at_once_with_their_lines(tmp_path):
 @pytest.mark.parametrize(
     ("warm_up", "text"),
     [
-        ({"drift": "0 V", "per": "10 min", "timeout": "2 h"}, "no two samples are ever the same"),
-        ({"drift": "1 mV", "per": "10 min", "timeout": "10 min"}, "at least the time that the drift is per"),
-        ({"drift": "1 mV", "per": "10 s", "timeout": "1 h", "interval": "1 min"}, "no longer than the time"),
+        ({"drift": "0 V", "per": "10 min", "timeout": "2 h"}, "no two samples are equal"),
+        ({"drift": "1 mV", "per": "10 min", "timeout": "10 min"}, "at least the time of the drift"),
+        (
+            {"drift": "1 mV", "per": "10 s", "timeout": "1 h", "interval": "1 min"},
+            "at most the time of the drift",
+        ),
     ],
 )
 def test_a_warm_up_that_cannot_come_about_is_refused(tmp_path, warm_up, text):

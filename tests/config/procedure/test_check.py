@@ -91,8 +91,8 @@ def test_every_problem_is_told_at_once_and_the_status_says_so(bench):
     told = [line for line in out.splitlines() if line.startswith("cannot be done: ")]
     for words in (
         "mount/7: the bench file has no installation 7 (it has 1, 2, V, 1T90, 2T90, 1T180, 2T180)",
-        "do not integrate over 5 NPLC; take one of 0.02, 0.2, 1, 10, 100",
-        "1000 samples are more than the 512 that a voltmeter holds",
+        "cannot integrate over 5 NPLC; choose from 0.02, 0.2, 1, 10, 100",
+        "1000 samples exceed the 512 that a voltmeter stores",
         "the reference of 50 V",
         "80 °C is outside what the block",
     ):
@@ -112,7 +112,7 @@ def test_fewer_samples_than_a_voltmeter_takes_are_refused_as_its_driver_would(be
         Path("p.yaml").write_text(quick.replace("samples: 5", f"samples: {samples}"), encoding="utf-8")
         checked, out, err = bench("check", "p.yaml")
         assert checked == status, (samples, out, err)
-        assert (f"{samples} samples are fewer than the 2 that a voltmeter takes" in out + err) == bool(status)
+        assert (f"{samples} samples are fewer than the 2 that a voltmeter needs" in out + err) == bool(status)
         assert bool(limits.transgressions(VoltmeterSettings(10.0, 10.0, samples))) == bool(status)
     settling = quick.replace("settle: 5 s", "settle: {precision: 1 mV, window: 5 s, timeout: 1 min}")
     Path("p.yaml").write_text(settling, encoding="utf-8")

@@ -138,7 +138,7 @@ def test_each_pass_has_its_scan_order_and_a_plan_keeps_it(scanned):
 @pytest.mark.parametrize(
     ("scans", "told"),
     [
-        ("[xyz]", "'scans' has an order for each pass: 2, not 1"),
+        ("[xyz]", "state an order in 'scans' for each pass: 2, not 1"),
         ("[xyz, zzy]", "such as xyz or zyx, got 'zzy'"),
     ],
 )
@@ -175,7 +175,8 @@ def test_a_multiplexer_refuses_another_order_than_its_own(scanned):
     plan = load_procedure(scanned).plan
     (problem,) = check(plan, load_bench(find_bench("bench-multiplexer")))
     assert problem == (
-        "step 0016/read/1.2.1: the channels are to be read in the order zyx, but this bench's multiplexer can do "
-        "xyz alone; leave 'scans' out in a copy of the procedure"
+        "step 0016/read/1.2.1: the procedure reads the channels in the order zyx, but this bench's "
+        "multiplexer can only use "
+        "xyz alone; remove 'scans' in a copy of the procedure"
     )
     assert check(plan, BENCH) == []

@@ -56,7 +56,7 @@ def test_without_it_a_plan_is_the_one_it_was(tmp_path):
         ("      level: {settings: 2, within: 8 arcsec}\n", "", "the platform was not levelled before"),
         ("within: 8 arcsec", "within: 0 arcsec", "no platform is exactly level"),
         ("        - turn: {angles: [0 deg]}", "        - turn: {angles: [0 deg], steps: [{level: {}}]}",
-         "a level stands inside the steps of a turn"),
+         "a level is inside the steps of a turn"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_is_told_with_its_line(tmp_path, old, new, mistake):
@@ -68,7 +68,7 @@ def test_it_takes_a_level_on_the_bench(tmp_path):
     plan = loaded(tmp_path).expand()
     text = find_bench("paper-stand").read_text(encoding="utf-8")
     assert check(plan, load_bench(find_bench("bench-gpib")))[0].startswith(
-        "step 0001/level/1: the platform is to be levelled, but the bench file has no level"
+        "step 0001/level/1: the procedure levels the platform, but the bench file has no level"
     )
     chamber = "  chamber: {driver: manual-chamber"
     own = tmp_path / "bench.yaml"

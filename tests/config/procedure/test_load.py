@@ -124,21 +124,21 @@ def test_many_mistakes_are_told_at_once_with_their_lines(mistakes):
     )
     expected = [
         "4 steps[1].read.samples: expected 1 or more, got '0'",
-        "4 steps[1].read: a read stands outside of an installation",
+        "4 steps[1].read: a read is outside of an installation",
         "5 steps[2].turn.angels: unknown key 'angels'; did you mean 'angles'?",
-        "5 steps[2].turn: a turn stands outside of an installation",
-        "7 steps[3].installation.label: 'S' stands for readings without orientation",
-        "9 steps[3].installation.steps[1].turn.angles[2]: an angle lies within ±360°, not at 361°",
+        "5 steps[2].turn: a turn is outside of an installation",
+        "7 steps[3].installation.label: 'S' marks readings without orientation",
+        "9 steps[3].installation.steps[1].turn.angles[2]: state an angle within ±360°, not 361°",
         "9 steps[3].installation.steps[1].turn.angles[3]: expected an angle such as '90 arcsec', got '5",
         "10 steps[3].installation.steps[2].read.nplc: expected a number, got 'ten'",
-        "10 steps[3].installation.steps[2].read: a read stands outside of a turn",
+        "10 steps[3].installation.steps[2].read: a read is outside of a turn",
         "11 steps[3].installation.steps[3].installation.steps: expected a list of at least 1, got a list",
-        "11 steps[3].installation.steps[3].installation: an installation stands inside another",
+        "11 steps[3].installation.steps[3].installation: an installation is inside another",
         "12 steps[4].repeat.directions[1]: expected rising or falling, got 'up'",
         "12 steps[4].repeat.steps[1].wait.for: expected a duration such as '30 s', got '1 V'",
         "13 steps[5].waite: unknown key 'waite'; did you mean 'wait'?",
-        "14 steps[6]: a step has one of the verbs",
-        "15 steps[6].read: a read stands outside of an installation",
+        "14 steps[6]: state one verb a step from",
+        "15 steps[6].read: a read is outside of an installation",
         "16 steps[7].prompt: the default 9 is not between 10 and inf",
     ]
     assert len(told) == len(expected), told
@@ -231,7 +231,7 @@ def test_mistakes_in_included_files_name_file_and_line(mistakes):
     assert "missing.yaml: there is no such file" in told[0]
     assert told[1].startswith("broken.yaml2 : this is not YAML")
     assert told[2].startswith("part.yaml3 steps[1].wait.for: expected a duration such as '30 s', got '1 m'")
-    assert told[3].startswith("part.yaml4 steps[2].read: a read stands outside of an installation")
+    assert told[3].startswith("part.yaml4 steps[2].read: a read is outside of an installation")
     assert len(told) == 4
 
 
@@ -239,7 +239,9 @@ def test_files_that_include_each_other_are_refused(mistakes):
     told = mistakes(
         "  - include: a.yaml\n", a="steps: [{include: b.yaml}]\n", b="steps:\n  - include: a.yaml\n"
     )
-    assert told == ["b.yaml2 steps[1].include: the file includes itself: a.yaml → b.yaml → a.yaml"]
+    assert told == [
+        "b.yaml2 steps[1].include: the file includes itself, remove that: a.yaml → b.yaml → a.yaml"
+    ]
 
 
 def test_temperatures_need_a_chamber_that_reaches_them(load, tmp_path):
@@ -250,7 +252,7 @@ def test_temperatures_need_a_chamber_that_reaches_them(load, tmp_path):
     path = tmp_path / "b.yaml"
     path.write_text(text.replace(chamber, ""), encoding="utf-8")
     assert check(plan, load_bench(path)) == [
-        "step 0001/temperature: the procedure sets temperatures, but the bench file has no chamber"
+        "step 0001/temperature: the procedure sets temperatures, but the bench file has no chamber; add one"
     ]
     path.write_text(text.replace("maximum: 100 degC", "maximum: 40 degC"), encoding="utf-8")
     assert check(plan, load_bench(path)) == [

@@ -184,7 +184,7 @@ def test_steps_say_what_they_are():
 
 def test_what_is_no_plan_is_refused():
     good = PLAN.to_json()
-    with pytest.raises(ValueError, match="unknown kind 'jump'"):
+    with pytest.raises(ValueError, match="use a known kind of step, not 'jump'"):
         Plan.from_json(good | {"steps": [{"step": "jump"}]})
     with pytest.raises(TypeError):
         Plan.from_json(good | {"steps": [{"step": "wait", "key": "1"}]})

@@ -60,7 +60,7 @@ def test_after_each_switching_on_the_same_mounting_is_another_series(tmp_path):
         ("  - power: onn\n", "onn"),
         ("  - power: {switch: on, off_for: 1 min}\n", "only a cycle has 'off_for'"),
         ("  - power: {switch: off, warm_up: 1 min}\n", "does not warm up"),
-        ("  - input: {source: short, steps: [{power: off}, {read: {}}]}\n", "stands inside an input"),
+        ("  - input: {source: short, steps: [{power: off}, {read: {}}]}\n", "is inside an input"),
     ],
 )
 def test_a_switching_that_makes_no_sense_is_refused(tmp_path, steps, text):

@@ -46,7 +46,7 @@ def test_every_shipped_procedure_runs_on_every_shipped_bench(tmp_path):
             scans = any(isinstance(step, Read) and step.scan for step in plan.steps)
             if scans and bench.name == "bench-multiplexer":
                 (problem,) = check(plan, bench, dry_run=True)
-                assert "zyx, but this bench's multiplexer can do xyz alone" in problem
+                assert "zyx, but this bench's multiplexer can only use xyz alone" in problem
             elif any(isinstance(step, Power) for step in plan.steps) and bench.unit_under_test.supply is None:
                 (problem,) = check(plan, bench, dry_run=True)
                 assert "the bench file does not say how it is supplied" in problem

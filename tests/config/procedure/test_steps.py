@@ -78,9 +78,9 @@ def test_what_can_never_settle_is_a_mistake(mistakes):
 """
     )
     expected = [
-        "4 steps[1].settle: the precision is more than nothing",
+        "4 steps[1].settle: state a precision above 0",
         "5 steps[2].settle: the timeout is at least the window and one interval",
-        "6 steps[3].settle: the interval is longer than nothing and no longer than the window",
+        "6 steps[3].settle: state an interval above 0 and at most the window",
         "7 steps[4].settle.precision: expected a voltage such as '0.3 mV', got '0.1 K'",
         "8 steps[5].temperature.settle.precision: expected a difference of temperatures such as '0.1 K', got",
         "9 steps[6].settle.what: expected signals, got 'humidity'",
@@ -136,16 +136,16 @@ def test_what_stands_wrong_about_inputs_and_temperatures_is_told(mistakes):
 """
     )
     expected = [
-        "4 steps[1].input: an input of source 'reference' has a voltage, and no other has",
-        "5 steps[2].input: an input of source 'reference' has a voltage, and no other has",
+        "4 steps[1].input: state 'voltage' if, and only if, the source is 'reference'",
+        "5 steps[2].input: state 'voltage' if, and only if, the source is 'reference'",
         "6 steps[3].input.source: expected short or reference, got 'open'",
-        "10 steps[4].installation.steps[1].input.steps[1].turn: a turn stands inside an input",
-        "10 steps[4].installation.steps[1].input.steps[2].input: an input stands inside an input",
-        "11 steps[4].installation.steps[2].turn.steps[1].temperatures: a list of temperatures stands inside the",
-        "12 steps[4].installation.steps[3].read: a pause stands between readings",
-        "12 steps[4].installation.steps[3].read: a read stands outside of a turn",
+        "10 steps[4].installation.steps[1].input.steps[1].turn: a turn is inside an input",
+        "10 steps[4].installation.steps[1].input.steps[2].input: an input is inside an input",
+        "11 steps[4].installation.steps[2].turn.steps[1].temperatures: a list of temperatures is inside the",
+        "12 steps[4].installation.steps[3].read: 'pause' is between readings",
+        "12 steps[4].installation.steps[3].read: a read is outside of a turn",
         "13 steps[5].temperatures.steps[1].temperatures.at: expected a list of at least 1",
-        "13 steps[5].temperatures.steps[1].temperatures: a list of temperatures stands inside another",
+        "13 steps[5].temperatures.steps[1].temperatures: a list of temperatures is inside another",
     ]
     for start in expected:
         assert any(mistake.startswith(start) for mistake in told), (start, told)
@@ -213,13 +213,14 @@ def test_a_bench_refuses_what_its_instruments_cannot_do(load, tmp_path):
     path.write_text(text.replace("range: 10 g", "range: 0.5 g"), encoding="utf-8")
     told = check(plan, load_bench(path))
     assert [sentence.partition(";")[0] for sentence in told] == [
-        "step 0002/input: the reference of 20 V is more than the voltmeters' range of 10 V",
+        "step 0002/input: the reference of 20 V exceeds the voltmeters' range of 10 V",
         "the block is given 1 g along an axis, but measures no more than 0.5 g",
         "step 0006/temperature: 80 °C is outside what the block may be given, -40 to 60 °C",
-        "step 0001/settle: the temperature is to settle, but a person reads it and cannot be asked again and again",
+        "step 0001/settle: the procedure waits for a temperature, but a person reads it",
     ]
     chamber = next(line for line in text.splitlines() if line.startswith("  chamber:"))
     path.write_text(text.replace(chamber + "\n", ""), encoding="utf-8")
-    assert "step 0001/settle: the temperature is to settle, but the bench file has no chamber" in check(
-        plan, load_bench(path)
+    assert (
+        "step 0001/settle: the procedure waits for a temperature, but the bench file has no chamber; add one"
+        in check(plan, load_bench(path))
     )

@@ -59,7 +59,7 @@ def test_a_resource_names_adapter_and_address(resource: str, link: str, address:
 def test_a_resource_of_another_form_says_how_to_write_it(resource: str) -> None:
     with pytest.raises(WireError, match=r"prologix://192\.0\.2\.10:1234/22"):
         parse(resource)
-    with pytest.raises(InstrumentLost, match="not an address that can be understood; write it like"):
+    with pytest.raises(InstrumentLost, match="not a valid address; write it like"):
         MessageSession("v", resource).open()
 
 

@@ -105,7 +105,7 @@ def test_a_full_disk_ends_the_log_with_one_note_and_nothing_else(capsys: pytest.
     log.close()
     out, err = capsys.readouterr()
     assert out == ""
-    assert err == "note: the wire log /dev/full ends here (No space left on device); the run goes on\n"
+    assert err == "note: the wire log /dev/full ends here (No space left on device); the run continues\n"
 
 
 def test_lines_of_several_threads_stay_whole(tmp_path: Path) -> None:
@@ -513,7 +513,7 @@ def test_each_mistake_of_a_log_is_said_with_its_line(line: bytes, mistake: str, 
     assert second.startswith(f"{file}, line 2: ")
     assert mistake in second
     assert fourth.startswith(f"{file}, line 4: ")
-    assert fifth == f"{file}, line 5: it has no end; if the log broke off here, delete it"
+    assert fifth == f"{file}, line 5: the line is incomplete; if the log broke off here, delete it"
 
 
 # --- the pairs --------------------------------------------------------------------------------------

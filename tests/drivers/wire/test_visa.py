@@ -171,9 +171,9 @@ def test_refused_port_is_found_when_opening() -> None:
 @pytest.mark.parametrize(
     ("resource", "cause"),
     [
-        ("TCPIP::no-such-host.invalid::5025::SOCKET", "host that is not known"),
+        ("TCPIP::no-such-host.invalid::5025::SOCKET", "unknown host"),
         ("ASRL/dev/no-such-port::INSTR", "does not exist on this computer"),
-        ("some meter", "is not an address that can be understood"),
+        ("some meter", "is not a valid address"),
         pytest.param(
             "GPIB0::22::INSTR",
             "needs a GPIB library",

@@ -116,7 +116,7 @@ def test_settings_that_a_port_does_not_take_are_one_sentence(terminal: Terminal)
     with session(terminal.resource, serial=serial) as s:
         with pytest.raises(InstrumentLost) as caught:
             s.open()
-        assert "does not take these serial settings" in str(caught.value)
+        assert "does not accept these serial settings" in str(caught.value)
         assert s.connection is None
 
 

@@ -61,7 +61,7 @@ def test_an_instrument_that_does_not_come_back_is_told(clock):
     person.on_prompt = lambda prompt: x.troubles.extend([lost("voltmeter.x")] * 100)
     check_cables(given)
     assert given.findings[0].state is State.COULD_NOT
-    assert "did not come back" in given.findings[0].said
+    assert "did not respond again" in given.findings[0].said
 
 
 def test_a_loss_that_is_told_late_is_slow(clock):

@@ -73,7 +73,7 @@ def test_what_refuses_to_be_opened_could_not_be_done(tonight, monkeypatch):
     for _ in range(3):
         found = tonight.carry_out("check", tonight.instruments.head, lambda: works(tonight))
         assert found.state is State.COULD_NOT
-    assert found.said == "not tried, it was lost before"
+    assert found.said == "not tried: the instrument was lost before"
 
 
 def test_an_error_of_another_that_takes_part_is_told_of_that_one(tonight):
@@ -93,7 +93,7 @@ def test_what_was_lost_twice_is_not_tried_again(tonight):
     for _ in range(4):
         found = tonight.carry_out("check", x, look)
     assert len(tried) == 2
-    assert (found.state, found.said) == (State.COULD_NOT, "not tried, it was lost before")
+    assert (found.state, found.said) == (State.COULD_NOT, "not tried: the instrument was lost before")
 
 
 def test_an_answer_that_takes_most_of_its_timeout_is_slow(tonight, clock):
@@ -129,7 +129,7 @@ def test_a_connection_made_anew_is_told(clock, person):
     head = tonight.instruments.head
     assert tonight.carry_out("check", head, lambda: works(tonight)).state is State.WORKS
     found = tonight.carry_out("check", head, lambda: works(tonight))
-    assert (found.state, "asked for again" in found.said) == (State.OTHER, True)
+    assert (found.state, "requested again" in found.said) == (State.OTHER, True)
 
 
 def test_skip_and_abort_are_heard_and_no_other_wish(tonight, person):
@@ -142,8 +142,8 @@ def test_skip_and_abort_are_heard_and_no_other_wish(tonight, person):
     person.answers = [OperatorWish(RunControl(Wish.ABORT))]
     with pytest.raises(SessionEnded):
         tonight.confirm("Go on?")
-    person.answers = [NoAnswer("operator", "the answers ended", "answer")]
-    with pytest.raises(SessionEnded, match="the answers ended"):
+    person.answers = [NoAnswer("operator", "no answer is left", "answer")]
+    with pytest.raises(SessionEnded, match="no answer is left"):
         tonight.confirm("Go on?")
 
 

@@ -57,7 +57,7 @@ def test_a_head_whose_wire_alone_refuses_is_told(clock, person, monkeypatch):
 
     monkeypatch.setattr(given.instruments.head, "move", move)
     check_limits(given)
-    assert "was not refused before it would have been sent" in given.findings[0].said
+    assert "was refused only after it was sent" in given.findings[0].said
 
 
 def test_it_goes_both_ways_stops_between_and_ends_where_it_began(clock, person):
@@ -105,7 +105,7 @@ def test_a_stop_that_fails_twice_is_told_with_the_emergency_stop(clock, person, 
     check_moves(given)
     stop = next(one for one in given.findings if one.check == "stop")
     assert (stop.state, stop.said) == (State.OTHER, "it refuses ST")
-    assert "emergency stop where it does not (it refuses ST)" in stop.remedy
+    assert "press its emergency stop (it refuses ST)" in stop.remedy
 
 
 def test_whatever_ends_the_stop_the_head_was_told_to_stop(clock, person, monkeypatch):

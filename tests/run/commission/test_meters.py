@@ -110,5 +110,5 @@ def test_what_is_not_within_the_limits_is_told(clock, samples_v, said):
     check_noise(given)
     assert given.findings[0].state is State.OTHER
     assert said in given.findings[0].said
-    assert "really shorted" in given.findings[0].remedy
+    assert "short the input" in given.findings[0].remedy
     assert given.findings[1].state is State.WORKS

@@ -201,5 +201,5 @@ def test_other_questions_get_their_default_or_no_answer() -> None:
 
 
 def test_a_scale_without_steps_is_refused() -> None:
-    with pytest.raises(ValueError, match="resolution must be positive"):
+    with pytest.raises(ValueError, match="a positive resolution"):
         OperatorSettings(resolution_rad=0.0)

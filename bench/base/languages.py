@@ -1,0 +1,312 @@
+"""Languages of pages and prompts: texts are made in English, and a view translates them when it shows them.
+
+Results, records and JSON therefore stay English, and the page of an old record can be in another language.
+`message` marks a text in the code; in an f-string the values become numbered blanks: `message(f"{n} rows")` is
+"{0} rows" in the catalogue (`catalogues/uk.po`). A view calls `translated`, which finds the entry of which a text
+is a filled copy, translates the values as far as they are texts, and writes numbers with the decimal sign of
+the language. Templates are translated as a whole (`bench.base.template_texts`).
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass, field
+from functools import cache, lru_cache, partial
+from gettext import GNUTranslations, NullTranslations
+from importlib.resources import files
+from io import BytesIO
+from typing import Final
+
+from drivers.interfaces import message as message  # noqa: PLC0414 - other modules take it from here
+
+ENGLISH: Final = "en"
+LANGUAGES: Final = {ENGLISH: "English", "uk": "Українська"}
+"""The languages of pages and prompts, by ISO 639-1 code, with their own names."""
+
+ENVIRONMENT: Final = "BENCH_LANGUAGE"
+
+_chosen: ContextVar[str | None] = ContextVar("language", default=None)
+
+
+def language() -> str:
+    """Return the language of views: the one set by `speaking`, else of `BENCH_LANGUAGE`, else English."""
+    return _chosen.get() or known_language(os.environ.get(ENVIRONMENT, "")) or ENGLISH
+
+
+def known_language(name: str) -> str:
+    """Return the language of `LANGUAGES` in a name such as "uk" or "uk_UA.UTF-8"; empty for another language."""
+    code = re.split(r"[-_.]", name.strip().lower())[0]
+    return code if code in LANGUAGES else ""
+
+
+def speak(name: str | None) -> None:
+    """Set the language of views from here on; None leaves it. Raises `ValueError` for an unknown language."""
+    if name is not None:
+        if not known_language(name):
+            raise ValueError(f"language {name!r}: choose one of {', '.join(LANGUAGES)}")
+        _chosen.set(known_language(name))
+
+
+@contextmanager
+def speaking(name: str | None) -> Iterator[None]:
+    """Set the language of views within the context; None leaves it as it is. Raises as `speak`."""
+    token = _chosen.set(_chosen.get())
+    try:
+        speak(name)
+        yield
+    finally:
+        _chosen.reset(token)
+
+
+def translated(text: str, context: str = "") -> str:
+    """Return a text made by the program in the language of views; a text without a translation comes back.
+
+    `context` tells apart texts that English spells alike, such as "pass" (a verdict, a round).
+    """
+    name = language()
+    return text if name == ENGLISH else catalogue(name).translate(text, context)
+
+
+def shown(value: object) -> object:
+    """Return a value for a page: a number with its decimal sign, a text of several words translated.
+
+    A single word comes back as it is, because it may be a name; `translated` also translates single words.
+    """
+    name = language()
+    if name == ENGLISH or hasattr(value, "__html__") or not isinstance(value, str | float):
+        return value
+    text = str(value)
+    if " " in text.strip() and not is_numeric(text):
+        return catalogue(name).translate(text)
+    return catalogue(name).number(text) if is_numeric(text) else value
+
+
+# --- numbers in texts --------------------------------------------------------------------------------
+
+_DECIMAL: Final = re.compile(r"(?<![\w.])(\d+)\.(\d+)(?!\.?\d)(?![a-df-zA-DF-Z_])")
+_WORDS: Final = re.compile(r"[^\W\d_]+")
+_UNITS: Final = frozenset(
+    {
+        *"V g m s h d A K C W k p u U n e r σ χ",
+        "Δg",
+        "mV",
+        "µV",
+        "nV",
+        "mg",
+        "µg",
+        "ng",
+        "ms",
+        "min",
+        "°C",
+        "mA",
+    }
+    | {"kHz", "Hz", "ppm", "rad", "mrad", "µrad", "arcsec", "mm", "µm", "counts"}
+)
+
+
+def is_numeric(text: str) -> bool:
+    """Return whether a text is numbers, signs and units alone, such as "−2.177(16) V/g" or "22.8 … 23.1 °C"."""
+    return bool(_DECIMAL.search(text)) and all(word in _UNITS for word in _WORDS.findall(text))
+
+
+def local_number(text: str) -> str:
+    """Return a text of numbers and units with the decimal sign of views; any other text comes back."""
+    name = language()
+    return text if name == ENGLISH or not is_numeric(text) else catalogue(name).number(text)
+
+
+# --- catalogues --------------------------------------------------------------------------------------
+
+_AROUND: Final = re.compile(r"([\s:;,.([«»✓✗–·]*)(.*?)([\s:;,.)\]]*)", re.DOTALL)
+"""Signs around a text, its core, and signs after it."""
+_SURE, _SHORT = 5, 60
+"""A filled copy of a text of so many letters is surely one; with fewer, values have up to `_SHORT` signs."""
+_WORD: Final = re.compile(r"\b[a-z]{3,}\b")
+_BLANK: Final = re.compile(r"\{(\d+)\}")
+
+
+@dataclass(frozen=True)
+class Entry:
+    """An English text of a catalogue with numbered blanks, `plural` for a count other than one, and its context."""
+
+    english: str
+    plural: str = ""
+    context: str = ""
+    files: str = field(default="", compare=False)
+    """The files that use it, separated by spaces."""
+
+    @property
+    def of_modules(self) -> bool:
+        """Whether a module uses it, so that filled copies have to be recognised; templates look it up."""
+        return not self.files or any(not file.endswith((".j2", ".js")) for file in self.files.split())
+
+    def patterns(self) -> Iterator[tuple[str, re.Pattern[str]]]:
+        """Yield each English form with a regular expression, whose groups are the values of the blanks."""
+        for text in filter(None, (self.english, self.plural)):
+            seen: set[str] = set()
+            parts = []
+            for at, part in enumerate(_BLANK.split(text)):
+                if at % 2 == 0:
+                    parts.append(re.escape(part))
+                else:
+                    parts.append(f"(?P=v{part})" if part in seen else f"(?P<v{part}>.*?)")
+                    seen.add(part)
+            yield text, re.compile("".join(parts), re.DOTALL)
+
+
+class Catalogue:
+    """The translations into a language; `decimal` is its decimal sign."""
+
+    def __init__(self, entries: Iterable[Entry], translations: NullTranslations, decimal: str) -> None:
+        self.decimal = decimal
+        self.entries = tuple(entries)
+        self._translations = translations
+        self._exact = {
+            (one.context, text): one for one in self.entries for text in (one.english, one.plural) if text
+        }
+        copies = [one for one in self.entries if _BLANK.search(one.english) and one.of_modules]
+        # what begins with words of its own, and has many, is told before others
+        copies.sort(
+            key=lambda one: (one.english.startswith("{"), -_letters(one), -len(_BLANK.findall(one.english)))
+        )
+        self._patterns = {
+            sure: [
+                (max(_BLANK.split(text)[::2], key=len), one, pattern)
+                for one in copies
+                if (_letters(one) >= _SURE) is sure
+                for text, pattern in one.patterns()
+            ]
+            for sure in (True, False)
+        }
+        self.translate: Callable[..., str] = lru_cache(maxsize=20000)(self._translate)
+
+    def number(self, text: str) -> str:
+        """Return a text with the decimal sign of the language in each decimal number; versions stay as they are."""
+        return _DECIMAL.sub(rf"\1{self.decimal}\2", text)
+
+    def fill(self, entry: Entry, values: Mapping[str, str], count: float | None = None) -> str:
+        """Return a translation with its blanks filled; `count`, else the first whole number, chooses the plural."""
+        if count is None:
+            count = next((int(value) for value in values.values() if value.isdecimal()), 2)
+        form = self._form(entry, int(count) if float(count).is_integer() else 2)  # a fraction goes as 2 does
+        return _BLANK.sub(lambda blank: values.get(blank[1], blank[0]), form)
+
+    def forms(self, entry: Entry) -> list[str]:
+        """Return the translation of a text, or its forms for one, for few and for many."""
+        return [self._form(entry, n) for n in ((1, 2, 5) if entry.plural else (1,))]
+
+    def _form(self, entry: Entry, n: int) -> str:
+        of, english = self._translations, entry.english
+        match entry.context, entry.plural:
+            case "", "":
+                return of.gettext(english)
+            case context, "":
+                return of.pgettext(context, english)
+            case "", plural:
+                return of.ngettext(english, plural, n)
+        return of.npgettext(entry.context, english, entry.plural, n)
+
+    def _translate(self, text: str, context: str = "") -> str:
+        if is_numeric(text):
+            return self.number(text)
+        lowered = text[:1].lower() + text[1:]
+        looks: tuple[Callable[[str], str | None], ...] = (
+            partial(self._exactly, context=context),
+            self._filled,
+        )
+        for look in looks:
+            if (told := look(text)) is not None:
+                return told
+            if lowered != text and (told := look(lowered)) is not None:
+                return told[:1].upper() + told[1:]
+        for separator in (r"\n", r"  ", r"(?<=[.?!]) (?=[A-Z(])"):
+            if len(parts := re.split(separator, text)) > 1:
+                return re.search(separator, text)[0].join(map(self.translate, parts))  # type: ignore[index]
+        if (around := _AROUND.fullmatch(text)) is not None and around[2] != text:
+            return around[1] + self.translate(around[2], context) + around[3]
+        for joint in ("; ", ": ", ", "):
+            parts = text.split(joint)
+            if all(map(self._settled, parts)) and (joined := joint.join(map(self._part, parts))) != text:
+                return joined
+        return self._filled(text, sure=False) or text
+
+    def _part(self, text: str) -> str:
+        if is_numeric(text):
+            return self.number(text) if _WORDS.search(text) else text  # a clause of a standard has no unit
+        return self._exactly(text) or self._filled(text) or self._filled(text, sure=False) or text
+
+    def _settled(self, text: str) -> bool:
+        """Return whether a part of a text is translated, or a name or numbers that need no translation."""
+        return " " not in text.strip() or not self._foreign(text)
+
+    def _foreign(self, text: str) -> bool:
+        return any(word not in _UNITS for word in _WORD.findall(text)) and self._part(text) == text
+
+    def _exactly(self, text: str, context: str = "") -> str | None:
+        entry = self._exact.get((context, text)) or self._exact.get(("", text))
+        return None if entry is None else self.fill(entry, {})
+
+    def _filled(self, text: str, *, sure: bool = True) -> str | None:
+        """Return the translation of the entry of which a text is a filled copy; None if there is none.
+
+        Without `sure` only texts of few letters count, such as "{0} in {1}", and short values.
+        """
+        for literal, entry, pattern in self._patterns[sure]:
+            if literal in text and (found := pattern.fullmatch(text)) is not None:
+                values = found.groupdict("")
+                if sure or all(len(one) <= _SHORT and not self._foreign(one) for one in values.values()):
+                    return self.fill(
+                        entry, {name[1:]: self.translate(value) for name, value in values.items()}
+                    )
+        return None
+
+
+def _letters(entry: Entry) -> int:
+    """Return the number of letters and digits of a text beside its blanks."""
+    return len(re.findall(r"[^\W_]", _BLANK.sub("", entry.english)))
+
+
+_OF_SCRIPTS: Final = tuple(f"bench/{room}/" for room in ("panel", "run", "config", "results", "base"))
+_OF_PROMPTS: Final = ("drivers/", "procedures/")
+
+
+def texts_for_scripts(name: str) -> str:
+    """Return a script that gives the scripts of the panel the texts that they may have to show in a language."""
+    found = catalogue(name)
+    texts = [
+        (one.english, one.plural, found.forms(one))
+        for one in found.entries
+        if any(
+            file.startswith(_OF_SCRIPTS + _OF_PROMPTS) and not file.endswith(".j2")
+            for file in one.files.split()
+        )
+    ]
+    told = {"language": name, "decimal": found.decimal, "units": sorted(_UNITS), "texts": texts}
+    return f"window.BENCH_TEXTS = {json.dumps(told, ensure_ascii=False)};\n"
+
+
+@cache
+def catalogue(name: str) -> Catalogue:
+    """Return the catalogue of a language. Raises `FileNotFoundError` for English."""
+    from babel import Locale
+    from babel.messages.mofile import write_mo
+    from babel.messages.pofile import read_po
+
+    compiled = BytesIO()
+    with (files(__package__) / "catalogues" / f"{name}.po").open("rb") as file:
+        told = read_po(file, locale=name)
+    write_mo(compiled, told)
+    entries = []
+    for one in told:
+        complete = one.string and not one.fuzzy and (isinstance(one.string, str) or all(one.string))
+        if one.id and complete:
+            english, plural = (one.id, "") if isinstance(one.id, str) else one.id
+            used = " ".join(file for file, _ in one.locations)
+            entries.append(Entry(english, plural, one.context or "", used))
+    decimal = str(Locale(name).number_symbols["latn"]["decimal"])
+    return Catalogue(entries, GNUTranslations(BytesIO(compiled.getvalue())), decimal)

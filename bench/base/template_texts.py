@@ -1,0 +1,242 @@
+"""Texts of page templates: found in the HTML, without marks, for the catalogue and for the translated pages.
+
+A text is what stands between block elements and Jinja statements. Inline elements belong to it, and its
+expressions are numbered blanks: `<p>Page <b>{{ n }}</b> of {{ m }}</p>` has the text `Page <b>{0}</b> of {1}`. An
+expression such as `{{ "" if n == 1 else "s" }}` makes it a text with a plural. Within expressions, `_("…")` marks
+a text. English pages are rendered from the template as it stands.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from jinja2 import Environment
+from jinja2.ext import Extension
+from markupsafe import Markup
+
+from bench.base.languages import ENGLISH, Entry, catalogue, language, shown, translated
+
+ENGLISH_ONLY: Final = "{# English only #}"
+
+_INLINE: Final = frozenset(
+    ["a", "abbr", "b", "br", "code", "em", "i", "kbd", "small", "span", "strong", "sub", "sup", "var"]
+)
+_RAW: Final = frozenset({"script", "style", "pre", "textarea"})
+_AS_IS: Final = frozenset({"code", "kbd", "time"})
+"""Elements whose values are names or addresses, as are those of class "name": their numbers stay as they are."""
+
+_JINJA: Final = r"\{\{.*?\}\}|\{%.*?%\}|\{#.*?#\}"
+_QUOTED: Final = rf'"(?:{_JINJA}|[^"])*"'
+_TOKEN: Final = re.compile(
+    rf"(?P<comment>\{{#.*?#\}}|<!.*?>)|(?P<statement>\{{%.*?%\}})|(?P<value>\{{\{{.*?\}}\}})"
+    rf"|(?P<tag></?[a-zA-Z](?:{_JINJA}|{_QUOTED}|[^<>\"])*>)|(?P<text>[^<{{]+|.)",
+    re.DOTALL,
+)
+_ATTRIBUTE: Final = re.compile(
+    rf'(?P<name>\s(?:aria-label|title|alt|placeholder|data-label))="(?P<text>(?:{_JINJA}|[^"])*)"', re.DOTALL
+)
+_ENDING: Final = re.compile(r'\{\{\s*"(\w*)" if (.+?) == 1 else "(\w*)"\s*\}\}')
+_ATTRIBUTE_ALONE: Final = re.compile(r'\s*[a-z-]+="')
+"""The beginning of an attribute that a macro makes."""
+_MARKED: Final = re.compile(r"(?<![\w.])_\(")
+_LITERAL: Final = re.compile(r'"((?:[^"\\]|\\.)*)"')
+_CONTEXT: Final = re.compile(r'context="(\w+)"')
+_LETTER: Final = re.compile(r"[^\W\d_]{2}")
+
+
+@dataclass
+class _Segment:
+    """The tokens of a text in the making, as (kind, source); `raw` are the values shown as they are."""
+
+    tokens: list[tuple[str, str]] = field(default_factory=list)
+    raw: set[int] = field(default_factory=set)
+
+
+def texts_in(source: str) -> Iterator[Entry]:
+    """Yield the texts of a template with their blanks; none of a page marked `{# English only #}`."""
+    if source.startswith(ENGLISH_ONLY):
+        return
+    for part in _parts(source):
+        if isinstance(part, _Segment):
+            found = [_entry_of(_trimmed(part)[1])[0]]
+        else:
+            attributes = _ATTRIBUTE.finditer(part) if part.startswith("<") else ()
+            found = [_entry_of(_segment_of(one["text"]))[0] for one in attributes]
+        yield from (entry for entry in found if entry is not None)
+    for call in _calls(source):
+        context = _CONTEXT.search(call)
+        literals = _LITERAL.finditer(_CONTEXT.sub("", call))
+        yield from (
+            Entry(one[1], "", context[1] if context else "") for one in literals if _LETTER.search(one[1])
+        )
+
+
+def _calls(source: str) -> Iterator[str]:
+    """Yield the arguments of each call of `_` in a template."""
+    for start in _MARKED.finditer(source):
+        depth, at = 1, start.end()
+        while depth and at < len(source):
+            depth += {"(": 1, ")": -1}.get(source[at], 0)
+            at += 1
+        yield source[start.end() : at - 1]
+
+
+def _segment_of(text: str) -> _Segment:
+    return _Segment([(str(found.lastgroup), found[0]) for found in _TOKEN.finditer(text)])
+
+
+def _parts(source: str) -> Iterator[str | _Segment]:
+    """Yield the source in parts: segments of text, and all between them unchanged."""
+    segment, raw, names = _Segment(), "", 0
+    for found in _TOKEN.finditer(source):
+        kind, told = str(found.lastgroup), found[0]
+        name = (re.match(r"</?(\w+)", told) or [""] * 2)[1].lower() if kind == "tag" else ""
+        if raw:
+            yield told
+            raw = "" if name == raw and told.startswith("</") else raw
+        elif kind in {"text", "value"} or (name in _INLINE and "{%" not in told):
+            if name in _AS_IS or (name and re.search(r'class="[^"]*\bname\b', told)):
+                names += 1
+            elif told.startswith("</") and names:
+                names -= 1
+            if kind == "value" and names:
+                segment.raw.add(len(segment.tokens))
+            segment.tokens.append((kind, told))
+        else:
+            yield segment
+            # the text of an option without a value is what the form sends
+            sent = name == "option" and "value=" not in told and not told.startswith("</")
+            segment, names = _Segment(), 1 if sent or name in _AS_IS or 'class="name"' in told else 0
+            yield told
+            raw = name if name in _RAW and not told.startswith("</") else ""
+    yield segment
+
+
+def _entry_of(segment: _Segment) -> tuple[Entry | None, list[str], str]:
+    """Return the entry of a segment, None without words; the expressions of its blanks; that of the count."""
+    english, plural, values, count = "", "", [], ""
+    for at, (kind, told) in enumerate(segment.tokens):
+        one, many = told, told
+        if kind == "value" and (ending := _ENDING.fullmatch(told)):
+            one, count, many = ending.groups()
+        else:
+
+            def blank(found: re.Match[str], as_is: bool = kind == "tag" or at in segment.raw) -> str:
+                expression = found[0][2:-2].strip()
+                values.append(expression if as_is else f"_shown({expression})")
+                return f"{{{len(values) - 1}}}"
+
+            one = many = re.sub(r"\{\{.*?\}\}", blank, told, flags=re.DOTALL)
+        english, plural = english + one, plural + many
+    words = re.sub(r"<[^>]*>|\{\d+\}|&\w+;", " ", english)
+    if not _LETTER.search(words) or _ATTRIBUTE_ALONE.match(english):
+        return None, [], ""
+    return Entry(" ".join(english.split()), " ".join(plural.split()) if count else ""), values, count
+
+
+VOID: Final = ("<br", "<input", "<img", "<hr", "<wbr")
+"""The beginnings of tags that have no end."""
+
+
+def _trimmed(segment: _Segment) -> tuple[str, _Segment, str]:
+    """Return a segment without the white space and the tags around its text, and what was around it."""
+    tokens = list(enumerate(segment.tokens))
+    before, after = "", ""
+
+    def outside(kind: str, told: str) -> bool:
+        return kind == "tag" or not told.strip()
+
+    while tokens and outside(*tokens[0][1]):
+        before += tokens.pop(0)[1][1]
+    while tokens and outside(*tokens[-1][1]):
+        after = tokens.pop()[1][1] + after
+    closed, opened = 0, 0
+    for _, (kind, told) in tokens:
+        if kind == "tag" and not told.startswith(VOID):
+            closed += told.startswith("</") and not opened
+            opened += 1 if not told.startswith("</") else -1 if opened else 0
+    # tags around the text stay with it where their other ends are in it; a statement may stand between the two
+    for _ in range(closed):
+        if around := re.fullmatch(r"(.*)(<[^/][^<]*)", before, re.DOTALL):
+            before, start = around.groups()
+            tokens.insert(0, (-1, ("tag", start)))
+    for _ in range(opened):
+        if around := re.fullmatch(r"(\s*</[^>]*>)(.*)", after, re.DOTALL):
+            end, after = around.groups()
+            tokens.append((-1, ("tag", end)))
+    raw = {new for new, (old, _) in enumerate(tokens) if old in segment.raw}
+    return before, _Segment([token for _, token in tokens], raw), after
+
+
+class TranslatedTemplates(Extension):
+    """Replaces the texts of a template by look-ups in the catalogue of the language of views."""
+
+    def __init__(self, environment: Environment) -> None:
+        super().__init__(environment)
+        environment.globals.update(_text=_text, _shown=shown)
+
+    def preprocess(self, source: str, name: str | None, filename: str | None = None) -> str:
+        """Return the source of a template with its texts as look-ups; a style sheet stays as it is."""
+        if source.startswith(ENGLISH_ONLY) or (name is not None and ".html" not in name):
+            return source
+        source = source.replace('<html lang="en">', f'<html lang="{language()}">')
+        return "".join(
+            _translated(part) if isinstance(part, _Segment) else _tag(part) for part in _parts(source)
+        )
+
+
+def _translated(segment: _Segment) -> str:
+    before, middle, after = _trimmed(segment)
+    lead = re.match(r"\s*", middle.tokens[0][1])[0] if middle.tokens else ""  # type: ignore[index]
+    tail = re.search(r"\s*$", middle.tokens[-1][1])[0] if middle.tokens else ""  # type: ignore[index]
+    entry, values, count = _entry_of(middle)
+    if entry is None:
+        return "".join(
+            f"{{{{ _shown({told[2:-2].strip()}) }}}}" if kind == "value" and at not in segment.raw else told
+            for at, (kind, told) in enumerate(segment.tokens)
+        )
+    return f"{before}{lead}{_call(entry, values, count)}{tail}{after}"
+
+
+def _call(entry: Entry, values: list[str], count: str) -> str:
+    return (
+        f"{{{{ _text({', '.join([repr(entry.english), repr(entry.plural), count or 'none', *values])}) }}}}"
+    )
+
+
+def _tag(part: str) -> str:
+    def of(found: re.Match[str]) -> str:
+        entry, values, count = _entry_of(_segment_of(found["text"]))
+        value = re.fullmatch(r"\{\{((?:(?!\}\}).)*)\}\}", found["text"])
+        text = found["text"] if entry is None else _call(entry, values, count)
+        if entry is None and value is not None:
+            text = f"{{{{ _shown({value[1].strip()}) }}}}"
+        return f'{found["name"]}="{text}"'
+
+    return _ATTRIBUTE.sub(of, part) if part.startswith("<") else part
+
+
+def _text(english: str, plural: str, count: float | None, *values: object) -> Markup:
+    """Return a text of a template in the language of views; values without markup are escaped."""
+    escaped = {str(at): str(Markup("{}").format(value)) for at, value in enumerate(values)}
+    return Markup(catalogue(language()).fill(Entry(english, plural), escaped, count))  # noqa: S704 - our own text
+
+
+def mark(text: Any, *values: object, context: str = "") -> Any:
+    """Return a text, or a list of texts, translated; `values` fill its blanks. Templates call it `_`."""
+    if isinstance(text, list):
+        return [mark(one) for one in text]
+    if hasattr(text, "__html__") or not isinstance(text, str):
+        return text
+    told = translated(text, context)
+    return told.format(*(translated(str(one)) for one in values)) if values else told
+
+
+def environment_for(name: str, **options: Any) -> Environment:
+    """Return a Jinja environment for pages in a language, with `_` for texts in expressions."""
+    environment = Environment(extensions=[] if name == ENGLISH else [TranslatedTemplates], **options)  # noqa: S701 - autoescape is among the options
+    environment.globals["_"] = mark
+    return environment

@@ -1,0 +1,221 @@
+"""Logs of others as readings files: a mapping says which of their columns is what, in which unit and time format.
+
+log_columns: 1
+time_format: "%Y-%m-%d %H:%M:%S"
+columns:
+  time_s: timestamp
+  reference_v: {columns: [k1, k2, k3], unit: V}     # their mean; their scatter goes into reference_sd_v
+  ux_v: {columns: dut, unit: uV}
+  meter_temperature_c: bath
+constants: {installation: R}
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import statistics
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal
+
+from pydantic import BeforeValidator, Field
+
+from bench.base.numbers import read_number
+from bench.base.text import shortened
+from bench.base.units import plain_unit, unit_of
+from bench.base.yaml_files import FileModel, Place
+from bench.readings.csv import LISTED_AT_ONCE, ReadingsError
+
+SUFFIXES: Final[Mapping[str, str]] = {"_v": "V", "_s": "s", "_a": "A"}
+"""The SI unit of a column of a readings file by the end of its name; of others the number is kept as it is."""
+TIME: Final = "time_s"
+KELVIN: Final = 273.15
+MOST_PREVIEWED: Final = 5
+
+
+def _column(value: Any) -> Any:
+    """Return the long form of a column that is written as a name or a list of names."""
+    if isinstance(value, str | list):
+        return {"columns": value}
+    return value
+
+
+def _listed(value: Any) -> Any:
+    return [value] if isinstance(value, str) else value
+
+
+class LogColumn(FileModel):
+    """The columns of the log whose mean is a column of the readings file; `unit` is the log's, `add` in SI."""
+
+    columns: Annotated[tuple[str, ...], BeforeValidator(_listed)]
+    unit: str | None = None
+    add: float = 0.0
+
+
+class LogColumns(FileModel):
+    """A mapping of the columns of a log to those of a readings file; `time_format` is that of `strptime` or `iso`.
+
+    `comment` is the beginning of lines that are no rows. `constants` are cells that are the same in every row.
+    """
+
+    log_columns: Literal["1"]
+    separator: str = ","
+    decimal: Literal[".", ","] = "."
+    comment: str = "#"
+    time_format: str | None = None
+    columns: dict[str, Annotated[LogColumn, BeforeValidator(_column)]]
+    constants: dict[str, str] = Field(default={})
+
+    @classmethod
+    def cross_checks(cls, data: Any) -> Iterable[tuple[Place, str]]:
+        """Yield a sentence for each unit that is not one of its column's quantity."""
+        columns = data.get("columns") if isinstance(data, dict) else None
+        for name, value in columns.items() if isinstance(columns, dict) else ():
+            unit = value.get("unit") if isinstance(value, dict) else None
+            if isinstance(unit, str):
+                try:
+                    _factor(name, unit)
+                except ValueError as problem:
+                    yield ("columns", name, "unit"), str(problem)
+
+
+def _factor(name: str, unit: str | None) -> float:
+    """Return the size of a log's unit in that of a column. Raises `ValueError` for a unit of another quantity."""
+    wanted = next((si for end, si in SUFFIXES.items() if name.endswith(end)), None)
+    if unit is None:
+        return 1.0
+    if name.endswith("_c"):
+        if plain_unit(unit) not in {"degC", "K"}:
+            raise ValueError(f"{name} is a temperature: its unit is degC or K")
+        return 1.0
+    size, dimension = unit_of(plain_unit(unit))
+    if wanted is None or dimension != unit_of(wanted)[1]:
+        raise ValueError(f"{name} has the unit {wanted or '1'}, which {unit} cannot be turned into")
+    return size
+
+
+@dataclass(frozen=True)
+class ConvertedLog:
+    """A log as a readings file: the text, the number of rows, and those that were left out, with the reason."""
+
+    text: str
+    rows: int
+    skipped: tuple[str, ...]
+
+    def preview(self) -> str:
+        """Return the header and the first rows."""
+        return "\n".join(self.text.splitlines()[: 1 + MOST_PREVIEWED])
+
+
+def convert_log(
+    path: Path, content: bytes, mapping: LogColumns, *, skip_bad_rows: bool = False
+) -> ConvertedLog:
+    """Return a log as a readings file; times count from its first row.
+
+    Raises `ReadingsError` with file, line and column for a column that the log lacks and for every cell that is
+    no number (the first 20, then a count); with `skip_bad_rows` such rows are left out.
+    """
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise ReadingsError(f"{path}: not a UTF-8 text file; save it as UTF-8") from error
+    separator = {"tab": "\t", "\\t": "\t"}.get(mapping.separator, mapping.separator)
+    if len(separator) != 1:
+        raise ReadingsError(f"{path}: the separator of a log is one character or 'tab', not {separator!r}")
+    lines = [
+        (number, line)
+        for number, line in enumerate(text.splitlines(), start=1)
+        if line.strip() and not line.startswith(mapping.comment)
+    ]
+    rows = list(
+        csv.reader(io.StringIO("\n".join(line for _, line in lines), newline=""), delimiter=separator)
+    )
+    if len(rows) != len(lines) or not rows:
+        raise ReadingsError(f"{path}: expected a header line and a row in each line")
+    header = [cell.strip() for cell in rows[0]]
+    _require(path, header, mapping)
+    reader = _Rows(header, mapping)
+    made, bad = [], []
+    for (number, _), cells in zip(lines[1:], rows[1:], strict=True):
+        try:
+            made.append(reader.row(cells))
+        except ValueError as problem:
+            bad.append(f"{path}, line {number}, {problem}")
+    if bad and not (skip_bad_rows and made):
+        more = [f"… and {len(bad) - LISTED_AT_ONCE} more bad rows"] if len(bad) > LISTED_AT_ONCE else []
+        told = [*bad[:LISTED_AT_ONCE], *more, "nothing was imported; mend the rows, or add --skip-bad-rows"]
+        raise ReadingsError("\n".join(told))
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\r\n")
+    writer.writerow(reader.names)
+    writer.writerows(made)
+    return ConvertedLog(out.getvalue(), len(made), tuple(bad))
+
+
+def _require(path: Path, header: Sequence[str], mapping: LogColumns) -> None:
+    wanted = [name for column in mapping.columns.values() for name in column.columns]
+    missing = [name for name in dict.fromkeys(wanted) if name not in header]
+    if missing:
+        raise ReadingsError(
+            f"{path}, line 1: column {', '.join(missing)} is missing; the log has {', '.join(header)}"
+        )
+
+
+class _Rows:
+    """The conversion of rows of a log."""
+
+    def __init__(self, header: Sequence[str], mapping: LogColumns) -> None:
+        self.mapping = mapping
+        self._header = header
+        self._at = {
+            name: [header.index(c) for c in column.columns] for name, column in mapping.columns.items()
+        }
+        self._scatter = [name for name, at in self._at.items() if len(at) > 1]
+        self._factor = {name: _factor(name, column.unit) for name, column in mapping.columns.items()}
+        self._began: float | None = None
+        sd = [name.replace("_v", "_sd_v") for name in self._scatter]
+        self.names = [*mapping.constants, *mapping.columns, *sd]
+
+    def row(self, cells: Sequence[str]) -> list[str]:
+        """Return the cells of one row. Raises `ValueError` that names the first wrong cell."""
+        if len(cells) != len(self._header):
+            raise ValueError(f"expected {len(self._header)} cells as in the header, got {len(cells)}")
+        values, scatter = [], []
+        for name, column in self.mapping.columns.items():
+            numbers = [self._number(name, self._header[k], cells[k].strip()) for k in self._at[name]]
+            mean = statistics.fmean(numbers) + column.add
+            if name.endswith("_c") and column.unit == "K":
+                mean -= KELVIN
+            values.append("" if math.isnan(mean) else repr(mean))
+            if name in self._scatter:
+                scatter.append(repr(statistics.stdev(numbers)))
+        return [*self.mapping.constants.values(), *values, *scatter]
+
+    def _number(self, name: str, column: str, cell: str) -> float:
+        if name == TIME and self.mapping.time_format is not None:
+            return self._since_begin(column, cell)
+        if not cell and name != TIME:
+            return math.nan
+        text = cell.replace(",", ".") if self.mapping.decimal == "," else cell
+        try:
+            value = read_number(text) * self._factor[name]
+        except ValueError:
+            raise ValueError(f"column {column}: expected a number, got {shortened(cell)!r}") from None
+        if name == TIME:
+            self._began = value if self._began is None else self._began
+            return value - self._began
+        return value
+
+    def _since_begin(self, column: str, cell: str) -> float:
+        form = self.mapping.time_format or ""
+        try:
+            at = datetime.fromisoformat(cell) if form == "iso" else datetime.strptime(cell, form)
+        except ValueError:
+            raise ValueError(f"column {column}: expected a time as {form}, got {shortened(cell)!r}") from None
+        seconds = (at if at.tzinfo else at.replace(tzinfo=UTC)).timestamp()
+        self._began = seconds if self._began is None else self._began
+        return seconds - self._began

@@ -1,0 +1,118 @@
+"""Check vectors of exported files, the tests that files carry of themselves, and the picture of signs and axes.
+
+    $ python -c "$(sed -n 's/^# test: //p' unit-17.csv)" unit-17.csv
+
+A test is three lines of Python without other packages than a reader of the form needs. It computes the corrected
+accelerations of the file's check vectors from the file's own numbers, and fails if one is off by more than
+`TOLERANCE` of 1 g.
+"""
+
+from __future__ import annotations
+
+from itertools import product
+from typing import Final
+
+import numpy as np
+
+from bench.base.arrays import Floats
+from bench.base.text import double
+
+TOLERANCE: Final = 1e-12
+"""Largest relative difference of a corrected acceleration of 1 g."""
+COUNT: Final = 20
+MARK: Final = "test: "
+"""What a line of a file's own test begins with, after the sign of a comment."""
+
+GOLDEN: Final = (1.0 + 5.0**0.5) / 2.0
+_CORNERS: Final = [
+    *product((-1.0, 1.0), repeat=3),
+    *(
+        tuple(np.roll([0.0, p / GOLDEN, q * GOLDEN], turn).tolist())
+        for turn in range(3)
+        for p, q in product((-1.0, 1.0), repeat=2)
+    ),
+]
+POSITIONS: Final[Floats] = np.array(_CORNERS) / np.sqrt(3.0)
+"""Specific forces (20, 3) of the check vectors, 1 g each: the corners of a dodecahedron."""
+
+
+def picture(unit: str) -> list[str]:
+    """Return lines that draw the axes, the sign, the order and the units of `a` and `U`."""
+    return [
+        "        +z    up     at rest the axis that points up reads +1 g:",
+        "         |   ^       z up:     a = ( 0,  0, +1)   z down: a = ( 0,  0, -1)",
+        "         |   |       x up:     a = (+1,  0,  0)   y up:   a = ( 0, +1,  0)",
+        "         o------ +y  right-handed axes of the block; a: specific force in local g",
+        "        /            order everywhere: x, y, z",
+        f"      +x             U = (Ux, Uy, Uz) in {unit}",
+    ]
+
+
+def how_to_test(name: str) -> str:
+    """Return a line that says how to run the test that a file of this kind carries."""
+    return f"""this file tests itself: python -c "$(sed -n 's/^# {MARK}//p' {name})" {name}"""
+
+
+def own_test(lines: tuple[str, str, str]) -> list[str]:
+    """Return the three lines of a test, marked."""
+    return [f"{MARK}{line}" for line in lines]
+
+
+def check_lines(raw: Floats, corrected: Floats, names: str, unit: str) -> list[str]:
+    """Return the check vectors as lines: three signals, then the accelerations (20, 3) in `unit`."""
+    rows = np.hstack([raw, corrected]).tolist()
+    return [f"check vectors: {names} in {unit}", *(f"check: {' '.join(map(repr, row))}" for row in rows)]
+
+
+READ_CHECKS: Final = (
+    "c = [[float(x) for x in l[9:].split()] for l in open(sys.argv[1]) if l.startswith('# check: ')]"
+)
+"""The statement of a test that reads the lines of `check_lines`."""
+
+
+def judged(g: str = "1.0", at: int = 3, count: int = COUNT) -> str:
+    """Return the last line of a test: `a` maps the first `at` numbers of a check to an acceleration of size `g`.
+
+    `count` is the number of checks that the file must have.
+    """
+    worst = (
+        f"max([abs(p - q) for r in c for p, q in zip(a(r[:{at}]), r[{at}:])] + [9e9] * (len(c) != {count}))"
+    )
+    return f"assert {worst} <= {TOLERANCE:g} * {g}, 'FAILED: this file is not as it was written'"
+
+
+def c_self_test(prefix: str, rows: Floats, call: str, declared: str) -> str:
+    """Return the check vectors (20, m) and the function `<prefix>_self_test` in C.
+
+    The last three columns of `rows` are the corrected accelerations; the statement `call` computes `a` from
+    `row`, with the variables `declared`.
+    """
+    listed = ",\n".join("    {" + ", ".join(double(value) for value in row) + "}" for row in rows)
+    at = rows.shape[1] - 3
+    upper = prefix.upper()
+    return f"""#define {upper}_CHECKS {len(rows)}
+
+/* check vectors: {"temperature in deg C, " if at > 3 else ""}Ux, Uy, Uz, then ax, ay, az in local g */
+static const double {prefix}_check[{upper}_CHECKS][{rows.shape[1]}] = {{
+{listed}
+}};
+
+/* Returns how many of the check vectors are not met to {TOLERANCE:g} g: 0 when this file is as it was written. */
+static inline int {prefix}_self_test(void)
+{{
+    int i, k, wrong, failed = 0;
+
+    for (i = 0; i < {upper}_CHECKS; i++) {{
+        const double *row = {prefix}_check[i];
+        {declared}
+
+        {call}
+        wrong = 0;
+        for (k = 0; k < 3; k++)
+            if (!(a[k] - row[{at} + k] <= {TOLERANCE:g} && row[{at} + k] - a[k] <= {TOLERANCE:g}))
+                wrong = 1;
+        failed += wrong;
+    }}
+    return failed;
+}}
+"""

@@ -1,0 +1,119 @@
+"""Bench files and procedures of the working folder: which there are, and writing one that nobody else changed."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from filelock import FileLock
+
+from bench.base.files import MEGABYTE, read_regular, write_whole
+from bench.config.shipped import CONFIG, PROCEDURES, shipped_folder
+from bench.panel.access import Refusal, private_folder
+from bench.panel.launching import choices
+from bench.run.events import sha256
+
+NAME: Final = re.compile(r"\w[\w-]{0,59}")
+LOCK: Final = "bench-files.lock"
+CALLED: Final = {CONFIG: "bench file", PROCEDURES: "procedure"}
+"""What a file of each folder is called in sentences."""
+
+
+@dataclass(frozen=True)
+class FileText:
+    """The text of a file and its hash, empty for a file that does not exist yet."""
+
+    path: Path
+    text: str
+    sha256: str = ""
+
+
+def own_files(kind: str) -> dict[str, Path]:
+    """Return the files of a kind (`CONFIG`, `PROCEDURES`) in the working folder by name, and no links out of it."""
+    here = Path().resolve()
+    shipped = shipped_folder(kind).resolve()
+    found = {name: (path, path.resolve()) for name, path in choices(kind).items() if "/" not in name}
+    return {
+        name: path
+        for name, (path, real) in found.items()
+        if real.is_relative_to(here) and (real.parent != shipped or shipped == here / kind)
+    }
+
+
+def shipped_files(kind: str) -> dict[str, Path]:
+    """Return the shipped files of a kind by name."""
+    return {path.stem: path for path in sorted(shipped_folder(kind).glob("*.yaml"))}
+
+
+def own_file(kind: str, name: str) -> Path:
+    """Return the file of the working folder with this name. Raises `Refusal` (404) if there is none."""
+    path = own_files(kind).get(name)
+    if path is None:
+        raise Refusal(404, f"there is no {CALLED[kind]} of that name in the working folder; see the list")
+    return path
+
+
+def shipped_file(kind: str, name: str) -> Path:
+    """Return the shipped file with this name. Raises `Refusal` (404) if there is none."""
+    path = shipped_files(kind).get(name)
+    if path is None:
+        raise Refusal(404, f"no {CALLED[kind]} of that name is shipped; choose one from the list")
+    return path
+
+
+def new_path(kind: str, name: str) -> Path:
+    """Return the path of a new file in the folder of its kind. Raises `Refusal` (400, 409).
+
+    A name is letters, digits, `-` and `_`; it must not be that of another file of the kind.
+    """
+    if NAME.fullmatch(name) is None:
+        raise Refusal(400, "give up to 60 letters, digits, - and _, beginning with a letter or digit")
+    path = Path(kind) / f"{name}.yaml"
+    if not path.resolve().is_relative_to(Path().resolve()):
+        raise Refusal(409, f"the folder '{kind}' leads out of the working folder; remove that link")
+    if path.exists() or path.is_symlink() or name in own_files(kind) or name in shipped_files(kind):
+        raise Refusal(409, f"there is a {CALLED[kind]} {name} already; choose another name")
+    return path
+
+
+def read_file(path: Path) -> FileText:
+    """Return the text of a file with its hash. Raises `Refusal` if it cannot be read."""
+    try:
+        content = read_regular(path, MEGABYTE)
+        return FileText(path, content.decode("utf-8-sig").replace("\r\n", "\n"), sha256(content))
+    except OSError as error:
+        raise Refusal(409, f"{path}: cannot be read ({error.strerror}); check it on this computer") from error
+    except UnicodeDecodeError as error:
+        raise Refusal(409, f"{path}: is not UTF-8 text; save it as UTF-8") from error
+
+
+def difference(before: str, after: str, name: str) -> str:
+    """Return the lines in which two texts differ: "-" before those of the first, "+" before those of the second."""
+    lines = difflib.unified_diff(
+        before.splitlines(),
+        after.splitlines(),
+        f"{name} as it is",
+        f"{name} as written here",
+        lineterm="",
+        n=1,
+    )
+    return "\n".join(lines)
+
+
+def write_file(path: Path, text: str, expected_sha256: str, state: Path) -> bool:
+    """Write a file atomically; return whether it was written.
+
+    It is not written if it has changed since its hash was `expected_sha256`, which is empty for a new file.
+    `state` is the panel's private folder, which holds the lock. Raises `OSError`.
+    """
+    with FileLock(private_folder(state) / LOCK, mode=0o600):
+        before = read_regular(path) if path.exists() else None
+        if (sha256(before) if before is not None else "") != expected_sha256:
+            return False
+        path.parent.mkdir(exist_ok=True)
+        ends = "\r\n" if before is not None and b"\r\n" in before else "\n"
+        write_whole(path, text.replace("\n", ends))
+        return True

@@ -1,0 +1,83 @@
+"use strict";
+/* Texts of scripts in the language of the page, found as bench/base/languages.py finds them; without a catalogue, English. */
+const _ = (() => {
+  const told = window.BENCH_TEXTS;
+  if (!told) return (text) => text;
+  const BLANK = /\{(\d+)\}/, UNITS = new Set(told.units), SURE = 5, SHORT = 60;
+  const rules = new Intl.PluralRules(told.language), FORMS = { one: 0, few: 1, many: 2, other: 1 };
+  const letters = (text) => text.replace(/\{\d+\}/g, "").replace(/[^\p{L}\d]/gu, "").length;
+  const patternOf = (text) => {
+    const names = [];
+    const source = text.split(BLANK).map((part, at) => {
+      if (at % 2 === 0) return part.replace(/[.*+?^${}()|[\]\\/]/g, "\\$&");
+      names.push(part);
+      return "(.*?)";
+    }).join("");
+    return { names, pattern: new RegExp(`^${source}$`, "su") };
+  };
+  const exact = new Map(), filled = [];
+  for (const [english, plural, forms] of told.texts) {
+    for (const text of plural ? [english, plural] : [english]) {
+      exact.set(text, forms);
+      if (BLANK.test(text)) filled.push({ ...patternOf(text), forms, sure: letters(english), first: Number(english.startsWith("{")) });
+    }
+  }
+  filled.sort((one, other) => one.first - other.first || other.sure - one.sure || other.names.length - one.names.length);
+
+  const DECIMAL = /(?<![\p{L}\d_.])(\d+)\.(\d+)(?!\.?\d)(?![a-df-zA-DF-Z_])/gu;
+  const number = (text) => text.replace(DECIMAL, `$1${told.decimal}$2`);
+  const numeric = (text) => text.search(DECIMAL) >= 0 && (text.match(/\p{L}+/gu) || []).every((word) => UNITS.has(word));
+  const fill = (forms, values) => {
+    const count = Object.values(values).find((value) => /^\d+$/.test(value));
+    const form = forms.length > 1 ? forms[FORMS[rules.select(Number(count === undefined ? 2 : count))]] : forms[0];
+    return form.replace(/\{(\d+)\}/g, (whole, name) => (name in values ? values[name] : whole));
+  };
+  const known = (text) => {
+    if (exact.has(text)) return fill(exact.get(text), {});
+    return null;
+  };
+  const copied = (text, surely = true) => {
+    for (const { names, pattern, forms, sure } of filled) {
+      if ((sure >= SURE) !== surely) continue;
+      const found = pattern.exec(text);
+      if (!found || (!surely && found.slice(1).some((value) => value.length > SHORT || foreign(value)))) continue;
+      return fill(forms, Object.fromEntries(names.map((name, at) => [name, say(found[at + 1])])));
+    }
+    return null;
+  };
+  const part = (text) => (numeric(text) ? (/\p{L}/u.test(text) ? number(text) : text) : known(text) || copied(text) || copied(text, false) || text);
+  const foreign = (text) => (text.match(/\b[a-z]{3,}\b/g) || []).some((word) => !UNITS.has(word)) && part(text) === text;
+  const settled = (text) => !text.trim().includes(" ") || !foreign(text);
+  const upper = (text) => text.slice(0, 1).toUpperCase() + text.slice(1);
+  const seen = new Map();
+  const say = (text) => {
+    if (typeof text !== "string" || !text) return text;
+    if (!seen.has(text)) {
+      if (seen.size > 5000) seen.clear();
+      seen.set(text, found(text));
+    }
+    return seen.get(text);
+  };
+  const found = (text) => {
+    if (numeric(text)) return number(text);
+    const lowered = text.slice(0, 1).toLowerCase() + text.slice(1);
+    for (const look of [known, (one) => copied(one)]) {
+      const whole = look(text);
+      if (whole !== null) return whole;
+      const small = lowered === text ? null : look(lowered);
+      if (small !== null) return upper(small);
+    }
+    for (const [parts, joint] of [[text.split("\n"), "\n"], [text.split("  "), "  "], [text.split(/(?<=[.?!]) (?=[A-Z(])/), " "]]) {
+      if (parts.length > 1) return parts.map(say).join(joint);
+    }
+    const around = /^([\s:;,.([«»✓✗⚠▶○■?●–·]*)(.*?)([\s:;,.)\]]*)$/su.exec(text);
+    if (around && around[2] !== text) return around[1] + say(around[2]) + around[3];
+    for (const joint of ["; ", ": ", ", "]) {
+      const parts = text.split(joint);
+      const whole = parts.every(settled) ? parts.map(part).join(joint) : text;
+      if (whole !== text) return whole;
+    }
+    return copied(text, false) || text;
+  };
+  return say;
+})();

@@ -1,0 +1,171 @@
+"""The nine numbers that do not depend on the mounting, and joint coverage factors: as JSON, text and pictures."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from pydantic import Field
+from rich.table import Table
+
+from bench.base.arrays import Floats
+from bench.base.numbers import fixed, places, scale_for, uncertainty
+from bench.base.result_model import Matrix, ResultModel
+from bench.base.tables import table
+from bench.calibration.intrinsic import (
+    Intrinsic,
+    JointFactor,
+    intrinsic_of,
+    intrinsic_unit,
+    joint_factor,
+)
+from bench.calibration.result import COVERAGE_FACTOR, Calibration
+from bench.results.parts import CoefficientPart
+from bench.results.plots import BLUE, GREY, svg_figure, symbol
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_POINTS: Final = 90
+
+
+class IntrinsicValuePart(CoefficientPart):
+    """One of the nine numbers; `u` is the combined standard uncertainty."""
+
+    unit: str = Field(description="unit of the signal per g, deg, or g")
+
+
+class IntrinsicPart(ResultModel):
+    """Sensitivities, angles between the sensing axes, and offsets: what does not depend on the mounting.
+
+    S_i = ‖row i of K‖, cos θ_ij = row_i·row_j/(S_i S_j), b_i = U0_i/S_i.
+    """
+
+    values: dict[str, IntrinsicValuePart] = Field(
+        description="`Sx`, `Sy`, `Sz`, `theta_xy`, `theta_xz`, `theta_yz`, `bx`, `by`, `bz`"
+    )
+    order: list[str] = Field(description="the nine in the order of `covariance`")
+    covariance: Matrix = Field(description="combined covariance, 9 × 9, in the units of the values")
+    covariance_readings: Matrix = Field(
+        description="the part that the readings and the stand as it is stated show"
+    )
+    held_by_limits: list[str] = Field(
+        description="those that these readings leave to the limits of the bench file"
+    )
+    mounting: str = Field(description="what the mounting can change, in a sentence")
+
+
+class JointPart(ResultModel):
+    """The factor of the ellipsoid that contains all these numbers together."""
+
+    count: int = Field(description="numbers with an uncertainty")
+    k: float = Field(description="√(p F(p, dof)), for infinite dof √χ²(p); times u as stated")
+    dof: float | None = Field(description="the least of their effective degrees of freedom; null: infinite")
+    level: float = Field(description="coverage probability")
+
+
+def intrinsic_part(own: Intrinsic) -> IntrinsicPart:
+    """Return the nine as the part `intrinsic` of the result."""
+    rows = zip(
+        own.names, *(c.tolist() for c in (own.values, own.u, own.u_readings, own.U, own.dof)), strict=True
+    )
+    return IntrinsicPart.from_object(
+        own,
+        values={
+            name: IntrinsicValuePart(
+                value=value, u=u, u_readings=shown, U=U, k=COVERAGE_FACTOR, dof=dof,
+                unit=intrinsic_unit(name, own.unit),
+            )
+            for name, value, u, shown, U, dof in rows
+        },
+        order=list(own.names),
+        held_by_limits=own.held,
+    )  # fmt: skip
+
+
+def joint_part(u: Floats, dof: Floats) -> JointPart:
+    """Return the joint factor of numbers with `u` (m,) and `dof` (m,); a u of zero counts for nothing."""
+    found = joint_of(u, dof)
+    return JointPart(
+        count=found.count, k=found.k, dof=found.dof if np.isfinite(found.dof) else None, level=found.level
+    )
+
+
+def joint_of(u: Floats, dof: Floats) -> JointFactor:
+    """Return the joint coverage factor of the numbers that have an uncertainty, with the least of their dof."""
+    known = u > 0
+    return joint_factor(int(np.sum(known)), float(np.min(dof[known], initial=np.inf)))
+
+
+def joint_members(found: Calibration) -> dict[str, Any]:
+    """Return the members `intrinsic` and `joint` of the result of a calibration."""
+    own = intrinsic_of(found)
+    joint = {"twelve": joint_part(found.u, found.dof)}
+    if own is None:
+        return {"intrinsic": None, "joint": joint}
+    return {"intrinsic": intrinsic_part(own), "joint": {**joint, "nine": joint_part(own.u, own.dof)}}
+
+
+# --- as text and pictures -----------------------------------------------------------------------------
+
+
+def shown_rows(own: Intrinsic) -> list[list[str]]:
+    """Return name, value, its unit, u of the readings, u, U, and the unit of these, as text."""
+    rows = []
+    for name, value, *sizes in zip(own.names, own.values, own.u_readings, own.u, own.U, strict=True):
+        unit = intrinsic_unit(name, own.unit)
+        factor, small = small_unit(name, float(sizes[1]), own.unit)
+        of_value = [name, fixed(float(value), places(float(sizes[1]))), "°" if unit == "deg" else unit]
+        rows.append([*of_value, *(uncertainty(float(size) / factor) for size in sizes), small])
+    return rows
+
+
+def small_unit(name: str, u: float, unit: str) -> tuple[float, str]:
+    """Return the unit for a difference of size `u` in one of the nine, as a fraction of its own, and its name."""
+    if name.startswith("theta"):
+        return 1.0 / 3600.0, "″"
+    scale = scale_for(u, unit if name.startswith("S") else "g")
+    return scale.size, scale.per_g if name.startswith("S") else scale.unit
+
+
+def intrinsic_table(own: Intrinsic) -> Table:
+    """Return a table of the nine with u, U (k = 2) and the u from the readings alone."""
+    shown = table("mounting-free", ">value", "", ">u", ">U (k=2)", ">u, readings", "")
+    for name, value, unit, of_readings, u, U, small in shown_rows(own):
+        shown.add_row(name, value, unit, u, U, of_readings, small)
+    return shown
+
+
+def joint_in_words(found: Calibration, own: Intrinsic | None) -> str:
+    """Return the joint coverage factors in a sentence."""
+    sizes = [(found.u, found.dof), *([] if own is None else [(own.u, own.dof)])]
+    said = [f"k = {joint.k:.3f} for all {joint.count}" for joint in (joint_of(u, dof) for u, dof in sizes)]
+    return f"jointly at 95 %: {', '.join(dict.fromkeys(said))} (ellipsoid)"
+
+
+def ellipses(own: Intrinsic) -> str:
+    """Return a plot of the 95 % ellipsoid of the nine as shadows on pairs; dashed, U of each number (k = 2)."""
+    joint, turn = joint_of(own.u, own.dof), np.linspace(0.0, 2.0 * np.pi, _POINTS)
+    circle = np.stack([np.cos(turn), np.sin(turn)])
+
+    def draw(figure: Figure) -> None:
+        grid = figure.subplots(3, 3)
+        for row, first in enumerate((0, 3, 6)):
+            for column, (i, j) in enumerate(((0, 1), (0, 2), (1, 2))):
+                pair = [first + i, first + j]
+                scales = [small_unit(own.names[at], float(own.u[at]), own.unit) for at in pair]
+                size = np.array([scale for scale, _ in scales])
+                root = np.linalg.cholesky(own.covariance[np.ix_(pair, pair)]) / size[:, None]
+                outline, U = joint.k * root @ circle, own.U[pair] / size
+                axes = grid[row, column]
+                axes.plot(outline[0], outline[1], color=BLUE)
+                axes.plot(
+                    U[0] * np.array([-1, 1, 1, -1, -1]), U[1] * np.array([-1, -1, 1, 1, -1]),
+                    color=GREY, linestyle="--", linewidth=0.8,
+                )  # fmt: skip
+                axes.set_xlabel(f"{symbol(own.names[pair[0]])} / {scales[0][1]}")
+                axes.set_ylabel(f"{symbol(own.names[pair[1]])} / {scales[1][1]}")
+
+    return svg_figure(
+        "ellipses", (7.4, 6.4), draw, "The joint 95 % ellipsoid of the nine, as shadows on pairs"
+    )

@@ -1,0 +1,270 @@
+"""A calibration by panel in Chromium: keys and clicks, how late a live value is shown, what live reads cost.
+
+    python -m benchmarks.panel_evening keys        # a whole 'calibration': typed, and hands-free
+    python -m benchmarks.panel_evening live        # meters of `bench simulate` over TCP, in real time
+
+`keys` types each reading as its deviation from the commanded angle, and counts what the browser is sent; then an
+encoder reads a head that hands turn, over pseudo-terminals in real time. `live` asks the browser for the age of
+each live value on the screen, then measures the time from a person's answer to the end of the reading, in turns
+with live reads and without. No reading changes: `pytest -m slow tests/run/test_live.py` says so.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import math
+import os
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from datetime import datetime
+from pathlib import Path
+from statistics import mean, median, stdev
+from typing import Any, Final
+
+from bench.config.shipped import find_bench, find_procedure
+from tests.support.browser_runs import PROGRAM, Begun, prompt_of, typed_for, until
+from tests.support.browsers import find_chromium
+from tests.support.served_panel import ServedPanel, served
+
+NO_LOOKS: Final = f"import bench.run.live as l; l.LiveSignals.look = lambda self: None; {PROGRAM}"
+"""The program without live reads."""
+
+PROCEDURE: Final = """\
+procedure: live
+reading: {samples: 10, nplc: 1, settle: 1 s}
+steps:
+  - installation: {label: 1, steps: [{turn: {angles: {from: 0 deg, step: 15 deg, count: 20}}}]}
+"""
+
+AGES: Final = """() => { window.ages = []; const live = document.getElementById('live');
+  new MutationObserver(() => requestAnimationFrame(() => {
+    if (live.dataset.shown) ages.push(Date.now() - Date.parse(live.dataset.shown)); }))
+  .observe(live, {attributes: true, attributeFilter: ['data-shown']}); }"""
+
+
+class CountingPerson:
+    """A person at the page of a run who counts keys and clicks; the mouse is used where no key will do."""
+
+    def __init__(self, page: Any) -> None:
+        self.page, self.readings = page, 0
+        self.keys: dict[str, list[int]] = {"turn": [], "else": []}
+        self.clicks = {"turn": 0, "else": 0}
+
+    def answer(self, asked: dict[str, Any], turn: int) -> None:
+        """Answer the question on the page."""
+        what = "turn" if asked["action"]["do"] == "turn" else "else"
+        if not self.page.is_visible("#typed"):
+            self.page.click("#buttons button >> nth=0")
+            self.clicks[what] += 1
+            return
+        typed = f'+{turn % 10}"' if what == "turn" else typed_for(asked, turn)
+        self.page.keyboard.type(typed)  # the page has put the focus into the field
+        self.page.keyboard.press("Enter")
+        self.keys[what].append(len(typed) + 1)
+
+
+@contextlib.contextmanager
+def signed_in(panel: ServedPanel) -> Iterator[Any]:
+    """Yield a page of a browser in which an operator is signed in."""
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=find_chromium(), args=["--no-sandbox"])
+        page = browser.new_page(viewport={"width": 1024, "height": 768})
+        page.set_default_timeout(300_000)
+        panel.sign_in(page)
+        yield page
+        browser.close()
+
+
+def keys() -> CountingPerson:
+    """Carry out a whole calibration in practice in the panel, with typed readings; return who answered."""
+    with tempfile.TemporaryDirectory() as folder, served(Path(folder)) as panel, signed_in(panel) as page:
+        run = Begun(Path(folder), "run", "calibration", "folder", more=("--dry-run", "--bench", "bench-lan"))
+        return carried_out(run, panel, page, lambda asked: False)
+
+
+def hands_free() -> CountingPerson:
+    """Carry out a calibration's turns with an encoder at a simulated head that is turned meanwhile."""
+    with (
+        tempfile.TemporaryDirectory() as name,
+        served(Path(name) / "runs") as panel,
+        signed_in(panel) as page,
+    ):
+        folder = Path(name)
+        with simulating("bench-encoder", folder) as ready:
+            text = find_bench("bench-encoder").read_text("utf-8")
+            for number, one in enumerate(ready["instruments"]):
+                text = text.replace(f"/dev/ttyUSB{number}::", f"{one['pty']}::")
+            (folder / "bench.yaml").write_text(text, "utf-8")
+            procedure = find_procedure("calibration").read_text("utf-8")
+            for waits in ("1 h", "10 min", "10 s"):
+                procedure = procedure.replace(waits, "1 s")
+            (folder / "calibration.yaml").write_text(
+                procedure.replace("samples: 10, nplc: 10", "samples: 2, nplc: 1")
+            )
+            more = ("--bench", str(folder / "bench.yaml"))
+            run = Begun(panel.runs, "run", str(folder / "calibration.yaml"), "folder", more=more)
+            return carried_out(run, panel, page, Hands(ready["control"]))
+
+
+def carried_out(
+    run: Begun, panel: ServedPanel, page: Any, does: Callable[[dict[str, Any]], bool]
+) -> CountingPerson:
+    """Answer all questions of a run on its page; return who did. `does` says whether the hands alone answer one."""
+    try:
+        run.wait_for_events()
+        page.goto(f"{panel.url}/runs/run/")
+        page.click("text=Take control")
+        person, asked_id, number = CountingPerson(page), "", 0
+        while asked_id := prompt_of(page, asked_id):
+            asked = run.of_type("asked")[-1]
+            if not does(asked):
+                person.answer(asked, number)
+            number += 1
+        status, said = run.ended()
+        if status not in {0, 1}:
+            raise SystemExit(said)
+        person.readings = sum("reading" in event for event in run.events())
+        return person
+    finally:
+        run.close()
+
+
+class Hands:
+    """Hands at a simulated head: they mount and turn what is asked for, through the control of `bench simulate`."""
+
+    def __init__(self, address: str) -> None:
+        host, port = address.split(":")
+        self._wire = socket.create_connection((host, int(port)), 30.0).makefile("rw", encoding="utf-8")
+        self._at_deg = 0.0
+
+    def __call__(self, asked: dict[str, Any]) -> bool:
+        """Do what a question asks for; return whether nothing is left to be said."""
+        action = asked["action"]
+        if action["do"] == "mount":
+            self._send(f"mount {action['installation']}")
+        elif action["do"] == "turn":
+            target_deg = math.degrees(action["target_rad"])
+            for to_deg in (target_deg - 2.0 * action["direction"], target_deg):
+                self._send(f"turn {to_deg} deg")
+                time.sleep(abs(to_deg - self._at_deg) / 20.0 + 0.2)  # 20 deg/s
+                self._at_deg = to_deg
+            return bool(action.get("hands_free"))
+        return False
+
+    def _send(self, command: str) -> None:
+        self._wire.write(f"{command}\n")
+        self._wire.flush()
+        told = json.loads(self._wire.readline())
+        if not told["ok"]:
+            raise SystemExit(f"{command}: {told}")
+
+
+@contextlib.contextmanager
+def simulating(bench: str, folder: Path) -> Iterator[dict[str, Any]]:
+    """Serve the simulated instruments of a bench; yield what is written once they listen."""
+    ready = folder / "ready.json"
+    program = subprocess.Popen(  # noqa: S603 - our own program
+        [sys.executable, "-c", PROGRAM, "simulate", "--bench", bench, "--ready-file", str(ready)],
+        stdout=subprocess.DEVNULL,
+    )
+    try:
+        until(ready.exists)
+        yield json.loads(ready.read_text("utf-8"))
+    finally:
+        program.terminate()
+        program.wait(30)
+
+
+def answered_run(panel: ServedPanel, page: Any, bench: Path, name: str, program: str, wait_s: float) -> Begun:
+    """Carry out `PROCEDURE`, answered by keys after `wait_s` each; return the run."""
+    procedure = bench.with_name("live.yaml")
+    procedure.write_text(PROCEDURE, "utf-8")
+    run = Begun(panel.runs, name, str(procedure), "folder", more=("--bench", str(bench)), program=program)
+    run.wait_for_events()
+    page.goto(f"{panel.url}/runs/{name}/")
+    page.click("text=Take control")
+    page.evaluate(AGES)
+    person, asked_id, number = CountingPerson(page), "", 0
+    while asked_id := prompt_of(page, asked_id):
+        time.sleep(wait_s)
+        person.answer(run.of_type("asked")[-1], number)
+        number += 1
+    run.ended()
+    return run
+
+
+def reading_times_s(run: Begun) -> list[float]:
+    """Return the times from the answer to each turn to the end of its reading, s."""
+    times, answered = [], None
+    for event in run.events():
+        at = datetime.fromisoformat(event["time"]).timestamp()
+        if event["type"] == "answered":
+            answered = at
+        elif "reading" in event and answered is not None:
+            times.append(at - answered)
+            answered = None
+    return times
+
+
+def live(turns: int) -> None:
+    """Print the age of live values on the screen, and the time of readings with and without live reads."""
+    ages: list[float] = []
+    times: dict[str, list[float]] = {"with": [], "without": []}
+    with (
+        tempfile.TemporaryDirectory() as name,
+        served(Path(name) / "runs") as panel,
+        signed_in(panel) as page,
+    ):
+        folder = Path(name)
+        os.environ["XDG_CACHE_HOME"] = str(folder / "cache")
+        with simulating("bench-lan", folder) as ready:
+            text = find_bench("bench-lan").read_text("utf-8")
+            for number, one in enumerate(ready["instruments"]):
+                host, port = one["tcp"].split(":")
+                text = text.replace(f"TCPIP0::192.0.2.{22 + number}::5025", f"TCPIP0::{host}::{port}")
+            bench = folder / "bench.yaml"
+            bench.write_text(text, "utf-8")
+            for turn in range(turns):
+                for what, program in (("with", PROGRAM), ("without", NO_LOOKS)):
+                    run = answered_run(panel, page, bench, f"{what}-{turn}", program, 1.0)
+                    times[what] += reading_times_s(run)
+                    ages += page.evaluate("window.ages")
+    ages.sort()
+    print(
+        f"live value on the screen after the meters' answer: median {median(ages):.0f} ms, "
+        f"99 % within {ages[int(0.99 * len(ages))]:.0f} ms, longest {ages[-1]:.0f} ms, {len(ages)} values"
+    )
+    for what, found in times.items():
+        error = stdev(found) / len(found) ** 0.5
+        print(
+            f"from answer to reading, {what} live reads: {mean(found):.4f} ± {error:.4f} s, {len(found)} readings"
+        )
+
+
+def main() -> None:
+    """Measure what the command line names."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("what", choices=("keys", "live"))
+    parser.add_argument("--turns", type=int, default=3)
+    asked = parser.parse_args()
+    if asked.what == "live":
+        live(asked.turns)
+        return
+    for what, person in (("typed", keys()), ("hands-free", hands_free())):
+        typed = person.keys["turn"]
+        print(
+            f"{what}: {person.readings} readings, {len(typed)} of them typed, at most {max(typed, default=0)} keys "
+            f"each; clicks: {person.clicks['turn']} for readings, {person.clicks['else']} for mountings"
+        )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,231 @@
+"""Check that every text that people read has its translation; `--write` adds new texts to the catalogues.
+
+    python -m benchmarks.translations
+
+Texts are the arguments of `message` in Python, of `_` in scripts and in expressions of templates, the words of page
+templates, and titles, descriptions and reasons of the shipped procedures and bench files.
+`make lint` fails if one lacks a translation, if a translation has other blanks or elements than its
+text, if a catalogue has a text that nothing uses, or if a word of the certificate lacks a language.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+import sys
+from collections.abc import Iterator
+from io import BytesIO
+from itertools import product
+from pathlib import Path
+from typing import Any, Final
+
+import yaml
+from babel.messages.catalog import Catalog
+from babel.messages.pofile import read_po, write_po
+
+from bench.base.languages import ENGLISH, LANGUAGES, Entry
+from bench.base.template_texts import texts_in
+
+ROOT: Final = Path(__file__).parents[1]
+CATALOGUES: Final = ROOT / "bench" / "base" / "catalogues"
+EFFECTS: Final = ROOT / "bench" / "model" / "effects"
+"""Effects state their texts as attributes: the sentence, and what would show it."""
+WORDS: Final = ROOT / "bench" / "certificate" / "words.yaml"
+SHIPPED: Final = (ROOT / "procedures", ROOT / "config")
+_SHIPPED_TEXT: Final = re.compile(r"\b(?:title|description|reason): ([^}\n#]+)")
+_IN_SCRIPT: Final = re.compile(r"(?<![\w.$])_\((?=[\"`])")
+_VALUE: Final = re.compile(r"(\$\{(?:[^{}]|\{(?:[^{}]|\{[^{}]*\})*\})*\})")
+_ENDING: Final = re.compile(r'\$\{(?:[^{}]+?) === 1 \? "([^"]*)" : "([^"]*)"\}')
+_BLANKS: Final = re.compile(r"\{\d+\}|</?\w+")
+
+
+def entries_of(file: Path) -> Iterator[Entry]:
+    """Yield the texts in a module, a template or a script. Raises `ValueError` for a text that is no literal."""
+    source = file.read_text(encoding="utf-8")
+    if file.suffix == ".py":
+        if "message(" in source or file.parent == EFFECTS:
+            yield from _in_module(ast.parse(source), file)
+    elif file.name.endswith(".html.j2"):
+        yield from texts_in(source)
+    elif file.suffix == ".yaml" and file.parent in SHIPPED:
+        yield from (Entry(told[1].strip()) for told in _SHIPPED_TEXT.finditer(source))
+    elif file.suffix == ".js":
+        for call in _IN_SCRIPT.finditer(source):
+            yield _in_script(_literal_at(source, call.end()))
+
+
+def _in_module(tree: ast.AST, file: Path) -> Iterator[Entry]:
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Assign) and file.parent == EFFECTS:
+            if {"sentence", "shown_by"} & {one.id for one in node.targets if isinstance(one, ast.Name)}:
+                yield from _wordings(node.value)
+        elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "message":
+            context = node.args[1] if len(node.args) > 1 else None
+            told = str(context.value) if isinstance(context, ast.Constant) else ""
+            try:
+                yield from (Entry(one.english, one.plural, told) for one in _wordings(node.args[0]))
+            except ValueError as error:
+                raise ValueError(f"{file.relative_to(ROOT)}, line {node.lineno}: {error}") from error
+
+
+def _wordings(node: ast.expr) -> Iterator[Entry]:
+    """Yield the wordings of a text: one for each way through its choices; a choice by number gives a plural."""
+    match node:
+        case ast.Constant(value=str(text)):
+            yield Entry(text)
+        case ast.IfExp():
+            yield from (*_wordings(node.body), *_wordings(node.orelse))
+        case ast.JoinedStr():
+            yield from _filled(node)
+        case _:
+            raise ValueError("message() takes a literal or an f-string")
+
+
+def _filled(node: ast.JoinedStr) -> Iterator[Entry]:
+    parts: list[list[tuple[str, str]]] = []
+    blanks = 0
+    for part in node.values:
+        if isinstance(part, ast.Constant):
+            parts.append([(str(part.value), str(part.value))])
+            continue
+        value = part.value if isinstance(part, ast.FormattedValue) else None
+        if isinstance(value, ast.IfExp) and all(
+            isinstance(b, ast.Constant) for b in (value.body, value.orelse)
+        ):
+            yes, no = str(value.body.value), str(value.orelse.value)  # type: ignore[attr-defined]
+            match value.test:
+                case ast.Compare(ops=[ast.Eq()], comparators=[ast.Constant(value=1)]):
+                    parts.append([(yes, no)])
+                case ast.Compare(ops=[ast.NotEq()], comparators=[ast.Constant(value=1)]):
+                    parts.append([(no, yes)])
+                case _:
+                    parts.append([(yes, yes), (no, no)])
+        else:
+            parts.append([(f"{{{blanks}}}",) * 2])
+            blanks += 1
+    for way in product(*parts):
+        one, many = ("".join(part[form] for part in way) for form in (0, 1))
+        yield Entry(one, many if many != one else "")
+
+
+def _literal_at(source: str, at: int) -> str:
+    """Return the literal of a script that begins at a place; a template literal may hold others."""
+    quote, end, depth = source[at], at + 1, 0
+    while source[end] != quote or depth:
+        if source[end] == "\\":
+            end += 1
+        elif source.startswith("${", end):
+            depth += 1
+        elif source[end] == "}" and depth:
+            depth -= 1
+        end += 1
+    return source[at : end + 1]
+
+
+def _in_script(literal: str) -> Entry:
+    text = literal[1:-1].replace('\\"', '"')
+    if literal.startswith('"'):
+        return Entry(text)
+    forms = []
+    for number in (1, 2):
+        form, blanks = "", 0
+        for part in _VALUE.split(_ENDING.sub(lambda choice, n=number: choice[n], text)):  # type: ignore[misc]
+            if part.startswith("${"):
+                form, blanks = f"{form}{{{blanks}}}", blanks + 1
+            else:
+                form += part
+        forms.append(form)
+    return Entry(forms[0], forms[1] if forms[1] != forms[0] else "")
+
+
+def all_entries() -> dict[Entry, list[str]]:
+    """Return every text of the program with the files that use it; a text with a plural replaces one without."""
+    found: dict[Entry, list[str]] = {}
+    for folder in ("bench", "drivers", "procedures", "config"):
+        for file in sorted((ROOT / folder).rglob("*")):
+            if file.suffix in {".py", ".j2", ".js", ".yaml"}:
+                for entry in entries_of(file):
+                    found.setdefault(entry, []).append(str(file.relative_to(ROOT)))
+    with_plural = {(one.english, one.context) for one in found if one.plural}
+    return {
+        one: of for one, of in found.items() if one.plural or (one.english, one.context) not in with_plural
+    }
+
+
+def problems(told: Catalog, texts: dict[Entry, list[str]], language: str) -> Iterator[str]:
+    """Yield a sentence for each text without a translation, for wrong blanks, and for a text that is not used."""
+    known = {_entry(one): one for one in told if one.id}
+    for text, used in texts.items():
+        forms = _forms(known.get(text))
+        if not forms or not all(forms):
+            yield f"{language}: {text.english!r} ({used[0]}) has no translation"
+        for form in filter(None, forms):
+            if sorted(_BLANKS.findall(form)) != sorted(_BLANKS.findall(text.english)):
+                yield f"{language}: {text.english!r} has other blanks or elements than its translation {form!r}"
+    yield from (
+        f"{language}: {one.english!r} is used nowhere; leave it out" for one in known.keys() - texts.keys()
+    )
+
+
+def _entry(message: Any) -> Entry:
+    english, plural = (message.id, "") if isinstance(message.id, str) else message.id
+    return Entry(english, plural, message.context or "")
+
+
+def _forms(message: Any) -> tuple[str, ...]:
+    if message is None or message.fuzzy:
+        return ()
+    return (message.string,) if isinstance(message.string, str) else tuple(message.string)
+
+
+def problems_of_words() -> Iterator[str]:
+    """Yield a sentence for each word of the certificate that lacks one of the languages that others have."""
+    words = yaml.safe_load(WORDS.read_text(encoding="utf-8"))
+    languages = {language for told in words.values() for language in told}
+    for key, told in words.items():
+        yield from (f"{WORDS.name}: {key} has no word in {one}" for one in sorted(languages - told.keys()))
+
+
+def written(told: Catalog, texts: dict[Entry, list[str]], language: str) -> Catalog:
+    """Return a catalogue with the texts in use, in their order, with the translations known so far."""
+    known = {_entry(one): one for one in told if one.id}
+    new = Catalog(locale=language, project="triaxial-bench", charset="utf-8", header_comment="")
+    for text, used in texts.items():
+        old = known.get(text)
+        new.add(
+            (text.english, text.plural) if text.plural else text.english,
+            old.string if old is not None else "",
+            locations=[(file, None) for file in dict.fromkeys(used)],  # type: ignore[misc]
+            context=text.context or None,
+        )
+    return new
+
+
+def save(file: Path, told: Catalog) -> None:
+    """Write a catalogue; the same texts always give the same file."""
+    stream = BytesIO()
+    write_po(stream, told, width=110, omit_header=True)
+    header = (
+        f'msgid ""\nmsgstr ""\n"Content-Type: text/plain; charset=utf-8\\n"\n"Language: {file.stem}\\n"\n'
+    )
+    plural = f'"Plural-Forms: {told.plural_forms}\\n"\n\n'
+    file.write_bytes((header + plural).encode() + stream.getvalue().lstrip())
+
+
+def main(arguments: list[str]) -> int:
+    """Check the catalogues, or with `--write` bring them up to date; return 1 if something is missing."""
+    texts, told_off = all_entries(), list(problems_of_words())
+    for language in LANGUAGES.keys() - {ENGLISH}:
+        file = CATALOGUES / f"{language}.po"
+        with file.open("rb") as stream:
+            told = read_po(stream, locale=language)
+        if "--write" in arguments:
+            told = written(told, texts, language)
+            save(file, told)
+        told_off += problems(told, texts, language)
+    print(*told_off, f"{len(texts)} texts, {len(told_off)} problems", sep="\n")
+    return 1 if told_off else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,174 @@
+"""Languages of pages and prompts: catalogue, plural forms, numbers, templates, answers."""
+
+import re
+from pathlib import Path
+
+import pytest
+from babel.messages.catalog import Catalog
+
+from bench.base.languages import (
+    Entry,
+    catalogue,
+    known_language,
+    language,
+    local_number,
+    message,
+    shown,
+    speaking,
+    texts_for_scripts,
+    translated,
+)
+from bench.base.template_texts import environment_for, texts_in
+from bench.run.person import in_english
+from benchmarks import translations
+from drivers.person import Prompt, PromptKind
+
+
+@pytest.fixture
+def ukrainian():
+    with speaking("uk"):
+        yield
+
+
+def test_english_texts_come_back_byte_for_byte():
+    text = message("✓ Verification passed, 0.12 V")
+    assert translated(text) is text
+    assert shown(text) is text
+
+
+def test_every_text_has_its_translation():
+    assert translations.main([]) == 0
+
+
+def test_a_new_text_without_translation_is_told_with_its_file(tmp_path):
+    module = tmp_path / "new.py"
+    module.write_text(
+        "message(f\"{n} screw{'' if n == 1 else 's'} too loose\")\nmessage(f'{a} of {b!r:>9} screws')\n"
+    )
+    found = {entry: ["bench/new.py"] for entry in translations.entries_of(module)}
+    assert list(found) == [Entry("{0} screw too loose", "{0} screws too loose"), Entry("{0} of {1} screws")]
+    told = list(translations.problems(Catalog(locale="uk"), found, "uk"))
+    assert told == [f"uk: {entry.english!r} (bench/new.py) has no translation" for entry in found]
+
+
+def test_a_translation_with_another_blank_and_one_that_nothing_uses_are_told():
+    told = Catalog(locale="uk")
+    told.add("{0} V", "{1} V")
+    told.add("old", "старе")
+    first, second = translations.problems(told, {Entry("{0} V"): ["a.py"]}, "uk")
+    assert "other blanks" in first
+    assert "used nowhere" in second
+
+
+@pytest.mark.parametrize(
+    ("count", "word"),
+    [(1, "точка"), (2, "точки"), (5, "точок"), (11, "точок"), (21, "точка"), (22, "точки")],
+)
+def test_plural_forms(ukrainian, count, word):
+    points = f"next: {count} point{'' if count == 1 else 's'} in installation 2, 5 min"
+    assert translated(points) == f"далі: {count} {word} у встановленні 2, 5 min"
+
+
+@pytest.mark.parametrize(
+    ("english", "told"),
+    [
+        ("−2.177071(81) V/g", "−2,177071(81) V/g"),
+        ("22.8 … 23.1 °C ± 0.2 °C (k = 2)", "22,8 … 23,1 °C ± 0,2 °C (k = 2)"),
+        ("numpy 2.4.6", "numpy 2.4.6"),
+        ("192.0.2.22", "192.0.2.22"),
+        ("run-3.5", "run-3.5"),
+        ("JCGM 106:2012, 8.3", "JCGM 106:2012, 8.3"),
+    ],
+)
+def test_numbers_have_a_decimal_comma_and_names_stay(ukrainian, english, told):
+    assert local_number(english) == told
+    assert shown(english) == told
+
+
+def test_filled_copies_are_found_in_one_another(ukrainian):
+    trouble = (
+        "45°00′40″ is 0°00′40″ above the target, outside the 0°00′30″ allowed: turn the head until it agrees."
+    )
+    task = (
+        "Turn the head to 45°00′00″: approach with the angle rising, from below; clamp; read again and type"
+    )
+    task += " the angle read."
+    told = translated(f"{trouble} {task}")
+    assert not re.search("[a-z]", told)
+    assert told.count("45°00′") == 2
+
+
+@pytest.mark.parametrize(
+    "text", ["triaxial block of the paper 1", "One pass in ten, then none", "Olena and Taras went"]
+)
+def test_what_people_wrote_stays(ukrainian, text):
+    assert translated(text) == text
+
+
+def test_the_language_is_that_of_the_environment(monkeypatch):
+    monkeypatch.setenv("BENCH_LANGUAGE", "uk_UA.UTF-8")
+    assert language() == "uk"
+    with speaking("en"):
+        assert language() == "en"
+    monkeypatch.setenv("BENCH_LANGUAGE", "fr")
+    assert language() == "en"
+    assert known_language("xx") == ""
+    with pytest.raises(ValueError, match="choose one of en, uk"), speaking("xx"):
+        pass
+
+
+TEMPLATE = (
+    '<html lang="en"><p>Rule: {{ a }} – {{ b }}.</p>{# note #}<td data-label="unit">{{ c }}</td>'
+    "<p><code>{{ c }}</code></p><option>{{ c }}</option><pre>Rule: {{ c }}</pre></html>"
+)
+
+
+def test_texts_of_templates_are_found_without_marks():
+    assert [entry.english for entry in texts_in(TEMPLATE)] == ["Rule: {0} – {1}.", "unit"]
+
+
+def test_translated_templates_escape_values_and_leave_names(ukrainian):
+    template = environment_for("uk", autoescape=True).from_string(TEMPLATE)
+    told = template.render(a="<i>", b="0.5 V", c="0.5")
+    assert told.startswith('<html lang="uk"><p>Правило: &lt;i&gt; – 0,5 V.</p>')
+    assert '<td data-label="виріб">0,5</td>' in told
+    assert told.endswith("<p><code>0.5</code></p><option>0.5</option><pre>Rule: 0.5</pre></html>")
+
+
+def test_english_templates_are_rendered_as_they_stand():
+    plain = environment_for("en", autoescape=True).from_string(TEMPLATE).render(a="<i>", b="0.5 V", c="0.5")
+    assert plain.startswith('<html lang="en"><p>Rule: &lt;i&gt; – 0.5 V.</p>')
+
+
+@pytest.mark.parametrize(
+    ("kind", "choices", "typed", "told"),
+    [
+        (PromptKind.CONFIRM, (), "Так", "yes"),
+        (PromptKind.CONFIRM, (), "ні", "no"),
+        (PromptKind.CONFIRM, (), "yes", "yes"),
+        (PromptKind.CHOOSE, ("redo point", "go on REASON"), "повторити точку", "redo point"),
+        (PromptKind.CHOOSE, ("redo point", "go on REASON"), "продовжити кабель Ослаб", "go on кабель Ослаб"),
+        (PromptKind.CHOOSE, ("redo point",), "щось інше", "щось інше"),
+        (PromptKind.NUMBER, (), "23,5", "23,5"),
+    ],
+)
+def test_answers_are_understood_in_the_language_of_the_prompt(ukrainian, kind, choices, typed, told):
+    prompt = Prompt(id="1", kind=kind, text="?", choices=choices)
+    assert in_english(prompt, typed) == told
+
+
+def test_scripts_get_texts_that_a_browser_reads():
+    told = texts_for_scripts("uk")
+    assert told.startswith("window.BENCH_TEXTS = {")
+    assert "</script" not in told
+    assert '["Take control", "", ["Узяти керування"]]' in told
+
+
+def test_catalogue_is_sorted_by_what_tells_a_text_apart(ukrainian):
+    begun = "begun: read installation V, pass 1, point 4 at 315°: 10 samples of 10 power-line cycles"
+    assert (
+        translated(begun)
+        == "розпочато: зняти показ (встановлення V, прохід 1, точка 4 за 315°): відліків 10 по 10 періодів мережі"
+    )
+    assert catalogue("uk").decimal == ","
+    assert Path(translations.CATALOGUES / "uk.po").is_file()

@@ -1,0 +1,89 @@
+"""Logs of others as readings files, by a mapping of their columns."""
+
+from pathlib import Path
+
+import pytest
+
+from bench.base.yaml_files import FileMistakes, load_validated
+from bench.config.foreign_log import LogColumns, convert_log
+from bench.readings.csv import ReadingsError
+
+LOG = """# made by some program
+when;a/mV;b/mV;dut;bath
+2024-10-01 12:00:00;1000,001;1000,003;999999,5;296,15
+2024-10-01 12:00:30;1000,003;1000,001;1000000,5;297,15
+"""
+MAPPING = """
+log_columns: 1
+separator: ";"
+decimal: ","
+time_format: "%Y-%m-%d %H:%M:%S"
+columns:
+  time_s: when
+  reference_v: {columns: [a/mV, b/mV], unit: mV}
+  ux_v: {columns: dut, unit: uV}
+  meter_temperature_c: {columns: bath, unit: K}
+constants: {installation: R}
+"""
+
+
+def mapping(tmp_path, text=MAPPING):
+    file = tmp_path / "columns.yaml"
+    file.write_text(text)
+    return load_validated(file, LogColumns)
+
+
+def test_units_times_and_means_are_converted(tmp_path):
+    made = convert_log(Path("log"), LOG.encode(), mapping(tmp_path))
+    header, first, second = (line.split(",") for line in made.text.splitlines())
+    assert header == [
+        "installation",
+        "time_s",
+        "reference_v",
+        "ux_v",
+        "meter_temperature_c",
+        "reference_sd_v",
+    ]
+    assert [first[0], float(first[1]), float(second[1])] == ["R", 0.0, 30.0]
+    assert float(first[2]) == pytest.approx(1.000002, abs=1e-12)
+    assert float(first[3]) == pytest.approx(0.9999995, abs=1e-12)
+    assert float(second[4]) == pytest.approx(24.0, abs=1e-9)
+    assert float(first[5]) == pytest.approx(2e-6 / 2**0.5, rel=1e-6)
+
+
+def test_all_bad_rows_are_told_at_once_and_can_be_left_out(tmp_path):
+    bad = LOG + "2024-10-01 12:01:00;broken;1;2;3\nyesterday;1;1;1;1\n1;2\n"
+    with pytest.raises(ReadingsError) as told:
+        convert_log(Path("log"), bad.encode(), mapping(tmp_path))
+    lines = str(told.value).splitlines()
+    assert "log, line 5, column a/mV: expected a number, got 'broken'" in lines[0]
+    assert "line 6, column when: expected a time" in lines[1]
+    assert "line 7, expected 5 cells" in lines[2]
+    left = convert_log(Path("log"), bad.encode(), mapping(tmp_path), skip_bad_rows=True)
+    assert (left.rows, len(left.skipped)) == (2, 3)
+
+
+def test_a_missing_column_is_named_with_those_that_are_there(tmp_path):
+    with pytest.raises(
+        ReadingsError, match="column dut is missing; the log has when, a/mV, b/mV, other, bath"
+    ):
+        convert_log(Path("log"), LOG.replace(";dut;", ";other;").encode(), mapping(tmp_path))
+
+
+def test_a_unit_of_another_quantity_is_a_mistake_at_its_line(tmp_path):
+    with pytest.raises(FileMistakes, match=r"columns.yaml:9: columns\.ux_v\.unit: ux_v has the unit V"):
+        mapping(tmp_path, MAPPING.replace("unit: uV", "unit: min").replace("unit: mV", "unit: V"))
+
+
+def test_a_log_is_previewed_and_imported_with_its_mapping(bench, tmp_path):
+    (tmp_path / "log.txt").write_text(LOG)
+    mapping(tmp_path)
+    command = ("import", "log.txt", "--columns", "columns.yaml", "--name", "bath")
+    status, out, _ = bench(*command, "--preview")
+    assert status in (0, None)
+    assert "2 rows, 0 left out; nothing was imported" in out
+    assert not (tmp_path / "runs").exists()
+    assert bench(*command)[0] in (0, None)
+    folder = tmp_path / "runs/bath"
+    assert (folder / "columns.yaml").read_text() == MAPPING
+    assert "reference_sd_v" in (folder / "readings.csv").read_text()

@@ -1,0 +1,136 @@
+"""Diagnoses of records at a known input: strangers' records, nulls of them, and twins with a known truth."""
+
+import numpy as np
+import pytest
+
+from bench.base.arrays import rms
+from bench.calibration.result import CalibrationError
+from bench.diagnosis.record_confirm import confirm_record
+from bench.diagnosis.record_diagnosis import diagnose_record
+from bench.diagnosis.record_model import is_record, make_record
+from bench.readings.csv import read_csv
+from tests.support.known_inputs import BATH, BATH_COLUMNS, SWEPT, SWEPT_COLUMNS, as_readings, twin
+
+THERMAL = {"voltmeter_thermal_gain", "voltmeter_thermal_offset"}
+
+
+@pytest.mark.slow
+def test_a_meter_in_an_air_bath_follows_its_temperature_late(tmp_path):
+    """0.7 to 0.9 ppm/K behind 90 to 110 min, as an independent least-squares fit of the record gives."""
+    found = diagnose_record(as_readings(BATH, BATH_COLUMNS, tmp_path))
+    assert found.verdict == "confounded"
+    thermal, jump = found.effects
+    assert {thermal.name, *thermal.cannot_tell_from} == THERMAL  # at one voltage nobody can tell them apart
+    x, y, lag = thermal.parameters
+    assert 0.7 <= x.value <= 0.9
+    assert abs(x.value - y.value) < np.hypot(x.u, y.u)
+    assert 75 <= lag.value <= 120
+    assert max(found.rivals, key=lambda rival: -rival.chi2).what == "lag"
+    assert found.gap.shrinks
+    assert all(rms(fit.residual_v) <= 0.4e-6 for fit in found.fits)
+    # the two inputs of the meter part by 0.4 µV between 27.3 and 27.8 h
+    assert (jump.name, jump.channels) == ("voltmeter_move", ("y",))
+    assert jump.parameters[-1].value == pytest.approx(27.55, abs=0.25)
+
+
+@pytest.mark.slow
+def test_two_meters_at_the_same_input_have_nothing_to_name(tmp_path):
+    columns = {
+        "time_s": "time_s",
+        "reference_v": "k3_v",
+        "ux_v": "k1_v",
+        "meter_temperature_c": "dut_temperature_c",
+    }
+    found = diagnose_record(as_readings(BATH, columns, tmp_path))
+    assert (found.verdict, found.effects, found.far) == ("agrees", (), ())
+
+
+@pytest.mark.slow
+def test_a_reference_follows_its_swept_supply_and_not_the_room(tmp_path):
+    found = diagnose_record(as_readings(SWEPT, SWEPT_COLUMNS, tmp_path, reference_v="0.0175"))
+    assert (found.verdict, [one.name for one in found.effects]) == ("named", ["reference_supply"])
+    size = found.effects[0].parameters[0]
+    assert -1.6 <= size.value <= -1.2
+    assert found.gap.shrinks
+    assert any("had not settled" in note for note in found.notes)
+
+
+@pytest.fixture(scope="module")
+def of_twin(tmp_path_factory):
+    """The diagnosis of a twin of the record in the air bath."""
+    return diagnose_record(read_csv(twin(tmp_path_factory.mktemp("twin"), 1), ()))
+
+
+@pytest.mark.slow
+def test_a_twin_of_the_record_gives_the_same_name_and_its_size(of_twin):
+    (thermal,) = of_twin.effects
+    assert {thermal.name, *thermal.cannot_tell_from} == THERMAL
+    size, lag = thermal.parameters
+    assert abs(size.value - 0.74) < 3 * size.u
+    assert lag.value in {90, 105}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("gain_per_k", "verdict"), [(0.74e-6, "confirmed"), (0.0, "gone"), (1.5e-6, "changed")]
+)
+def test_a_new_record_confirms_a_model_or_not(of_twin, tmp_path, gain_per_k, verdict):
+    found = confirm_record(read_csv(twin(tmp_path, 2, gain_per_k), ()), of_twin.applied)
+    assert found.verdict == verdict
+    assert (found.unit, found.effects[0].verdict) == ("V", verdict)
+
+
+@pytest.mark.slow
+def test_one_excursion_confirms_no_name(tmp_path):
+    """A meter carried outdoors and back: what follows one excursion alone is not told from a coincidence."""
+    rows = twin(tmp_path, 4).read_text().splitlines()
+    file = tmp_path / "one.csv"
+    file.write_text("\n".join(rows[: 1 + 60 * 26]) + "\n")  # before the bath is cooled
+    found = diagnose_record(read_csv(file, ()))
+    assert found.verdict == "unknown"
+    assert [one.name for one in found.effects] == ["slow_in_time"]
+    assert "one excursion" in found.effects[0].words
+
+
+@pytest.mark.slow
+def test_a_jump_is_found_at_its_time(tmp_path):
+    found = diagnose_record(read_csv(twin(tmp_path, 5, gain_per_k=0.0, jump_v=5e-6), ()))
+    (jump,) = found.effects
+    assert (found.verdict, jump.name) == ("named", "voltmeter_move")
+    step, at = jump.parameters
+    assert abs(step.value - 5.0) < 3 * step.u
+    assert at.value == pytest.approx(22.3, abs=0.2)
+
+
+# --- what a record is -------------------------------------------------------------------------------
+
+ROW = "R,{time},1.0,1.000001{digit},"
+
+
+def record_of(tmp_path, rows, header="installation,time_s,reference_v,ux_v,uz_v"):
+    file = tmp_path / "record.csv"
+    file.write_text("\n".join([header, *rows]) + "\n")
+    return read_csv(file, ())
+
+
+def test_a_record_needs_no_pass_no_point_and_one_signal(tmp_path):
+    readings = record_of(tmp_path, [ROW.format(time=10 * i, digit=i % 10) for i in range(40)])
+    assert is_record(readings)
+    assert readings.point.tolist() == list(range(1, 41))
+    record = make_record(readings)
+    assert (record.channels, len(record)) == ((0,), 40)
+    assert record.deviation_v[3, 0] == pytest.approx(1.3e-6, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("rows", "told"),
+    [
+        ([ROW.format(time=10 * i, digit=1) for i in range(12)], "12 readings at different times are too few"),
+        (["R,,1,1,", "R,2,1,1,"], "time_s is empty"),
+        (["R,1,,1,", "R,2,1,1,"], "reference_v is empty"),
+        (["R,2,1,1,", "R,1,1,1,"], "runs backwards"),
+    ],
+)
+def test_a_record_that_cannot_be_evaluated_says_why(tmp_path, rows, told):
+    with pytest.raises(CalibrationError, match=told):
+        make_record(record_of(tmp_path, rows))

@@ -1,0 +1,53 @@
+"""Records at a known input: those that strangers published, and twins of them made apart from `bench/model`."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bench.config.foreign_log import LogColumns, convert_log
+from bench.readings.csv import read_csv
+from bench.readings.table import Readings
+
+DATA = Path(__file__).parents[1] / "data/known-input"
+BATH = DATA / "meter-in-air-bath-1v.csv"
+SWEPT = DATA / "reference-supply-swept.csv"
+
+BATH_COLUMNS = {
+    "time_s": "time_s", "reference_v": ["k1_v", "k2_v", "k3_v"], "ux_v": "dut1_v", "uy_v": "dut2_v",
+    "meter_temperature_c": "dut_temperature_c",
+}  # fmt: skip
+SWEPT_COLUMNS = {
+    "time_s": "time_s", "ux_v": {"columns": "difference_uv", "unit": "uV"}, "rail_supply_v": "supply_v",
+    "room_c": "room_c",
+}  # fmt: skip
+
+
+def as_readings(log: Path, columns: dict[str, Any], folder: Path, **constants: str) -> Readings:
+    """The readings of a log with these columns, through a readings file."""
+    mapping = LogColumns.model_validate(
+        {"log_columns": "1", "columns": columns, "constants": {"installation": "R", **constants}}
+    )
+    file = folder / f"{log.stem}.csv"
+    file.write_text(convert_log(log, log.read_bytes(), mapping).text, encoding="utf-8")
+    return read_csv(file, ())
+
+
+def twin(
+    folder: Path, seed: int, gain_per_k: float = 0.74e-6, lag_min: float = 95.0, jump_v: float = 0.0
+) -> Path:
+    """A record of 38 h at 1 V like that of the air bath: a gain behind a lag, a random walk, white noise."""
+    rng = np.random.default_rng(seed)
+    time_s = np.arange(0.0, 38 * 3600.0, 60.0)
+    hours, bath = [0, 3, 10, 13, 20, 26, 34, 37, 38], [24, 24, 36.7, 36.7, 24, 24, 18.6, 18.6, 20]
+    bath_c = np.interp(time_s / 3600.0, hours, bath)
+    inside_c = bath_c.copy()
+    for i in range(1, len(time_s)):
+        inside_c[i] = inside_c[i - 1] + (bath_c[i] - inside_c[i - 1]) * -np.expm1(-60.0 / (60.0 * lag_min))
+    walk = np.cumsum(rng.normal(0.0, 0.012e-6, len(time_s)))
+    volts = 1.0 + 23e-6 + gain_per_k * (inside_c - 23.0) + walk + rng.normal(0.0, 0.1e-6, len(time_s))
+    volts += jump_v * (time_s > 22.3 * 3600.0)
+    file = folder / f"twin-{seed}.csv"
+    rows = (f"R,{t:g},1,{u:.9f},{c:.3f}" for t, u, c in zip(time_s, volts, bath_c, strict=True))
+    file.write_text("\n".join(["installation,time_s,reference_v,ux_v,meter_temperature_c", *rows]) + "\n")
+    return file
