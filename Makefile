@@ -49,6 +49,7 @@ lint: $(STAMP)
 	$(VENV)/bin/ruff format --check .
 	$(VENV)/bin/mypy
 	$(VENV)/bin/lint-imports
+	$(VENV)/bin/python -m benchmarks.translations
 	$(VENV)/bin/codespell bench drivers sim benchmarks docs procedures config README.md CONTRIBUTING.md CHANGELOG.md
 	$(VENV)/bin/python -m benchmarks.prose --check
 

@@ -137,6 +137,9 @@ def _text(node: ast.AST) -> str | None:
     ):
         who, cause, remedy = map(_text, node.args)  # `drivers.interfaces.BenchError` joins them so
         return f"{who or ELLIPSIS}: {cause or ELLIPSIS}; {remedy or ELLIPSIS}" if cause or remedy else None
+    if isinstance(node, ast.Call) and len(node.args) == 2 and _ERROR_TAKERS.search(_taker(node)):
+        cause, remedy = map(_text, node.args)  # `drivers.wire.pyvisa_connection.WireError`
+        return f"{cause}; {remedy}" if cause and remedy else None
     return None
 
 

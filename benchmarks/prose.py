@@ -3,6 +3,7 @@
 For each page of docs/ and the README: words (as `wc -w` counts them), sentences, their mean length, the share of
 them over 25 words, pictures, and the phrases of docs/banned-phrases.txt found. Sentences are those of paragraphs
 and lists: code blocks, tables, headings, comments and front matter have none. Code in a line counts as one word.
+What a command writes between the marks `<!-- NAME: made by COMMAND -->` and `<!-- end of NAME -->` is left out.
 
     python -m benchmarks.prose            # all pages
     python -m benchmarks.prose --pages docs/panel.md README.md
@@ -33,6 +34,8 @@ _LEFT_OUT: Final = re.compile(
     r"|(?<=\n\n)(?: {4}\S[^\n]*\n)+",
     re.M | re.S,
 )
+_MADE: Final = re.compile(r"^<!-- [^>]*: made by [^>]* -->$.*?^<!-- end of [^>]* -->$", re.M | re.S)
+"""What a command writes into a page: tables of results, which count as little as generated pages do."""
 _PICTURE: Final = re.compile(r"!\[[^\]]*\]\([^)]*\)|^```\{(?:figure|image|picture)\}.*$", re.M)
 _ITEM: Final = re.compile(r"^\s*(?:[-*+]|\d+\.|:|>)\s+", re.M)
 _END: Final = re.compile(r"(?<!\b[A-Z])(?<!e\.g)(?<!i\.e)[.!?][\"'”’)*_]*\s+(?=[\"'“‘(*_]*[^\sa-z])")
@@ -69,7 +72,8 @@ def sentences(text: str) -> list[str]:
 
 
 def prose_of(name: str, text: str, phrases: Iterable[str]) -> Prose:
-    """Count a page."""
+    """Count a page, without what a command writes into it."""
+    text = _MADE.sub("", text)
     plain = " ".join(re.sub(r"```.*?```|`[^`]*`", "", text, flags=re.S).lower().split())
     banned = tuple(p for p in phrases for _ in re.findall(rf"(?<!\w){re.escape(p)}(?!\w)", plain))
     lengths = tuple(len(re.findall(r"\S*\w\S*", one)) for one in sentences(text))

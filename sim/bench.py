@@ -211,7 +211,7 @@ class SimulatedBench:
                 raise ValueError(f"no instrument of this bench can have '{fault.kind}'")
         elif fault.instrument not in self.faulty:
             raise ValueError(
-                f"no instrument {fault.instrument} is served; there are {', '.join(self.faulty)}"
+                f"no instrument {fault.instrument} is served; choose from {', '.join(self.faulty)}"
             )
         elif self._is_of_another_wire(fault.instrument, fault):
             adapter = self._on_bus[fault.instrument][0]

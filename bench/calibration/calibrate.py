@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 
 from bench.base.arrays import ARCSEC, Floats, least_squares, rms, u_of
+from bench.base.languages import message
 from bench.calibration import gls, mistakes, outliers
 from bench.calibration.components import SharedErrorFit, heavy_tails, notes_on_noise, take_in
 from bench.calibration.design import FIXED, FreeRows, Problem, make_problem
@@ -217,12 +218,12 @@ def _notes_on_rows(
     readings: Readings, chosen: FittedRows, estimator: str, *, join_free: bool
 ) -> tuple[str, ...]:
     if np.any(chosen.free.installation == VERIFICATION):
-        return ("the verification points joined the fit, so they do not check it independently",)
+        return (message("the verification points joined the fit, so they do not check it independently"),)
     count = int(np.sum(readings.installation == FREE))
     if not count or len(chosen.free):
         return ()
-    why = f"the estimator {estimator} needs oriented readings" if join_free else "as asked"
-    return (f"{count} free positions are not used: {why}",)
+    why = message(f"the estimator {estimator} needs oriented readings") if join_free else message("as asked")
+    return (message(f"{count} free positions are not used: {why}"),)
 
 
 def _on_levels(problem: Problem) -> tuple[str, ...]:
@@ -237,8 +238,11 @@ def _on_levels(problem: Problem) -> tuple[str, ...]:
         low, high = min(u), max(u)
         sizes.append(f"{symbol}: {low:.2g}" + (f" to {high:.2g}" if high > 1.05 * low else "") + " arcsec")
     return (
-        f"a level showed how the platform stood in installation {', '.join(mounts)} (u of {', of '.join(sizes)}); "
-        "this replaces the limits in the bench file",
+        message(
+            f"a level showed how the platform stood in installation {', '.join(mounts)} (u of "
+            f"{', of '.join(sizes)}); "
+            "this replaces the limits in the bench file"
+        ),
     )
 
 
@@ -283,7 +287,7 @@ def _fitted(
     # one outlier is enough for a note, but in free positions alone several may mask each other
     most = outliers.most_outliers(problem) if problem.upper else 1
     notes = tuple(
-        f"outlier found: {outlier.text()}; the estimator '{ROBUST}' gives it no weight"
+        message(f"outlier found: {outlier.text()}; the estimator '{ROBUST}' gives it no weight")
         for outlier in outliers.listed(outliers.search(problem, task.fit, task.refit, most), chosen)
     )
     return fit, (), notes

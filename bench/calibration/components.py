@@ -378,23 +378,31 @@ def notes_on_noise(
     if noise.channels is not None and noise.p_equal < UNEQUAL_P:
         sizes = ", ".join(f"{c} {size:.2g} {unit}" for c, size in zip(CHANNELS, noise.channels, strict=True))
         notes.append(
-            f"the channels differ in noise ({sizes}; p = {noise.p_equal:.1g}): each has its own noise"
+            message(
+                f"the channels differ in noise ({sizes}; p = {noise.p_equal:.1g}): each has its own noise"
+            )
         )
     if tails < UNEQUAL_P:
         notes.append(
-            f"the noise has heavy tails (p = {tails:.1g}): u describes its standard deviation; the "
-            "estimator 'robust' reduces the weight of outliers"
+            message(
+                f"the noise has heavy tails (p = {tails:.1g}): u describes its standard deviation; the "
+                "estimator 'robust' reduces the weight of outliers"
+            )
         )
     notes += _on_components(shared.components, unit)
     if shared.drift is not None:
         notes.append(
-            f"U0 is the bias at the mean of the run of {shared.drift.hours:.2g} h; at one instant it is "
-            "less certain, by its drift"
+            message(
+                f"U0 is the bias at the mean of the run of {shared.drift.hours:.2g} h; at one instant it is "
+                "less certain, by its drift"
+            )
         )
     if birge > 1.0:
         notes.append(
-            f"the model leaves more than the noise explains: u is {birge:.2g} times that of the noise alone "
-            "(Birge ratio)"
+            message(
+                f"the model leaves more than the noise explains: u is {birge:.2g} times that of the noise alone "
+                "(Birge ratio)"
+            )
         )
     return tuple(notes)
 
@@ -405,18 +413,20 @@ def note_on_prior(noise: Noise, unit: str) -> tuple[str, ...]:
 
 
 def _on_prior(prior: NoisePrior, unit: str) -> str:
-    where = "the bench file states" if prior.stated else "other runs gave"
+    where = message("the bench file states") if prior.stated else message("other runs gave")
     scale = scale_for(prior.reading, unit)
     rests = message(
         f"u rests on the sizes of the noise that {where} (reading {prior.reading / scale.size:.3g} {scale.unit}, "
         f"setting {prior.setting_rad / ARCSEC:.2g} arcsec, {prior.dof:.2g} degrees of freedom)"
     )
     if not prior.readings_dof > 0:
-        return f"{rests}: so few readings leave no degrees of freedom to estimate the noise"
-    scatter = f"they scatter {prior.ratio:.2g} times as much"
+        return message(f"{rests}: so few readings leave no degrees of freedom to estimate the noise")
+    scatter = message(f"they scatter {prior.ratio:.2g} times as much")
     if prior.p < DISAGREES_P:
-        return f"{rests}, and the readings disagree: {scatter} (p = {prior.p:.1g}); measure more points"
-    return f"{rests}: so few readings hardly show the noise, and {scatter} (p = {prior.p:.2g})"
+        return message(
+            f"{rests}, and the readings disagree: {scatter} (p = {prior.p:.1g}); measure more points"
+        )
+    return message(f"{rests}: so few readings hardly show the noise, and {scatter} (p = {prior.p:.2g})")
 
 
 def _on_components(components: Sequence[Component], unit: str) -> Iterator[str]:
@@ -429,9 +439,13 @@ def _on_components(components: Sequence[Component], unit: str) -> Iterator[str]:
         else:
             sizes = ", ".join(f"{c.channels} {c.size:.2g} {unit}" for c in own)
         if what == DRIFT:
-            yield f"the biases appear to drift over the run by {sizes} rms about their means; u includes it"
+            yield message(
+                f"the biases appear to drift over the run by {sizes} rms about their means; u includes it"
+            )
         else:
             yield (
-                f"{_SHARED_BY[what]} seem to share an error ({sizes}), which repeats do not average; u "
-                "includes it"
+                message(
+                    f"{_SHARED_BY[what]} seem to share an error ({sizes}), which repeats do not average; u "
+                    "includes it"
+                )
             )

@@ -43,7 +43,7 @@ def intrinsic(block: Block, covariance: Floats) -> Derived:
     """
     S = np.linalg.norm(block.K, axis=1)
     if not np.all(S > 0):
-        raise np.linalg.LinAlgError("a channel has no sensitivity")
+        raise np.linalg.LinAlgError("a channel has no sensitivity; check its readings")
     axes, b = block.K / S[:, None], block.U0 / S
     values, rows = np.concatenate([S, np.zeros(3), b]), np.zeros((len(INTRINSIC), len(COEFFICIENTS)))
     for i in range(3):

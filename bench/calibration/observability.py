@@ -27,10 +27,10 @@ _MOST_NAMED: Final = 4
 class DirectionKind(StrEnum):
     """Kinds of null directions: changes of the unknowns that leave all readings unchanged."""
 
-    UNSEEN = "no reading depends on it"
-    TURN = "a common turn of the block's axes"
-    ALIKE = "the readings cannot tell them apart"
-    MIXED = "is indistinguishable from a change of coefficients"
+    UNSEEN = message("no reading depends on it")
+    TURN = message("a common turn of the block's axes")
+    ALIKE = message("the readings cannot tell them apart")
+    MIXED = message("is indistinguishable from a change of coefficients")
 
 
 @dataclass(frozen=True)
@@ -389,8 +389,8 @@ MATTERS: Final = 0.02
 MOST_NAMED: Final = 8
 """Largest number of stand angles that are named in words; more are listed by their symbols."""
 
-GAIN: Final = "voltmeter gain: 1 ppm of it is 1 ppm of every coefficient, and no reading shows it"
-GRAVITY: Final = (
+GAIN: Final = message("voltmeter gain: 1 ppm of it is 1 ppm of every coefficient, and no reading shows it")
+GRAVITY: Final = message(
     "local gravity: a wrong value changes only what is computed in m/s^2, as coefficients are per local g"
 )
 
@@ -424,7 +424,7 @@ def assumptions(problem: Problem, block: Block, gain: Floats, unit: str) -> tupl
     sentences += _undetermined(columns.without(beyond).observability(block), unit)
     sentences += [
         GAIN,
-        f"voltmeter offset: it adds fully to the biases, {unit} for {unit}, and no reading shows it",
+        message(f"voltmeter offset: it adds fully to the biases, {unit} for {unit}, and no reading shows it"),
         GRAVITY,
     ]
     return tuple(sentences)
@@ -493,8 +493,8 @@ def _shown(columns: Sensitivities, oriented: int, block: Block, name: str) -> st
         for d in columns.observability(block).directions
         if d.kind is DirectionKind.TURN and d.only and d.others[0].startswith(f"{SYMBOLS[name]}[")
     ]
-    what = " and ".join(pairs) or "the part other than a common turn of the block's axes"
-    return (
+    what = " and ".join(pairs) or message("the part other than a common turn of the block's axes")
+    return message(
         f"of it the readings that joined by |a| = 1 g would show {what}, if the bench file stated its size; "
         "until then it changes the coefficients"
     )
@@ -529,11 +529,13 @@ def _undetermined(found: Observability, unit: str) -> list[str]:
         names = _together([name for name in found.names if name in taking_part])
         axes = ", ".join(axis_in_words(d.axis) for d in turns)
         sentences.append(
-            f"{names}: in some combination a common turn of the block's axes (about {axes}), which no "
-            "reading shows; only the bench file limits it"
+            message(
+                f"{names}: in some combination a common turn of the block's axes (about {axes}), which no "
+                "reading shows; only the bench file limits it"
+            )
         )
     return sentences + [
-        f"{d.text(unit)}; only the bench file limits it"
+        message(f"{d.text(unit)}; only the bench file limits it")
         for d in found.directions
         if d.kind is not DirectionKind.TURN
     ]

@@ -231,7 +231,7 @@ def issued(register: Register, number: str) -> NumberStatus:
     if number not in register.standings:
         latest = ", ".join(list(register.standings)[-3:]) or "none"
         raise Refused(
-            f"{number}: no certificate of that number in {register.folder}; the latest are: {latest}"
+            f"{number}: no certificate of that number in {register.folder}; name one of the latest: {latest}"
         )
     return register.standings[number]
 

@@ -13,7 +13,7 @@ from bench.services.requests.documents import Validate
 def validate(request: Validate, json: JsonOption = None) -> int:
     """Validate this installation: reference data, instruments, records, certificates, machine.
 
-    Exit status 1 if a check fails. Whoever accepts it says --accept DIR, --by NAME and --reason TEXT.
+    Exit status 1 if a check fails. To accept it, give --accept DIR, --by NAME and --reason TEXT.
     """
     one_thread()
     from bench.validation import acceptance

@@ -30,7 +30,7 @@ from bench.readings.table import REFERENCE, REFERENCE_V, Readings
 BINS: Final = 300
 """Largest number of means of a record; slow effects need no more."""
 LEAST: Final = 30
-"""Fewest means from which noise and effects are told apart."""
+"""Fewest means that separate noise from effects."""
 APART: Final = 6.0
 """A reading is left out of its mean from this many standard deviations (by the median deviation) on."""
 GAUSSIAN_MAD: Final = 1.4826

@@ -115,7 +115,9 @@ class Person:
     def require(self, least: Role) -> None:
         """Raise `Refusal` (403) if the person's role is below `least`."""
         if not self.role.includes(least):
-            raise Refusal(403, f"{self.name} is signed in as {self.role}; this needs the role {least}")
+            raise Refusal(
+                403, message(f"{self.name} is signed in as {self.role}; this needs the role {least}")
+            )
 
 
 class Refusal(Exception):
@@ -178,14 +180,16 @@ class Gate:
         if len(headers.getlist("host")) > 1 or not self._settings.allows_host(host):
             return Refusal(403, message(f"this panel is at {self._settings.url}"))
         if scope["method"] not in METHODS:
-            return Refusal(405, "the panel accepts GET and POST only; use its pages")
+            return Refusal(405, message("the panel accepts GET and POST only; use its pages"))
         if scope["method"] == "POST" and not self._settings.allows_origin(headers.get("origin", ""), host):
-            return Refusal(403, "another web page asked for this change; use the panel itself")
+            return Refusal(403, message("another web page asked for this change; use the panel itself"))
         length = headers.get("content-length", "0")
         if "content-length" in headers and "transfer-encoding" in headers:
-            return Refusal(400, "the request has both Content-Length and Transfer-Encoding; send one")
+            return Refusal(
+                400, message("the request has both Content-Length and Transfer-Encoding; send one")
+            )
         if not length.isascii() or not length.isdecimal() or len(length) > 9 or int(length) > LARGEST_BODY:
-            return Refusal(413, f"at most {LARGEST_BODY} bytes are accepted; send less")
+            return Refusal(413, message(f"at most {LARGEST_BODY} bytes are accepted; send less"))
         return None
 
 
@@ -234,7 +238,7 @@ def private_folder(folder: Path) -> Path:
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
         found = folder.lstat()
         if not stat.S_ISDIR(found.st_mode):
-            raise RecordError(f"{folder}: is a link where the panel needs a folder; remove it")
+            raise RecordError(message(f"{folder}: is a link where the panel needs a folder; remove it"))
         if os.name == "posix" and stat.S_IMODE(found.st_mode) & 0o077:
             folder.chmod(0o700)
     except OSError as error:
@@ -250,7 +254,9 @@ class KeptList:
     `remedy` tells what to do about a damaged file for which there is no copy.
     """
 
-    def __init__(self, folder: Path, name: str, remedy: str = "remove it and make new tokens") -> None:
+    def __init__(
+        self, folder: Path, name: str, remedy: str = message("remove it and make new tokens")
+    ) -> None:
         self._path, self._remedy = folder / name, remedy
         self._lock = FileLock(folder / f"{name}.lock", mode=0o600)
         self._stamp: tuple[int, int, int] | None = None
@@ -270,7 +276,7 @@ class KeptList:
             self._rows, self._stamp = [], None
         except (OSError, ValueError) as error:
             raise RecordError(
-                f"{self._path}: cannot be read; put a copy in its place, or {self._remedy}"
+                message(f"{self._path}: cannot be read; put a copy in its place, or {self._remedy}")
             ) from error
         return list(self._rows)
 
@@ -295,7 +301,7 @@ class KeptList:
                     self._path.chmod(0o600)
         except OSError as error:
             raise RecordError(
-                f"{self._path}: cannot be written ({error.strerror}); free disk space"
+                message(f"{self._path}: cannot be written ({error.strerror}); free disk space")
             ) from error
 
 
@@ -328,7 +334,9 @@ class Access:
         token = secrets.token_urlsafe(32)
         with self._tokens.changed() as rows:
             if any(row["name"] == name for row in rows):
-                raise RecordError(f"{name}: already has a token; use 'bench panel revoke {name}' first")
+                raise RecordError(
+                    message(f"{name}: already has a token; use 'bench panel revoke {name}' first")
+                )
             rows.append(
                 {"name": name, "role": role.value, "sha256": _hash(token), "made": self._now().isoformat()}
             )
@@ -429,7 +437,7 @@ def checked_person(name: str) -> str:
     """Return a person's name, stripped. Raises `RecordError` if it is empty, too long or not printable."""
     name = name.strip()
     if not name or len(name) > LONGEST_NAME or not name.isprintable() or visible(name) != name:
-        raise RecordError(f"{visible(name)!r}: give a name of 1 to {LONGEST_NAME} characters")
+        raise RecordError(message(f"{visible(name)!r}: give a name of 1 to {LONGEST_NAME} characters"))
     return name
 
 

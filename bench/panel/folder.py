@@ -44,7 +44,7 @@ class RunsFolder:
     def run(self, name: str) -> Run:
         """Return the run with this name. Raises `Refusal` (404) if there is none."""
         if not self.holds(name):
-            raise Refusal(404, "no run has that name; see the list of runs")
+            raise Refusal(404, message("no run has that name; see the list of runs"))
         return Run(self.path / name)
 
     def holds(self, name: str) -> bool:
@@ -116,7 +116,7 @@ class Certificates:
         """Return a file of a run's certificate. Raises `Refusal` (404), `Refused` if it was tampered with."""
         register = self._read()
         if register is None or not any(name in one.files for one in self.of(run)):
-            raise Refusal(404, f"{run.name} has no such certificate; see its page")
+            raise Refusal(404, message(f"{run.name} has no such certificate; see its page"))
         return register.file(name)
 
     def _read(self) -> Register | None:
@@ -128,7 +128,7 @@ class Certificates:
                 register.read_lines()
             except OSError as error:
                 raise Refused(
-                    f"{self._folder}: cannot be read ({error.strerror}); check name and permissions"
+                    message(f"{self._folder}: cannot be read ({error.strerror}); check name and permissions")
                 ) from error
             self._register = register
             return register

@@ -148,7 +148,7 @@ def change(
             before = _told(text)
             to = _checked(before, word, person, to)
             if len(text) > LARGEST and word in {"ask", "deny"}:
-                raise Refusal(429, "too many requests; wait a minute")
+                raise Refusal(429, message("too many requests; wait a minute"))
             line = {"did": WORDS[word].value, "who": person.name, "role": person.role.value}
             line |= {"to": to} if to else {}
             line["at"] = now().isoformat()
@@ -167,25 +167,27 @@ def _checked(holding: Holding, word: str, person: Person, to: str) -> str:
     holds = holding.holder == person.name
     match word:
         case "take" | "ask" | "force" if holds:
-            raise Refusal(409, f"{person.name} is already in control; ask for control")
+            raise Refusal(409, message(f"{person.name} is already in control; ask for control"))
         case "take" if holding.holder:
             raise Refusal(409, message(f"{holding.holder} is in control; ask for it"))
         case "ask" if not holding.holder:
-            raise Refusal(409, "nobody is in control; take control first")
+            raise Refusal(409, message("nobody is in control; take control first"))
         case "ask" if len(holding.asking) >= MOST_ASKING:
-            raise Refusal(429, "too many ask already; wait")
+            raise Refusal(429, message("too many ask already; wait"))
         case "ask" if person.name in holding.asking:
-            raise Refusal(409, f"{person.name} has already asked; wait")
+            raise Refusal(409, message(f"{person.name} has already asked; wait"))
         case "grant" | "deny" | "release" if not holds:
-            raise Refusal(403, f"only the person in control may do that: {holding.holder or 'nobody'}")
+            raise Refusal(
+                403, message(f"only the person in control may do that: {holding.holder or 'nobody'}")
+            )
         case "grant" | "deny":
             to = to or next(iter(holding.asking), "")
             if to not in holding.asking:
                 raise Refusal(
                     409,
-                    f"{to or 'nobody'} did not ask for control"
+                    message(f"{to or 'nobody'} did not ask for control")
                     if to
-                    else "nobody asked for control; keep it or let go",
+                    else message("nobody asked for control; keep it or let go"),
                 )
             return to
     return ""

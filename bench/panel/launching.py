@@ -83,7 +83,7 @@ def wait_until(begun: Callable[[], bool], started: Started, clock: Clock | None 
         if (status := started.status) is not None:
             if begun():
                 return True
-            raise Refusal(409, f"it did not start (exit status {status}): {started.last_words()}")
+            raise Refusal(409, message(f"it did not start (exit status {status}): {started.last_words()}"))
         if clock.now_s() > until_s:
             return False
         clock.sleep(NAP_S)
@@ -141,7 +141,8 @@ class WantedRun:
             }
         except OSError as error:
             raise Refusal(
-                409, f"{error.filename}: cannot be read ({error.strerror}); check name and permissions"
+                409,
+                message(f"{error.filename}: cannot be read ({error.strerror}); check name and permissions"),
             ) from error
 
 
@@ -212,7 +213,7 @@ class WishFolder:
             with (self.path / STARTED).open("x", encoding="utf-8") as file:
                 file.write(name)
         except FileExistsError:
-            raise Refusal(409, f"this was already started; see the run {self.started()}") from None
+            raise Refusal(409, message(f"this was already started; see the run {self.started()}")) from None
 
     def unmark_started(self) -> None:
         """Delete the mark of `mark_started`, because the run did not begin."""
@@ -231,7 +232,7 @@ class WishFolder:
         except (OSError, ValueError):
             told = None
         if not isinstance(told, dict):
-            raise Refusal(404, "this no longer exists; start again")
+            raise Refusal(404, message("this no longer exists; start again"))
         return told
 
 
@@ -260,7 +261,7 @@ class Wishes:
     def of(self, wish_id: str) -> WishFolder:
         """Return the folder of the wish with this id. Raises `Refusal` (404) if there is none."""
         if re.fullmatch(r"[0-9a-f]{12}", wish_id) is None or not (self._folder / wish_id / WISH).is_file():
-            raise Refusal(404, "this no longer exists; start again")
+            raise Refusal(404, message("this no longer exists; start again"))
         return WishFolder(self._folder / wish_id)
 
 
@@ -291,7 +292,7 @@ def name_of(wanted: WantedRun, runs: RunsFolder) -> str:
     except RecordError as mistake:
         raise Refusal(400, str(mistake)) from mistake
     if (runs.path / name).exists():
-        raise Refusal(409, f"the run {name} exists; choose another name")
+        raise Refusal(409, message(f"the run {name} exists; choose another name"))
     return name
 
 
@@ -302,7 +303,7 @@ def start_run(wish: WishFolder, name: str, runs: RunsFolder) -> Run:
     """
     wanted = wish.wanted()
     if wanted.changed():
-        raise Refusal(409, "procedure or bench file changed after the check; check them again")
+        raise Refusal(409, message("procedure or bench file changed after the check; check them again"))
     wish.mark_started(name)
     asked = replace(wanted.request, name=name, runs=runs.path.absolute(), answers=ANSWERS)
     arguments = ["run", *arguments_of(asked)]
@@ -314,7 +315,7 @@ def start_run(wish: WishFolder, name: str, runs: RunsFolder) -> Run:
         wish.unmark_started()
         raise
     if not begun:
-        raise Refusal(409, "starting takes long; look at the list of runs in a moment")
+        raise Refusal(409, message("starting takes long; look at the list of runs in a moment"))
     return runs.run(name)
 
 
@@ -384,7 +385,9 @@ def chosen_procedure(name: str, runs: RunsFolder) -> Path:
         run = runs.run(name.removeprefix(OF_RUN))
         file = run.folder / NEXT
         if file.is_symlink() or not file.is_file():
-            raise Refusal(404, f"{run.name}: its diagnosis proposes no measurement; choose a procedure")
+            raise Refusal(
+                404, message(f"{run.name}: its diagnosis proposes no measurement; choose a procedure")
+            )
         return file
     return _chosen(PROCEDURES, name, "procedure")
 
@@ -396,14 +399,14 @@ def chosen_bench(name: str, runs: RunsFolder) -> Path:
         original = Path(str(run.manifest.get("bench", "")))
         if original in choices(CONFIG).values() or original.name in choices(CONFIG):
             return original
-        raise Refusal(404, f"{run.name}: its bench file is no longer here; choose one")
-    return _chosen(CONFIG, name, "bench file")
+        raise Refusal(404, message(f"{run.name}: its bench file is no longer here; choose one"))
+    return _chosen(CONFIG, name, message("bench file"))
 
 
 def _chosen(kind: str, name: str, called: str) -> Path:
     found = choices(kind).get(name)
     if found is None:
-        raise Refusal(400, f"there is no {called} of that name; choose from the list")
+        raise Refusal(400, message(f"there is no {called} of that name; choose from the list"))
     return found
 
 

@@ -113,12 +113,14 @@ def _change(run: Run, runs: RunsFolder) -> Change | None:
     rows = sorted(later.intrinsic.values.items(), key=lambda one: one[1].p_all_looks)
     listed = tuple(_row(name, one.difference, 2 * one.u, found.unit) for name, one in rows if one.changed)
     if found.changed and listed:
-        sentence = f"Changed beyond the uncertainty: {len(listed)} of the nine numbers free of the mounting."
+        sentence = message(
+            f"Changed beyond the uncertainty: {len(listed)} of the nine numbers free of the mounting."
+        )
     elif found.changed:
-        sentence = "No single number changed, but all of them together did."
+        sentence = message("No single number changed, but all of them together did.")
     else:
-        sentence = "Nothing changed beyond its uncertainty."
-    sentence += f" All {len(rows)} together: {probability(later.intrinsic.p)}."
+        sentence = message("Nothing changed beyond its uncertainty.")
+    sentence += message(f" All {len(rows)} together: {probability(later.intrinsic.p)}.")
     return Change(previous.name, sentence, found.changed, listed[:MOST_CHANGES] if found.changed else ())
 
 

@@ -11,6 +11,7 @@ from typing import Final
 from filelock import FileLock
 
 from bench.base.files import MEGABYTE, read_regular, write_whole
+from bench.base.languages import message
 from bench.config.shipped import CONFIG, PROCEDURES, shipped_folder
 from bench.panel.access import Refusal, private_folder
 from bench.panel.launching import choices
@@ -18,7 +19,7 @@ from bench.run.events import sha256
 
 NAME: Final = re.compile(r"\w[\w-]{0,59}")
 LOCK: Final = "bench-files.lock"
-CALLED: Final = {CONFIG: "bench file", PROCEDURES: "procedure"}
+CALLED: Final = {CONFIG: message("bench file"), PROCEDURES: "procedure"}
 """What a file of each folder is called in sentences."""
 
 
@@ -52,7 +53,9 @@ def own_file(kind: str, name: str) -> Path:
     """Return the file of the working folder with this name. Raises `Refusal` (404) if there is none."""
     path = own_files(kind).get(name)
     if path is None:
-        raise Refusal(404, f"there is no {CALLED[kind]} of that name in the working folder; see the list")
+        raise Refusal(
+            404, message(f"there is no {CALLED[kind]} of that name in the working folder; see the list")
+        )
     return path
 
 
@@ -60,7 +63,7 @@ def shipped_file(kind: str, name: str) -> Path:
     """Return the shipped file with this name. Raises `Refusal` (404) if there is none."""
     path = shipped_files(kind).get(name)
     if path is None:
-        raise Refusal(404, f"no {CALLED[kind]} of that name is shipped; choose one from the list")
+        raise Refusal(404, message(f"no {CALLED[kind]} of that name is shipped; choose one from the list"))
     return path
 
 
@@ -70,12 +73,14 @@ def new_path(kind: str, name: str) -> Path:
     A name is letters, digits, `-` and `_`; it must not be that of another file of the kind.
     """
     if NAME.fullmatch(name) is None:
-        raise Refusal(400, "give up to 60 letters, digits, - and _, beginning with a letter or digit")
+        raise Refusal(
+            400, message("give up to 60 letters, digits, - and _, beginning with a letter or digit")
+        )
     path = Path(kind) / f"{name}.yaml"
     if not path.resolve().is_relative_to(Path().resolve()):
-        raise Refusal(409, f"the folder '{kind}' leads out of the working folder; remove that link")
+        raise Refusal(409, message(f"the folder '{kind}' leads out of the working folder; remove that link"))
     if path.exists() or path.is_symlink() or name in own_files(kind) or name in shipped_files(kind):
-        raise Refusal(409, f"there is a {CALLED[kind]} {name} already; choose another name")
+        raise Refusal(409, message(f"there is a {CALLED[kind]} {name} already; choose another name"))
     return path
 
 
@@ -85,9 +90,11 @@ def read_file(path: Path) -> FileText:
         content = read_regular(path, MEGABYTE)
         return FileText(path, content.decode("utf-8-sig").replace("\r\n", "\n"), sha256(content))
     except OSError as error:
-        raise Refusal(409, f"{path}: cannot be read ({error.strerror}); check it on this computer") from error
+        raise Refusal(
+            409, message(f"{path}: cannot be read ({error.strerror}); check it on this computer")
+        ) from error
     except UnicodeDecodeError as error:
-        raise Refusal(409, f"{path}: is not UTF-8 text; save it as UTF-8") from error
+        raise Refusal(409, message(f"{path}: is not UTF-8 text; save it as UTF-8")) from error
 
 
 def difference(before: str, after: str, name: str) -> str:
@@ -95,8 +102,8 @@ def difference(before: str, after: str, name: str) -> str:
     lines = difflib.unified_diff(
         before.splitlines(),
         after.splitlines(),
-        f"{name} as it is",
-        f"{name} as written here",
+        message(f"{name} as it is"),
+        message(f"{name} as written here"),
         lineterm="",
         n=1,
     )

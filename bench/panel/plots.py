@@ -214,7 +214,7 @@ def table_of(plots: Numbers, name: str) -> Rows:
     """Return a plot's numbers as a table with a head. Raises `Refusal` (404) for a plot that is not there."""
     found = list(_rows(plots, name))
     if len(found) < 2:  # a head alone
-        raise Refusal(404, "no such table; choose one of the page")
+        raise Refusal(404, message("no such table; choose one of the page"))
     return found
 
 

@@ -12,6 +12,7 @@ from typing import Any, Final
 
 from pydantic import BaseModel, ValidationError
 
+from bench.base.languages import message
 from bench.base.text import exact_degrees
 from bench.base.units import ANGLE, parse_quantity
 from bench.base.yaml_files import FileMistake, FileMistakes, Place, dotted, read_yaml, read_yaml_with_lines
@@ -31,17 +32,19 @@ STEPS: Final[Place] = ("steps",)
 READING: Final[Place] = ("reading",)
 OPERATOR_TIME: Final[Place] = ("operator_time",)
 TITLES: Final[Mapping[str, str]] = {
-    "installation": "Mount the block", "repeat": "Passes", "turn": "Turn", "read": "Read",
-    "input": "Switch the inputs", "wait": "Wait", "settle": "Settle", "prompt": "Ask",
-    "temperature": "Set the temperature", "temperatures": "At each temperature", "power": "Switch the block",
-    "level": "Read the level", "include": "Include",
+    "installation": message("Mount the block"), "repeat": "Passes", "turn": "Turn", "read": "Read",
+    "input": message("Switch the inputs"), "wait": "Wait", "settle": "Settle", "prompt": "Ask",
+    "temperature": message("Set the temperature"),
+    "temperatures": message("At each temperature"),
+    "power": message("Switch the block"),
+    "level": message("Read the level"), "include": "Include",
 }  # fmt: skip
 AS_LIST: Final = "list"
 AS_STEPS: Final = "steps"
 LISTS: Final = {
-    ("repeat", "directions"): "such as rising, falling, rising; in place of Times",
-    ("repeat", "scans"): "such as xyz, zyx: an order for each pass",
-    ("temperatures", "at"): "such as -40 degC, 23 degC, 70 degC",
+    ("repeat", "directions"): message("such as rising, falling, rising; in place of Times"),
+    ("repeat", "scans"): message("such as xyz, zyx: an order for each pass"),
+    ("temperatures", "at"): message("such as -40 degC, 23 degC, 70 degC"),
 }
 """Keys of verbs that hold lists, with the help of their fields."""
 
@@ -61,17 +64,17 @@ def sections_of(data: Any) -> list[Group]:
     told = data.get("reading") if isinstance(data, dict) else None
     dwell = reading.pop("reading.settle")
     if not (isinstance(told, dict) and isinstance(told.get("settle"), dict)):  # a criterion has no field
-        reading["reading.settle"] = replace(dwell, label="Dwell after a turn")
-    name = BenchField("procedure", ("procedure",), "Name in records", required=True)
+        reading["reading.settle"] = replace(dwell, label=message("Dwell after a turn"))
+    name = BenchField("procedure", ("procedure",), message("Name in records"), required=True)
     title = BenchField("title", ("title",), "Title")
     times = dict(fields_in(OperatorTimeSection, OPERATOR_TIME))
     return [
         Group("Procedure", (), "", (name, title)),
-        Group("Each reading", READING, "", tuple(reading.values())),
+        Group(message("Each reading"), READING, "", tuple(reading.values())),
         Group(
-            "Operator's times",
+            message("Operator's times"),
             OPERATOR_TIME,
-            "For the estimate of the duration only.",
+            message("For the estimate of the duration only."),
             tuple(times.values()),
         ),
     ]
@@ -115,13 +118,13 @@ def _fields(verb: str, body: Any, at: Place) -> Iterator[BenchField]:
 
 def _angles(body: Any, at: Place) -> Iterator[BenchField]:
     name = dotted(at)
-    words = ((AS_LIST, "a list"), (AS_STEPS, "first, step, number"))
-    yield BenchField(f"form:{name}", at, "Angles as", choices=words, shows=True, required=True)
+    words = ((AS_LIST, "a list"), (AS_STEPS, message("first, step, number")))
+    yield BenchField(f"form:{name}", at, message("Angles as"), choices=words, shows=True, required=True)
     if isinstance(body, dict) and isinstance(body.get("angles"), dict):
         steps = dict(fields_in(AngleSteps, at))
         yield from (replace(one, label=f"Angles: {one.label.lower()}") for one in steps.values())
     else:
-        yield BenchField(name, at, "Angles", "such as 45 deg, 135 deg", many=True, required=True)
+        yield BenchField(name, at, "Angles", message("such as 45 deg, 135 deg"), many=True, required=True)
 
 
 def values_in(data: Any, fields: Iterable[BenchField]) -> dict[str, str]:
@@ -199,7 +202,7 @@ def _block(text: str, at: Place) -> tuple[int, int, int]:
     lines = text.splitlines()
     first = read_yaml_with_lines(text).lines.get(at, 0) - 1
     if first < 0 or not lines[first].lstrip().startswith("- "):
-        raise Refusal(409, "this step stands in one line with others; change it in the text")
+        raise Refusal(409, message("this step stands in one line with others; change it in the text"))
     mark = re.match(r" *- ", lines[first])
     indent = len(mark[0]) - 2 if mark else 0
     end = first + 1
@@ -225,7 +228,7 @@ def _compared(text: str, lines: list[str], at: Place, times: int) -> str:
     index = int(at[-1])
     steps[index : index + 1] = [steps[index]] * times
     if not steps or read_yaml(changed).data != wanted:
-        raise Refusal(409, "this cannot be done in the table; change it in the text")
+        raise Refusal(409, message("this cannot be done in the table; change it in the text"))
     return changed
 
 
@@ -234,7 +237,7 @@ def place_of(name: str, rows: Iterable[Row]) -> Place:
     for row in rows:
         if row.group.place == name:
             return row.group.at[:-1]
-    raise Refusal(400, "there is no such step in the table")
+    raise Refusal(400, message("there is no such step in the table"))
 
 
 # --- mistakes ---------------------------------------------------------------------------------------
@@ -248,7 +251,7 @@ def judged(path: Path, text: str) -> tuple[tuple[FileMistake, ...], Procedure | 
     The panel's users may include files of the same folder only.
     """
     beside = [
-        FileMistake(0, row.group.place, "in the panel, a file to include stands in the same folder")
+        FileMistake(0, row.group.place, message("in the panel, a file to include stands in the same folder"))
         for row in rows_of(read_yaml(text).data)
         if row.group.at[-1] == "include" and _BESIDE.fullmatch(row.written) is None
     ]

@@ -1,6 +1,6 @@
 """The queue of the day: units to be measured in order, who is on duty, since when a bench is switched on.
 
-The queue starts nothing. A person begins each item; what becomes of it is read from its run.
+The queue starts nothing. A person begins each item; its state is read from its run.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from typing import Annotated, Any, Final, TypeVar
 
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, ValidationError
 
+from bench.base.languages import message
 from bench.panel.access import KeptList, Person, Refusal
 from bench.panel.launching import LONGEST_START_S
 from bench.run.events import RecordError
@@ -23,10 +24,10 @@ ITEMS: Final = "queue.json"
 NOTES: Final = "day.json"
 MOST_ITEMS: Final = 200
 MOST_NOTES: Final = 100
-REMEDY: Final = "put it aside on the page of the queue, and begin a new one"
-DUTY: Final = "on duty"
-OFF_DUTY: Final = "off duty"
-SWITCHED_ON: Final = "switched on"
+REMEDY: Final = message("put it aside on the page of the queue, and begin a new one")
+DUTY: Final = message("on duty")
+OFF_DUTY: Final = message("off duty")
+SWITCHED_ON: Final = message("switched on")
 
 
 class _Row(BaseModel):
@@ -89,7 +90,9 @@ class DayQueue:
         with self._changed() as queue:
             queue.extend(items)
             if len(queue) > MOST_ITEMS:
-                raise Refusal(409, f"the queue holds at most {MOST_ITEMS} units; remove those that are done")
+                raise Refusal(
+                    409, message(f"the queue holds at most {MOST_ITEMS} units; remove those that are done")
+                )
 
     def move(self, item_id: str, by: int) -> None:
         """Move an item up (`by` −1) or down (1); at an end it stays. Raises `Refusal` (409)."""
@@ -117,7 +120,7 @@ class DayQueue:
             at = _index(items, item_id)
             item = items[at]
             if item.run and (exists(item.run) or self.is_starting(item)):
-                raise Refusal(409, f"{item.words} was begun already, as {item.run}")
+                raise Refusal(409, message(f"{item.words} was begun already, as {item.run}"))
             items[at] = item.model_copy(update={"run": run, "begun": self._now()})
 
     def is_starting(self, item: QueueItem) -> bool:
@@ -170,7 +173,7 @@ def _index(items: Sequence[QueueItem], item_id: str) -> int:
     for index, item in enumerate(items):
         if item.id == item_id:
             return index
-    raise Refusal(409, "this unit is not in the queue any more; somebody removed it")
+    raise Refusal(409, message("this unit is not in the queue any more; somebody removed it"))
 
 
 Row = TypeVar("Row", QueueItem, DayNote)
@@ -181,4 +184,4 @@ def _read(rows: Sequence[Mapping[str, Any]], kind: type[Row]) -> list[Row]:
     try:
         return [kind.model_validate(row) for row in rows]
     except ValidationError as error:
-        raise RecordError(f"a row of the queue's files cannot be understood; {REMEDY}") from error
+        raise RecordError(message(f"a row of the queue's files cannot be understood; {REMEDY}")) from error

@@ -32,10 +32,10 @@ FIGURES: Final = {
 
 _STATES: Final = {
     "pass": "passed",
-    "conditional pass": "conditional",
-    "conditional fail": "conditional",
+    message("conditional pass"): "conditional",
+    message("conditional fail"): "conditional",
     "inconclusive": "none",
-    "not complete": "failed",
+    message("not complete"): "failed",
     "fail": "failed",
 }
 _MARKS: Final = {"passed": "✓", "failed": "✗"}
@@ -250,11 +250,11 @@ def _calibration(told: Mapping[str, Any]) -> CalibrationTold:
 
 
 _WORDS: Final = {
-    "agrees": "model and readings agree",
-    "mistake": "a mistake in procedure or wiring",
-    "named": "an effect that the model lacks, named",
-    "confounded": "an effect is missing, and several explain it equally",
-    "unknown": "no known effect explains the readings",
+    "agrees": message("model and readings agree"),
+    "mistake": message("a mistake in procedure or wiring"),
+    "named": message("an effect that the model lacks, named"),
+    "confounded": message("an effect is missing, and several explain it equally"),
+    "unknown": message("no known effect explains the readings"),
 }
 
 
@@ -266,7 +266,7 @@ def _diagnosis(told: Mapping[str, Any]) -> DiagnosisTold:
         if one.get("channels"):
             text += f" (channels {', '.join(map(str, one['channels']))})"
         if one.get("cannot_tell_from"):
-            text += ", indistinguishable from " + ", ".join(
+            text += message(", indistinguishable from ") + ", ".join(
                 str(o).replace("_", " ") for o in one["cannot_tell_from"]
             )
         effects.append(text)
@@ -278,14 +278,10 @@ def figure_of(run: Run, name: str) -> bytes:
     """Return a figure of a run's report as an SVG file. Raises `Refusal` (404) if there is none."""
     page = read_page(run, REPORT)
     if name in FIGURES:
-        for found in re.finditer(rb'<svg (?=[^>]*aria-label="([^"]*)")', page):
-            label = found[1]
-            after_other = name == "residuals-in-time" and label.startswith(FIGURES["residuals"])
-            if label.startswith(FIGURES[name]) and not after_other:
-                end = page.find(b"</svg>", found.end())
-                if end > 0:
-                    return _as_file(page[found.start() : end + len(b"</svg>")])
-    raise Refusal(404, f"the report of {run.name} has no such figure; choose one of the page")
+        for found in re.finditer(rb"<svg .*?</svg>", page, re.DOTALL):
+            if b' id="' + FIGURES[name] + b"-" in found[0]:
+                return _as_file(found[0])
+    raise Refusal(404, message(f"the report of {run.name} has no such figure; choose one of the page"))
 
 
 def _as_file(svg: bytes) -> bytes:

@@ -76,8 +76,10 @@ class RunView:
             self._take(event)
         except (ValueError, KeyError, TypeError, IndexError, AttributeError) as error:
             raise RecordError(
-                f"event {event.number} of the record cannot follow here ({error}); check it with 'bench "
-                "show RUN --verify'"
+                message(
+                    f"event {event.number} of the record cannot follow here ({error}); check it with 'bench "
+                    "show RUN --verify'"
+                )
             ) from error
 
     def _take(self, event: Event) -> None:
@@ -238,7 +240,7 @@ class Tail:
             return
         except OSError as error:
             raise RecordError(
-                f"{self._path}: cannot be read ({error.strerror}); check that it exists"
+                message(f"{self._path}: cannot be read ({error.strerror}); check that it exists")
             ) from error
 
     def _event(self, line: bytes) -> Event:
@@ -253,5 +255,7 @@ class Tail:
 
     def _broken(self) -> RecordError:
         return RecordError(
-            f"{self._path}, line {self._count + 1}: cannot be trusted; 'bench show RUN --verify' shows why"
+            message(
+                f"{self._path}, line {self._count + 1}: cannot be trusted; 'bench show RUN --verify' shows why"
+            )
         )

@@ -84,7 +84,7 @@ async def acting(request: Request, least: Role, most: int = MOST_FIELDS) -> tupl
     sent = await fields(request, most)
     given = request.headers.get(CSRF_HEADER) or sent.pop("csrf", "")
     if not secrets.compare_digest(given.encode(errors="replace"), person.csrf.encode()):
-        raise Refusal(403, "this form belongs to another session; load the page again")
+        raise Refusal(403, message("this form belongs to another session; load the page again"))
     person.require(least)
     return person, sent
 
@@ -94,8 +94,8 @@ async def fields(request: Request, most: int = MOST_FIELDS) -> dict[str, str]:
     try:
         body = await request.body()
     except ClientDisconnect:
-        LOG.warning("a request was incomplete; further ones within a minute are not listed")
-        raise Refusal(400, "the request is incomplete; send it again") from None
+        LOG.warning(message("a request was incomplete; further ones within a minute are not listed"))
+        raise Refusal(400, message("the request is incomplete; send it again")) from None
     kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
     try:
         if kind == "application/json":
@@ -103,13 +103,13 @@ async def fields(request: Request, most: int = MOST_FIELDS) -> dict[str, str]:
         elif kind == "application/x-www-form-urlencoded" or not body:
             given = dict(parse_qsl(body.decode(), keep_blank_values=True, max_num_fields=most))
         else:
-            raise Refusal(415, "send a form or a JSON object")
+            raise Refusal(415, message("send a form or a JSON object"))
     except ValueError:
-        raise Refusal(400, "send a form or valid JSON") from None
+        raise Refusal(400, message("send a form or valid JSON")) from None
     if isinstance(given, dict) and len(given) > most:
-        raise Refusal(400, f"at most {most} fields are accepted; send fewer")
+        raise Refusal(400, message(f"at most {most} fields are accepted; send fewer"))
     if not isinstance(given, dict) or not all(isinstance(value, str) for value in given.values()):
-        raise Refusal(400, "send a JSON object whose values are texts")
+        raise Refusal(400, message("send a JSON object whose values are texts"))
     return given
 
 
@@ -165,7 +165,7 @@ def _environment(name: str = ENGLISH) -> Environment:
     )
     environment.filters["typeset"] = typeset
     environment.filters["filename"] = lambda path: PurePath(str(path)).name
-    environment.globals["asset"] = asset
+    environment.globals.update(asset=asset, language=name, languages=LANGUAGES)
     return environment
 
 
@@ -192,7 +192,7 @@ async def send_asset(request: Request) -> Response:
     """Send an asset, but only under its current address, which changes with its content."""
     name = request.path_params["name"]
     if name not in ASSETS or request.scope["path"] != asset(name):
-        raise Refusal(404, "no such file; load the page again")
+        raise Refusal(404, message("no such file; load the page again"))
     return Response(read_asset(name), media_type=ASSETS[name], headers=KEPT)
 
 
@@ -236,7 +236,7 @@ def refused(request: Request, refusal: Refusal) -> Response:
 def by_framework(request: Request, error: Exception) -> Response:
     """Return the response to an error of the framework: an unknown address or method."""
     status = error.status_code if isinstance(error, HTTPException) else 500
-    texts = {404: "no such page", 405: "this page does not accept that request"}
+    texts = {404: message("no such page"), 405: message("this page does not accept that request")}
     return refused(request, Refusal(status, texts.get(status, HTTPStatus(status).phrase)))
 
 

@@ -14,6 +14,7 @@ from typing import Any, Final
 import numpy as np
 
 from bench.base.files import from_text, open_regular
+from bench.base.languages import message
 from bench.base.numbers import without_infinity
 from bench.base.yaml_files import FileMistakes
 from bench.config.bench_file.file import BenchFile, load_bench
@@ -327,7 +328,10 @@ class SharedFollower:
             except (RecordError, FileMistakes, OSError) as error:
                 news, self.trouble = str(error) != self.trouble, str(error)
             except Exception as error:  # a defect must not leave a page that looks alive
-                news, self.trouble = not self.trouble, f"the panel can no longer follow this run: {error!r}"
+                news, self.trouble = (
+                    not self.trouble,
+                    message(f"the panel can no longer follow this run: {error!r}"),
+                )
             if news:
                 self.version += 1
                 told, self._news = self._news, asyncio.Event()

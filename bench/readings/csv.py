@@ -14,6 +14,7 @@ import numpy as np
 
 from bench.base.arrays import CHANNELS, Floats
 from bench.base.files import read_given
+from bench.base.languages import message
 from bench.base.text import repeated, shortened
 from bench.readings.columns import (
     LEVEL_COLUMNS,
@@ -169,7 +170,7 @@ def _read(
     if not columns.installation:
         raise ReadingsError(f"{path}: no readings; expected a header line and a row for each reading")
     unknown = ", ".join(name for name in header if name not in known and not is_of_a_rail(name))
-    notes = (f"columns kept but not used: {unknown}",) if unknown else ()
+    notes = (message(f"columns kept but not used: {unknown}"),) if unknown else ()
     table = _assemble(str(path), UNITS[suffix], signals, columns, notes, tuple(bad))
     doubts = doubtful(table, list(seen.values()))
     return replace(table, notes=(*notes, *doubts), verification_missing=verification_missing)
@@ -427,7 +428,7 @@ def _time(readings: Readings, lines: Sequence[int]) -> list[str]:
     if not len(back):
         return []
     where = f"line {lines[back[0]]}" + (f" and {len(back) - 1} more" if len(back) > 1 else "")
-    return [f"time_s runs backwards ({where}): put the rows back in the order of measurement"]
+    return [message(f"time_s runs backwards ({where}): put the rows back in the order of measurement")]
 
 
 def _scatter(readings: Readings, lines: Sequence[int]) -> list[str]:

@@ -112,8 +112,10 @@ def parameters_in_words(effect: NamedEffect) -> Iterator[str]:
         yield parameter_in_words(value, at)
     for one in effect.together:
         yield (
-            f"{one.combination} of {one.parameter} of {' and '.join(one.of)} = "
-            f"{_with_u(one.value, one.u, one.unit)}: only this combination is well determined"
+            message(
+                f"{one.combination} of {one.parameter} of {' and '.join(one.of)} = "
+                f"{_with_u(one.value, one.u, one.unit)}: only this combination is well determined"
+            )
         )
 
 
@@ -195,11 +197,11 @@ UNCONFIRMED: Final = message("Found, but not confirmed")
 """The words for a verdict "confounded" that is not due to a tie: held-out readings do not confirm the effects."""
 
 LEAD: Final[Mapping[str, str]] = {
-    "agrees": "Nothing found",
-    "mistake": "A mistake in procedure or wiring",
-    "named": "Found and named",
-    "confounded": "Found, but several names fit",
-    "unknown": "Something unknown",
+    "agrees": message("Nothing found"),
+    "mistake": message("A mistake in procedure or wiring"),
+    "named": message("Found and named"),
+    "confounded": message("Found, but several names fit"),
+    "unknown": message("Something unknown"),
 }
 """The words for each verdict."""
 
@@ -328,8 +330,8 @@ def what_to_do(full: FullDiagnosis, files: Files) -> Iterator[str]:
             message(f"; until then the corrected copy is {files.copy}") if files.copy else ""
         )
     if model is not None:
-        yield f"Use the model: bench calibrate {source} --model {model}"
-        yield f"Test it with new readings: bench confirm NEW --model {model}"
+        yield message(f"Use the model: bench calibrate {source} --model {model}")
+        yield message(f"Test it with new readings: bench confirm NEW --model {model}")
     if diagnosis.of_copy == "confounded":
         if full.next_measurement is not None:
             yield f"Measure {full.next_measurement.procedure}: {full.next_measurement.why}"
@@ -338,7 +340,9 @@ def what_to_do(full: FullDiagnosis, files: Files) -> Iterator[str]:
                 "Measure the same again, with more passes, and diagnose both: bench diagnose … --together"
             )
     elif diagnosis.of_copy == "unknown":
-        yield "Measure the same again: what returns belongs to the bench or the block; see below where it acts"
+        yield message(
+            "Measure the same again: what returns belongs to the bench or the block; see below where it acts"
+        )
     elif diagnosis.verdict == "agrees":
         yield message(f"Nothing; the coefficients stand: bench calibrate {source}")
 
@@ -512,7 +516,7 @@ def form_in_words(diagnosis: Diagnosis) -> Iterator[str]:
     if not form.terms and any(not effect.in_catalogue for effect in diagnosis.effects):
         yield message("no term of the dictionary describes it")
     if form.instead_of and form.terms:
-        yield f"as plausible without a name, instead of {', '.join(dict.fromkeys(form.instead_of))}:"
+        yield message(f"as plausible without a name, instead of {', '.join(dict.fromkeys(form.instead_of))}:")
     elif form.instead_of:
         yield message(
             "what is left beside the names speaks for something without a name that is too small to describe"

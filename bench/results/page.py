@@ -166,9 +166,11 @@ def fit_in_words(fit: LackOfFit) -> FitInWords:
         return FitInWords(
             "unknown",
             "",
-            "cannot be judged: too few repeats",
-            "Whether the model fits cannot be judged: the readings have too few repeats to separate "
-            "misfit from scatter.",
+            message("cannot be judged: too few repeats"),
+            message(
+                "Whether the model fits cannot be judged: the readings have too few repeats to separate "
+                "misfit from scatter."
+            ),
         )
     figures = message(f"χ² = {fit.chi2:.1f} for {fit.dof} degrees of freedom, {probability(fit.p)}")
     if not fit.shown:

@@ -77,7 +77,7 @@ class ChangedRun(ResultModel):
 
 
 class AgainstPart(ResultModel):
-    """Past runs computed anew."""
+    """Past runs computed again."""
 
     over: list[str]
     runs: int
@@ -147,7 +147,7 @@ class ValidationResult(ResultModel):
     @staticmethod
     def _print_against(against: AgainstPart, out: Console) -> None:
         out.print(
-            f"{against.runs} past runs computed anew, {against.compared} with a stored result: "
+            f"{against.runs} past runs computed again, {against.compared} with a stored result: "
             f"{len(against.changed)} changed by more than {against.threshold_u:g} u"
         )
         shown = table("run", ">largest change", "in", "verdict stored", "now")

@@ -273,21 +273,29 @@ def advice(result: Verification) -> tuple[str, ...]:
     number = {s: sum(p.statement is s for p in result.points) for s in Statement}
     sentences = {
         Statement.FAIL: (
-            "beyond the limit by more than the guard band: 'bench diagnose' finds the cause in block, "
-            "stand or procedure"
+            message(
+                "beyond the limit by more than the guard band: 'bench diagnose' finds the cause in block, "
+                "stand or procedure"
+            )
         ),
         Statement.INCONCLUSIVE: (
-            f"inconclusive: U, up to {result.expanded * 1e6:.0f} µg, is larger than the limit of "
-            f"{result.limit_g * 1e6:.4g} µg, so conformity cannot be decided; reduce U by more passes, a "
-            "better voltmeter or a better known stand ('bench budget' shows the largest part)"
+            message(
+                f"inconclusive: U, up to {result.expanded * 1e6:.0f} µg, is larger than the limit of "
+                f"{result.limit_g * 1e6:.4g} µg, so conformity cannot be decided; reduce U by more passes, a "
+                "better voltmeter or a better known stand ('bench budget' shows the largest part)"
+            )
         ),
         Statement.CONDITIONAL_FAIL: (
-            "beyond the limit by less than the guard band: the block may still conform; reduce U to "
-            "decide ('bench budget' shows its largest part)"
+            message(
+                "beyond the limit by less than the guard band: the block may still conform; reduce U to "
+                "decide ('bench budget' shows its largest part)"
+            )
         ),
         Statement.CONDITIONAL_PASS: (
-            "within the limit by less than the guard band: the block may still not conform; reduce U to "
-            "decide ('bench budget' shows its largest part)"
+            message(
+                "within the limit by less than the guard band: the block may still not conform; reduce U to "
+                "decide ('bench budget' shows its largest part)"
+            )
         ),
     }
     points = len(result.points)
@@ -298,7 +306,10 @@ def advice(result: Verification) -> tuple[str, ...]:
     ]
     if result.missing:
         found.append(
-            f"{result.missing} verification points are missing; measure them, as nothing is accepted without them"
+            message(
+                f"{result.missing} verification points are missing; measure them, as nothing is accepted "
+                f"without them"
+            )
         )
     return (*found, *_to_pass(result))
 

@@ -93,7 +93,7 @@ def agree_to_others(person: Person, before: Mapping[str, str], now: Mapping[str,
         if now.get(name) != identity
     ]
     if changed:
-        text = f"Other instruments than before: {'; '.join(changed)}. Continue with them?"
+        text = message(f"Other instruments than before: {'; '.join(changed)}. Continue with them?")
         agree(person, Prompt(id="identities", kind=PromptKind.CONFIRM, text=text, action={"do": "ask"}))
 
 

@@ -452,7 +452,7 @@ def _problem_with_choice(prompt: Prompt, given: str) -> str:
     for beginning in open_ended:
         reason = words[len(beginning) :]
         if words.lower().startswith(beginning) and reason:
-            return f"give the reason instead of {REASON}" if reason == REASON else ""
+            return message(f"give the reason instead of {REASON}") if reason == REASON else ""
     fits = words.lower() in prompt.choices if open_ended else given in prompt.choices
     return "" if fits else message(f"choose one of {', '.join(prompt.choices)}, not {given!r}")
 

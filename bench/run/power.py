@@ -36,9 +36,9 @@ IN_RUSH_S: Final = 2.0
 """Time from switching on to the first check of the rails, s; the inrush current has then decayed."""
 NAP_S: Final = 1.0
 
-SET_AGAIN: Final = "switch off and set again"
-STAYED_ON: Final = "it stayed on"
-WAS_OFF: Final = "it was off"
+SET_AGAIN: Final = message("switch off and set again")
+STAYED_ON: Final = message("it stayed on")
+WAS_OFF: Final = message("it was off")
 
 _PASSING: Final = (InstrumentLost, BadReading, InstrumentRefused)
 """Failures of a check that the next check may not repeat; during a reading, they invalidate the reading."""
@@ -118,10 +118,12 @@ class UnitPower:
         prompt = Prompt(
             id=f"{key}/found",
             kind=PromptKind.CHOOSE,
-            text=f"The {self.supply.name} is on with other settings than the bench file states: "
-            f"{otherwise}. Check what it feeds. Switch it off and set it as the bench file says, or leave "
-            "it as it is and stop the run",
-            choices=(SET_AGAIN, "leave it"),
+            text=message(
+                f"The {self.supply.name} is on with other settings than the bench file states: "
+                f"{otherwise}. Check what it feeds. Switch it off and set it as the bench file says, or leave "
+                "it as it is and stop the run"
+            ),
+            choices=(SET_AGAIN, message("leave it")),
             action={"do": "ask"},
         )
         if ask(self.person, prompt) != SET_AGAIN:

@@ -11,7 +11,7 @@ from typing import Any, Final
 from bench.base.languages import message
 from bench.config.procedure.plan import Level, Mount, Plan, Read, SetTemperature, Step, Turn
 from bench.run.events import Event, EventType, Wish
-from bench.run.person import MOST_ATTEMPTS, REASON, OpenPrompt, OperatorWish, RunControl, problem_with_answer
+from bench.run.person import MOST_ATTEMPTS, OpenPrompt, OperatorWish, RunControl, problem_with_answer
 from drivers.interfaces import BenchError, NoAnswer
 from drivers.person import Person, Prompt, PromptKind
 
@@ -236,18 +236,20 @@ def halt_prompt(doubt: Event, *, again: bool = False) -> Prompt:
 
     `again` says that the run stopped at this reading before, and that the reading has been redone since.
     """
-    why, first = "", "redo the point, redo the pass"
+    why, first = "", message("redo the point, redo the pass")
     answers = [*ANSWERS]
     if again:
-        why = f"{AGAIN[0].upper()}{AGAIN[1:]}: an earlier setting of the pass may be wrong. "
-        first = "redo the pass (try this first), redo the point"
+        why = message(f"{AGAIN[0].upper()}{AGAIN[1:]}: an earlier setting of the pass may be wrong. ")
+        first = message("redo the pass (try this first), redo the point")
         answers.sort(key=lambda answer: ANSWERS[answer] is not Wish.REPEAT_PASS)
     return Prompt(
         id=f"halt@{doubt.number}",
         kind=PromptKind.CHOOSE,
-        text=f"Stopped. {doubt.data['sentence']}. {why}Correct the cause, then choose: {first}, "
-        "mount the block again and redo the pass, or keep the readings and give a reason",
-        choices=(*answers, f"{GO_ON} {REASON}"),
+        text=message(
+            f"Stopped. {doubt.data['sentence']}. {why}Correct the cause, then choose: {first}, "
+            "mount the block again and redo the pass, or keep the readings and give a reason"
+        ),
+        choices=(*answers, message("go on REASON")),
         action={"do": "ask"},
     )
 
@@ -257,7 +259,9 @@ def pause_prompt(now_s: float) -> Prompt:
     return Prompt(
         id=f"pause@{now_s:.3f}",
         kind=PromptKind.CONFIRM,
-        text="Paused. Press Enter to continue, or type :redo, :redo-pass, :remount, :skip REASON, :abort",
+        text=message(
+            "Paused. Press Enter to continue, or type :redo, :redo-pass, :remount, :skip REASON, :abort"
+        ),
         default="yes",
         action={"do": "wait"},
     )

@@ -25,7 +25,7 @@ def sentence(event: Event) -> str:
         case EventType.EARLY_SIGN:
             return message(f"{'stopped' if data.get('confident') else 'look'}: {data['sentence']}")
         case EventType.WENT_ON:
-            return f"continued in spite of '{' or '.join(data['causes'])}': {data['reason']}"
+            return message(f"continued in spite of '{' or '.join(data['causes'])}': {data['reason']}")
         case EventType.SAME_SERIAL | EventType.CERTIFICATE:
             return message(f"look: {data['words']}")
         case EventType.STEP_FAILED:
@@ -33,7 +33,7 @@ def sentence(event: Event) -> str:
         case EventType.CLOCK_JUMPED:
             ahead_s = data["ahead_s"]
             way = "ahead" if ahead_s > 0 else "back"
-            return (
+            return message(
                 f"look: the computer's clock went {duration(abs(ahead_s))} {way}: it slept, or its time "
                 "was set; redo the last point if drift matters"
             )
@@ -48,7 +48,7 @@ def sentence(event: Event) -> str:
         case EventType.WARMED_UP if data.get("after_s") is not None:
             return message(f"the block is warm, {duration(data['after_s'])} after it was switched on")
         case EventType.REMOUNTED if data.get("why") == "power":
-            return (
+            return message(
                 f"the block lost power: its further readings in installation {data['installation']} count "
                 f"as another visit, series {data['now_series']}"
             )
@@ -66,7 +66,7 @@ def said(event: Event) -> str:
     by = _by(event.data) or (f" by {event.data['by']}" if event.data.get("by") else "")
     if event.type == EventType.ANSWERED:
         return f"answered{by}: {event.data['answer']}"
-    return f"an answer{by} is not accepted: {event.data['why']}"
+    return message(f"an answer{by} is not accepted: {event.data['why']}")
 
 
 def _of_somebody(event: Event) -> str:
@@ -124,7 +124,7 @@ def _power_in_words(data: Mapping[str, Any]) -> str:
 def duration(seconds: float) -> str:
     """Return a rounded duration: 7500 -> "2 h 05 min", 180 -> "3 min", 40 -> "40 s"."""
     if not math.isfinite(seconds):
-        return "without end"
+        return message("without end")
     if seconds >= 3600:
         minutes = round(seconds / 60)
         return f"{minutes // 60} h {minutes % 60:02d} min"
@@ -135,8 +135,8 @@ def duration(seconds: float) -> str:
 
 _STOPS: Final[Mapping[str, str]] = {
     "reached": "enough",
-    "used up": "not reached; no setting is left to measure",
-    "time": "the time is up",
+    "used up": message("not reached; no setting is left to measure"),
+    "time": message("the time is up"),
 }
 
 
@@ -156,7 +156,7 @@ def chosen_in_words(data: Mapping[str, Any]) -> str:
         f"next: {count} point{'' if count == 1 else 's'} in installation {place}, {duration(coming['takes_s'])}"
     )
     if coming.get("tells_apart"):
-        words += ", to separate possible causes of the misfit"
+        words += message(", to separate possible causes of the misfit")
     if (then := coming.get("then")) is not None:
         words += f", for {size_in_words(then['u'], then['unit'])}"
         if (gained := _per_minute(data.get("now"), coming)) is not None:

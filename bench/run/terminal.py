@@ -84,14 +84,14 @@ HELP: Final = "?"
 """The answer that requests help on the possible answers."""
 
 MEANINGS: Final = {
-    Wish.PAUSE: "pause; nothing on the bench moves until you continue",
-    Wish.CONTINUE: "continue after a pause",
-    Wish.REPEAT_POINT: "redo the last point; its last reading counts",
-    Wish.REPEAT_PASS: "redo the last pass from its first point",
-    Wish.MOUNT_AGAIN: "mount the block again, then redo the last pass",
-    Wish.SKIP: "leave this point out, with the reason in the record",
-    Wish.STOP: "make the bench safe and stop, as Ctrl-C does; 'bench resume' continues",
-    Wish.ABORT: "end the run for good; its readings are kept",
+    Wish.PAUSE: message("pause; nothing on the bench moves until you continue"),
+    Wish.CONTINUE: message("continue after a pause"),
+    Wish.REPEAT_POINT: message("redo the last point; its last reading counts"),
+    Wish.REPEAT_PASS: message("redo the last pass from its first point"),
+    Wish.MOUNT_AGAIN: message("mount the block again, then redo the last pass"),
+    Wish.SKIP: message("leave this point out, with the reason in the record"),
+    Wish.STOP: message("make the bench safe and stop, as Ctrl-C does; 'bench resume' continues"),
+    Wish.ABORT: message("end the run for good; its readings are kept"),
 }
 
 _ANSWERS: Final = {
@@ -247,8 +247,8 @@ class TerminalPerson:
         if not line:
             raise NoAnswer(
                 "operator",
-                f"no answer is left for the question: {prompt.text}",
-                "resume the run and answer it",
+                message(f"no answer is left for the question: {prompt.text}"),
+                message("resume the run and answer it"),
             )
         return Answer(prompt.id, in_english(prompt, line.strip()))
 
@@ -258,7 +258,7 @@ class TerminalPerson:
         if line.strip() == HELP:
             return typing_help(prompt, wishes)
         if not wishes:
-            return "this question accepts no command; answer it, or press Ctrl-C"
+            return message("this question accepts no command; answer it, or press Ctrl-C")
         try:
             wish = replace(parse_wish(line), who=self.who)
         except ValueError as mistake:

@@ -317,7 +317,7 @@ def accept_changes(run: Run, asker: Asker | None, out: Console) -> None:
     for change in changes:
         out.print(f"note: {change}; the run continues with the copy in its folder")
     if changes and not run.simulated and asker is not None:
-        text = f"{'; '.join(changes)}. Continue with the files of the start, without these changes?"
+        text = message(f"{'; '.join(changes)}. Continue with the files of the start, without these changes?")
         agree(asker, Prompt(id="changed", kind=PromptKind.CONFIRM, text=text, action={"do": "answer"}))
 
 

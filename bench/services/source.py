@@ -483,7 +483,7 @@ def provenance(source: Source) -> dict[str, str]:
         stated["supply of the block"] = supply
     if run is not None:
         head = run.record_head
-        stated["record"] = f"{head['events']} events, chain of hashes complete, head {head['head']}"
+        stated["record"] = message(f"{head['events']} events, chain of hashes complete, head {head['head']}")
     if origin is not None:
         stated["measured with"] = _listed(origin.measured_with)
     stated["evaluated with"] = _listed(versions())
@@ -492,7 +492,7 @@ def provenance(source: Source) -> dict[str, str]:
 
 def _measured(origin: Origin) -> dict[str, str]:
     """Return the recorded date, operator, procedure and instruments of the run, by name, for a report."""
-    stated = {"begun": civil_minute(origin.begun), "operator": origin.operator or "not stated"}
+    stated = {"begun": civil_minute(origin.begun), "operator": origin.operator or message("not stated")}
     if origin.procedure:
         stated["procedure"] = message(f"{shown_path(origin.procedure)} (plan SHA-256 {origin.plan_hash})")
         stated["instruments"] = message("simulated") if origin.simulated else message("real")

@@ -1,4 +1,4 @@
-"""Past runs computed anew, each by the estimator of its stored result; what changed by more than 0.1 u."""
+"""Past runs computed again, each by the estimator of its stored result; what changed by more than 0.1 u."""
 
 from __future__ import annotations
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from bench.panel.access import Role
+from docs.generators.workbench import standing_in, told
 
 SCHEMES: Final = ("light", "dark")
 TURNS: Final = 13
@@ -46,8 +47,10 @@ def write_pictures(folder: Path) -> None:
         sys.stderr.write(f"no pictures of the panel: {missing}\n")
         return
     folder.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory() as runs:
-        _take(Path(runs), folder)
+    with tempfile.TemporaryDirectory() as above, standing_in(Path(above)):
+        told("init my-lab")
+        with standing_in(Path("my-lab")):
+            _take(Path(above) / "my-lab" / "runs", folder)
 
 
 def _take(runs: Path, folder: Path) -> None:
@@ -57,6 +60,7 @@ def _take(runs: Path, folder: Path) -> None:
     from tests.support.browsers import find_chromium
     from tests.support.served_panel import served
 
+    runs.mkdir()
     finished = Begun(runs, "unit-17", "quick", None)
     finished.ended()
     going = Begun(runs, "unit-18", "quick", "folder")
@@ -88,7 +92,7 @@ def _shoot(page: Any, folder: Path, name: str) -> None:
     """Take a page in both themes."""
     for scheme in SCHEMES:
         page.emulate_media(color_scheme=scheme)
-        page.screenshot(path=folder / f"{name}-{scheme}.png")
+        page.screenshot(path=folder / f"{name}-{scheme}.png", animations="disabled")
 
 
 def _walk(page: Any, address: str, run: Any, folder: Path) -> None:

@@ -97,6 +97,8 @@ def _take(bench: Path, folder: Path) -> None:
                 if of != opened:
                     page.goto((bench / FILES[of]).as_uri())
                     opened = of
-                page.locator(place).first.screenshot(path=folder / f"{name}-{scheme}.png")
+                page.locator(place).first.screenshot(
+                    path=folder / f"{name}-{scheme}.png", animations="disabled"
+                )
             page.close()
         browser.close()

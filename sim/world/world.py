@@ -190,7 +190,7 @@ class WorldSettings:
         """Raise `ValueError` for an unknown name in `stand`."""
         unknown = sorted(set(self.stand) - set(STAND_NAMES))
         if unknown:
-            raise ValueError(f"not a stand error: {', '.join(unknown)}; known are {', '.join(STAND_NAMES)}")
+            raise ValueError(f"not a stand error: {', '.join(unknown)}; choose from {', '.join(STAND_NAMES)}")
 
 
 class World(KeyedNumbers):

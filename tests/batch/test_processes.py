@@ -232,5 +232,5 @@ def test_a_scheduler_that_is_not_there_is_told(monkeypatch):
 
 @pytest.mark.slow
 def test_the_program_is_compared_before_a_run_is_touched():
-    with pytest.raises(RuntimeError, match="another program: its code is"):
+    with pytest.raises(RuntimeError, match="another version; install the same one: its code is"):
         of_program({**program(), "code": "0" * 16}, Job(CALIBRATE), "/runs/1")

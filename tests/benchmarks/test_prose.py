@@ -38,6 +38,11 @@ def test_a_page_is_counted_right():
     assert found.banned == ("whoever", "is told")
 
 
+def test_what_a_command_writes_into_a_page_does_not_count():
+    table = "<!-- records: made by python -m one --page -->\n\n| a | b |\n\n<!-- end of the records -->\n"
+    assert prose_of("", f"One word.\n{table}Two words.", []).words == 4
+
+
 def test_a_long_sentence_is_one_over_25_words():
     assert prose_of("", "a " * 26 + ".", []).long_share == 1
     assert prose_of("", "a " * 25 + ".", []).long_share == 0

@@ -147,7 +147,7 @@ def test_a_rule_that_is_none_is_refused():
     assert DecisionRule.of("simple").name == SIMPLE
     assert DecisionRule.of("guarded", 0.83).words == "guarded (w = 0.83 U)"
     with pytest.raises(
-        CalibrationError, match="no decision rule 'kind'; there are simple acceptance, guarded"
+        CalibrationError, match="unknown decision rule 'kind'; choose from simple acceptance, guarded"
     ):
         DecisionRule.of("kind")
     with pytest.raises(CalibrationError, match="simple acceptance has no guard band"):

@@ -253,7 +253,7 @@ def test_joined_verification_points_show_the_third_mounting_angle():
     )
     assert abs(error.sum()) < 4 * sum_u
     assert sum_u < sum_u_apart / 10
-    assert any("they are no independent check" in note for note in joined.notes)
+    assert any("do not check it independently" in note for note in joined.notes)
     assert calibration_json(joined)["free_positions"]["used"] == 4
 
 

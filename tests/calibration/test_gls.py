@@ -198,7 +198,7 @@ def test_no_oriented_reading_is_refused():
 def test_an_installation_that_the_bench_lacks_is_refused():
     readings = simulate(None, 0.0)
     readings.installation[3] = "7"
-    with pytest.raises(CalibrationError, match=r"installation 7 is not known \(known are 1, 2\)"):
+    with pytest.raises(CalibrationError, match=r"installation 7 is unknown \(known are 1, 2\)"):
         calibrate(readings, MODEL, STAND_U, 9.81)
 
 
@@ -211,7 +211,7 @@ def test_a_reading_that_is_not_a_number_is_named(column):
 
 
 def test_an_unknown_estimator_is_refused():
-    with pytest.raises(CalibrationError, match="'best'; there are gls, closed-form, least-squares, robust"):
+    with pytest.raises(CalibrationError, match="'best'; choose from gls, closed-form, least-squares, robust"):
         calibrate(simulate(None, 0.0), MODEL, STAND_U, 9.81, "best")
 
 
@@ -385,7 +385,7 @@ def test_every_command_refuses_another_and_its_help_names_all(bench, readings):
     for command in commands(readings):
         refused(
             bench(*command, "--estimator", "magic"),
-            "no estimator 'magic'; there are gls, closed-form, least-squares, robust, halved",
+            "no estimator 'magic'; choose from gls, closed-form, least-squares, robust, halved",
         )
         _, out, _ = bench(command[0], "--help-all")
         told = " ".join(out.split())

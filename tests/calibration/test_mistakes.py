@@ -112,7 +112,11 @@ def test_two_meters_on_one_channel():
     readings = simulate(np.random.default_rng(8), 1e-4)
     readings.signal[:, 2] = readings.signal[:, 1] + np.random.default_rng(9).normal(0, 1e-4, 54)
     for estimator in ESTIMATORS:
-        refused(readings, "K is singular: channels y and z answer alike; are two voltmeters", estimator)
+        refused(
+            readings,
+            "K is singular: channels y and z respond equally; check whether two voltmeters",
+            estimator,
+        )
 
 
 def test_three_axes_in_a_plane():
@@ -169,7 +173,7 @@ def test_nominal_angles_in_place_of_those_read_back():
     )
     readings.angle_rad[5] += 0.3
     with pytest.raises(
-        CalibrationError, match="pass 1, point 6 has no nominal angle: there is no target_deg"
+        CalibrationError, match="pass 1, point 6 has no nominal angle; add the column target_deg"
     ):
         calibrate(readings, MODEL, STAND_U, 9.81, nominal_angles=True)
 

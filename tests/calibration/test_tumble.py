@@ -191,7 +191,7 @@ def test_what_a_term_that_was_left_out_moves_is_what_it_moves():
 
 @pytest.mark.parametrize("terms", [("K4",), ("K2", "K2")])
 def test_terms_that_are_none_are_refused(terms):
-    with pytest.raises(CalibrationError, match="each once, of K2, K3, Koq"):
+    with pytest.raises(CalibrationError, match="give each once, from K2, K3, Koq"):
         tumble_view(tumble(None, 0.0, Terms()), MODEL, STAND_U, G, terms)
 
 
@@ -264,5 +264,5 @@ def test_readings_that_are_no_voltages_have_no_meters_error(stand):
     view = whole_view(readings, stand, ())
     other = whole_view(replace(readings, unit="counts"), stand, ())
     assert not other.combined
-    assert "in counts, so the errors of this bench's meters are in no uncertainty" in other.notes[0]
+    assert "in counts, so u covers these readings alone" in other.notes[0]
     assert other.u[0] < view.u[0]

@@ -120,7 +120,7 @@ def a_reference_less(signed):
         (signed_twice, "2 signatures"),
         (not_at_the_end, "is not the last element"),
         (unsigned_properties, "unsigned parts"),
-        (no_signature, "nobody signed it"),
+        (no_signature, "no XML signature"),
         (a_reference_less, "is invalid"),
     ],
 )
@@ -277,7 +277,7 @@ def test_a_byte_of_a_signed_file_cannot_be_changed(signed_pdf, at):
 def test_what_is_no_certificate_is_told(signed_pdf):
     for file, words in (
         (b"GIF89a" + signed_pdf, "first byte"),
-        (blank_pdf(), "nobody signed"),
+        (blank_pdf(), "no PDF signature"),
         (b"%PDF-1.7\n", "read"),
     ):
         with pytest.raises(NotIntact, match=words):

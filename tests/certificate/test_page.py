@@ -196,7 +196,7 @@ def test_names_are_never_markup(certificate):
 
 
 def test_a_letter_that_no_font_has_is_told(certificate):
-    with pytest.raises(Refused, match="no sign for 漢"):
+    with pytest.raises(Refused, match="lack a character for 漢"):
         body_of(replace(certificate, found=replace(certificate.found, item=Item("漢字", "1"))), DCC)
 
 

@@ -54,7 +54,7 @@ def test_a_new_key_signs_and_its_own_certificate_stands_for_it(bench):
     assert signatory.name == "Laboratory of Tests"
     chain = check_xml(sign_xml(XML, signatory, now)).chain
     assert why_not_trusted(chain, now, [own]) == ""
-    assert "in force" in why_not_trusted(chain, now + timedelta(days=4000), [own])
+    assert "not valid at the time" in why_not_trusted(chain, now + timedelta(days=4000), [own])
     with pytest.raises(RecordError, match="a wrong passphrase"):
         signatory_of("keys/cert.pem", None, lambda: b"x", now)
     assert "a file of that name exists" in bench("key", "keys/cert.pem", "--certificate", "L")[2]
@@ -114,7 +114,7 @@ def test_a_certificate_that_cannot_stand_for_the_key_is_refused(tmp_path, change
 
 def test_what_is_no_key_for_certificates_is_told(bench, tmp_path):
     bench("key", "keys/seal.pem")
-    with pytest.raises(Refused, match="another kind"):
+    with pytest.raises(Refused, match="cannot sign certificates"):
         signatory_of("keys/seal.pem", None, no_passphrase, NOW)
     bench("key", "keys/cert.pem", "--certificate", "L")
     Path("keys/cert.pem.crt").unlink()
@@ -130,7 +130,7 @@ def test_what_is_no_key_for_certificates_is_told(bench, tmp_path):
     [
         ("pkcs11:token=a", "does not name one key"),
         ("pkcs11:object=a", "does not name one key"),
-        ("pkcs11:object=a;pin=1?module-path=/m", "'pin' is not expected"),
+        ("pkcs11:object=a;pin=1?module-path=/m", "'pin' is not allowed"),
         ("pkcs11:object=a?module-path=/nowhere/module.so&pin-value=1", "the program asks for the PIN"),
         ("pkcs11:object=a?module-path=/nowhere/module.so", r"module|no key"),
     ],

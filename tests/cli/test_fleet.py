@@ -352,7 +352,7 @@ def test_a_damaged_catalogue_says_so_and_what_to_do(bench):
                 opened.commit()
         status, _, err = bench("catalogue", "ask", "--catalogue", file)
         assert status in {0, 1, 2}
-        assert "mistake of the program" not in err
+        assert "error of the program" not in err
         if status == 2:
             refused += 1
             assert "make it again with: bench catalogue sync DIR" in err

@@ -47,7 +47,7 @@ def refused(capsys, *command):
         main([*map(str, command)])
     err = capsys.readouterr().err
     assert "Traceback" not in err
-    assert "mistake of the program" not in err
+    assert "error of the program" not in err
     return ended.value.code, err
 
 

@@ -94,7 +94,7 @@ def test_the_scale_of_stated_u_is_found_and_told():
 def test_a_run_of_the_baseline_that_stands_apart_is_named():
     baseline = [*runs(8), check_run(8.5, shifted(5, 15.0))]
     chart = control_chart(baseline, [], ChartDesign())
-    assert any(note.startswith("check-8.5 stands apart") for note in chart.notes)
+    assert any(note.startswith("check-8.5 differs from the other runs") for note in chart.notes)
 
 
 def test_a_known_drift_is_taken_off_with_its_u():

@@ -165,7 +165,7 @@ def test_two_calibrations_are_due_by_the_interval_and_say_so():
     when, vector, covariance = history(1, 2e-4)
     found = due(when, vector, covariance, 3e-4, 90.0)
     assert (found.basis, found.date) == ("interval", when[-1] + np.timedelta64(90, "D"))
-    assert "the interval of 90 days counts" in found.why
+    assert "the interval of 90 days applies" in found.why
     assert found.predicted_g is None
 
 

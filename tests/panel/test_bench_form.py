@@ -251,7 +251,7 @@ def test_a_file_that_is_no_yaml_is_told_so(runs):
     anna = Browser(runs, "anna")
     assert "1 mistake" in anna.get("/bench").text
     reply = anna.get("/bench/form?file=bad.yaml")
-    assert (reply.status_code, "no YAML" in reply.text) == (409, True)
+    assert (reply.status_code, "not YAML" in reply.text) == (409, True)
     Path("odd.yaml").write_text("instruments:\n  - a\n")
     assert anna.get("/bench/form?file=odd.yaml").status_code in {200, 409}
 

@@ -112,7 +112,7 @@ def test_a_damaged_record_is_said_in_a_sentence(client, runs):
     (runs / "done" / EVENTS).write_bytes(b"{}\n")
     reply = client.get("/runs/done/")
     assert reply.status_code < 500
-    assert "line 1: cannot be believed" in reply.text
+    assert "line 1: cannot be trusted" in reply.text
 
 
 def test_a_stream_of_a_damaged_record_says_so_as_an_event(client, runs):
@@ -120,7 +120,7 @@ def test_a_stream_of_a_damaged_record_says_so_as_an_event(client, runs):
     reply = client.get("/runs/done/stream")
     assert reply.status_code == 200
     assert reply.text.startswith("event: trouble\n")
-    assert "line 1: cannot be believed" in reply.text
+    assert "line 1: cannot be trusted" in reply.text
 
 
 MOMENTS = ("now",)
@@ -177,7 +177,7 @@ def test_a_record_that_has_not_only_grown_is_not_followed(growing, lines, spoilt
     append(growing, b"".join(lines[:3]))
     list(tail.new())
     (growing / EVENTS).write_bytes(lines[0] if not spoilt else b"".join(lines[:3]) + spoilt)
-    with pytest.raises(RecordError, match=r"shorter|cannot be believed"):
+    with pytest.raises(RecordError, match=r"shorter|cannot be trusted"):
         list(tail.new())
 
 

@@ -91,7 +91,7 @@ def test_a_failed_verdict_offers_the_diagnosis_and_then_the_measurement_that_wou
     (judged / NEXT).write_text("procedure: next\n")
     page = anna.get("/runs/run/verdict")
     assert "several explain it equally" in page.text
-    assert "cross &lt;b&gt; (channels y), not to be told from other" in page.text
+    assert "cross &lt;b&gt; (channels y), indistinguishable from other" in page.text
     assert '<a class="button primary" href="/start?after=run">' in page.text
     assert "proposed by the diagnosis of run" in anna.get("/start?after=run").text
     eve = Browser(runs, "eve", Role.VIEWER)

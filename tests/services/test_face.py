@@ -139,12 +139,12 @@ def test_a_page_is_written_where_it_is_asked_for_and_nothing_else_is(readings, c
 @pytest.mark.parametrize(
     ("call", "error", "text"),
     [
-        (lambda: program.calibrate("r.csv", g=12.0), program.Refused, r"^g=12: local gravity lies"),
+        (lambda: program.calibrate("r.csv", g=12.0), program.Refused, r"^g=12: give local gravity"),
         (lambda: program.calibrate("no.csv"), program.Refused, "no such readings file"),
         (lambda: program.calibrate("no-run"), program.RecordError, "no-run"),
         (lambda: program.calibrate("r.csv", bench="no-bench"), program.FileMistakes, "shipped are"),
         (lambda: program.calibrate("r.csv", estimator="best"), program.CalibrationError, "gls"),
-        (lambda: program.verify("r.csv", limit=-1.0), program.Refused, r"^limit=-1.0: a limit"),
+        (lambda: program.verify("r.csv", limit=-1.0), program.Refused, r"^limit=-1.0: give a positive limit"),
         (lambda: program.dry_run("no-procedure"), program.FileMistakes, "shipped are"),
     ],
 )
@@ -155,7 +155,7 @@ def test_what_cannot_be_done_says_why(readings, call, error, text):
 
 def test_without_gravity_nothing_is_believed(readings):
     stand = program.load_bench("paper-stand").model_copy(update={"gravity": None})
-    with pytest.raises(program.Refused, match=r"paper-stand: gives no local gravity; .*say g=9\.81"):
+    with pytest.raises(program.Refused, match=r"paper-stand: gives no local gravity; .*give g=9\.81"):
         program.calibrate(readings, bench=stand)
     assert program.calibrate(readings, bench=stand, g=9.8).g_m_s2 == 9.8
 

@@ -109,8 +109,10 @@ def linearity_of(meter: VoltmeterForm, largest_v: float) -> Size:
 
 def _data_sheet(meter: VoltmeterForm) -> str:
     if isinstance(meter, UnknownVoltmeter):
-        return f"the driver {meter.driver} is missing: assumed as a meter of 6½ digits on {meter.range:g} V"
-    return f"{meter.driver}, limits of 90 days on {meter.range:g} V"
+        return message(
+            f"the driver {meter.driver} is missing: assumed as a meter of 6½ digits on {meter.range:g} V"
+        )
+    return message(f"{meter.driver}, limits of 90 days on {meter.range:g} V")
 
 
 def _limit(quantity: Quantity, meter: VoltmeterForm, years: float) -> float:

@@ -199,7 +199,7 @@ def _gravity_source(bench: BenchFile) -> Iterator[ErrorSource]:
     else:
         decimals = len(repr(g).partition(".")[2])
         rounding = Distribution(0.5 * 10.0**-decimals, "rectangular")
-        origin = f"{g!r} m/s² as stated: its last digit, at least 1 mGal"
+        origin = message(f"{g!r} m/s² as stated: its last digit, at least 1 mGal")
         size = Size(
             rounding if rounding.u > MEASURED_M_S2 else Distribution(MEASURED_M_S2), origin, prior=True
         )

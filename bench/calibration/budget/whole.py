@@ -14,6 +14,7 @@ from typing import Final
 import numpy as np
 
 from bench.base.arrays import ARCSEC, Floats, Ints, Mask
+from bench.base.languages import message
 from bench.base.text import listed
 from bench.calibration.budget.coefficients import meters_of, parts_of
 from bench.calibration.budget.error_source import NAME, ErrorSource, TiltRate, foundation_of
@@ -145,8 +146,10 @@ def _on_roll(roll: Floats, covariance: Floats) -> tuple[str, ...]:
     if not most:
         return ()
     return (
-        f"most of u of {listed(most)} comes from the third mounting angle, which these installations do "
-        "not show; use the procedure remount-90, or state a measured mounting_roll in the bench file",
+        message(
+            f"most of u of {listed(most)} comes from the third mounting angle, which these installations do "
+            "not show; use the procedure remount-90, or state a measured mounting_roll in the bench file"
+        ),
     )
 
 

@@ -334,7 +334,7 @@ def _voltages_against_block(rail: _Rail) -> Iterator[tuple[Place, str]]:
     elif span and not span[0] <= protection_v <= span[1]:
         yield (
             ("over_voltage",),
-            f"a protection at {protection_v:g} V does not protect: the block may be given {span[0]:g} to "
+            f"a protection at {protection_v:g} V does not protect: the block tolerates {span[0]:g} to "
             f"{span[1]:g} V only",
         )
 

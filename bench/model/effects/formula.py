@@ -93,7 +93,7 @@ def parse(text: str) -> ast.expr:
         tree = ast.parse(plain, mode="eval").body
     except (SyntaxError, ValueError, MemoryError, RecursionError) as error:
         reason = error.msg if isinstance(error, SyntaxError) else type(error).__name__
-        raise ExpressionError(f"this is not a formula ({reason})") from None
+        raise ExpressionError(f"this is not a formula ({reason}); use numbers, names and operators") from None
     _refuse_others(tree, plain, MOST_NESTED)
     return tree
 

@@ -13,6 +13,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import JSONResponse, RedirectResponse, Response
 
+from bench.base.languages import message
 from bench.base.text import visible
 from bench.base.yaml_files import FileMistake, FileMistakes, document_of, dotted, read_yaml, validated
 from bench.config.bench_file.file import BenchFile
@@ -106,7 +107,7 @@ def listed() -> list[Listed]:
             text = read_file(path)
             mistakes, file = mistakes_in(text.text, path)
         except Refusal:
-            mistakes, file = (FileMistake(0, "", "it cannot be read"),), None
+            mistakes, file = (FileMistake(0, "", message("it cannot be read")),), None
         rows.append(Listed(name, str(path), file.description if file else "", len(mistakes)))
     return rows
 
@@ -128,7 +129,7 @@ def form(request: Request) -> Response:
     asked = request.query_params
     state = _begun(asked.get("file", ""), asked.get("start", ""), asked.get("name", ""))
     if asked.get("written"):
-        state.note = f"{state.base.path} was written."
+        state.note = message(f"{state.base.path} was written.")
     _judge(state)
     return _shown(request, state)
 
@@ -150,7 +151,7 @@ def _values(text: str) -> dict[str, str]:
         return values_of(read_yaml(text).data)
     except yaml.YAMLError as error:
         raise Refusal(
-            409, "the file is not YAML; 'bench check' shows where: correct it in an editor"
+            409, message("the file is not YAML; 'bench check' shows where: correct it in an editor")
         ) from error
 
 
@@ -162,7 +163,7 @@ def _judge(state: FormState) -> None:
     try:
         state.written = changed_text(state.base.text, state.values, state.groups)
     except (yaml.YAMLError, TypeError, KeyError, AttributeError) as error:
-        raise Refusal(409, "the form cannot show this file; correct it in an editor") from error
+        raise Refusal(409, message("the form cannot show this file; correct it in an editor")) from error
     mistakes, state.file = mistakes_in(state.written, state.base.path)
     state.placed = placed(mistakes, state.groups)
 
@@ -198,13 +199,13 @@ def _typed(given: Mapping[str, str]) -> FormState:
     """Return the form with what was typed. Raises `Refusal` for texts that no form of the panel sends."""
     for text in given.values():
         if len(text) > LONGEST and "\n" not in text:
-            raise Refusal(400, f"shorten the field to at most {LONGEST} characters")
+            raise Refusal(400, message(f"shorten the field to at most {LONGEST} characters"))
     file, start, name = given.get("file", ""), given.get("start", ""), given.get("new_name", "").strip()
     state = _begun(file, start, name)
     for name, text in given.items():
         if name in OF_BENCH or name.startswith(_OF_FORM):
             if visible(text) != text or not (text.isprintable() or not text):
-                raise Refusal(400, f"{name}: use printable characters only")
+                raise Refusal(400, message(f"{name}: use printable characters only"))
             state.values[name] = text.strip()
     return state
 
@@ -257,14 +258,16 @@ def _write(panel: Panel, person: Person, state: FormState, expected: str) -> boo
         state.placed.at.setdefault("new_name", []).append(refusal.text)
         return False
     if state.placed.number:
-        state.refusal = f"Not written: {state.placed.number} mistakes. See each at its field."
+        state.refusal = message(f"Not written: {state.placed.number} mistakes. See each at its field.")
         return False
     state.written = signed(state.written, person.name, utc_now())
     if expected == state.base.sha256 and write_file(
         path, state.written, expected, panel.settings.runs / STATE
     ):
         return True
-    state.refusal = "Not written: the file changed since this form was opened. See the difference below."
+    state.refusal = message(
+        "Not written: the file changed since this form was opened. See the difference below."
+    )
     state.difference = difference(read_file(path).text, state.written, path.name)
     return False
 

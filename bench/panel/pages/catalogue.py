@@ -9,6 +9,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import Response
 
+from bench.base.languages import message
 from bench.panel.access import Refusal
 from bench.panel.shared import looking, page, panel_of
 
@@ -62,7 +63,7 @@ def _where(request: Request) -> str:
     """Return the catalogue that the panel shows. Raises `Refusal` (404) if it has none."""
     where = panel_of(request).settings.catalogue
     if not where:
-        raise Refusal(404, "this panel has no catalogue; start it with --catalogue")
+        raise Refusal(404, message("this panel has no catalogue; start it with --catalogue"))
     return where
 
 
@@ -94,5 +95,5 @@ def _figure(where: str, unit: str) -> str:
     with open_catalogue(where, existing=True) as catalogue:
         calibrations = unit_calibrations(catalogue, unit)
     if not calibrations:
-        raise Refusal(404, f"{unit}: no calibration to draw; calibrate a run of it")
+        raise Refusal(404, message(f"{unit}: no calibration to draw; calibrate a run of it"))
     return unit_file(calibrations)

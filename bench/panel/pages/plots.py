@@ -6,6 +6,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 
+from bench.base.languages import message
 from bench.base.numbers import without_infinity
 from bench.panel.access import Refusal
 from bench.panel.outcome import previous_calibration
@@ -44,7 +45,7 @@ async def table(request: Request) -> Response:
     found, panel = run_of(request), panel_of(request)
     name, form = request.path_params["table"], request.path_params["form"]
     if form not in FORMS:
-        raise Refusal(404, "no such form of a table; choose one of the page")
+        raise Refusal(404, message("no such form of a table; choose one of the page"))
     if name == LIVE:
         rows = live_table(without_infinity(await panel.followers.points(found.folder)))
     else:

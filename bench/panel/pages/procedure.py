@@ -14,6 +14,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 
+from bench.base.languages import message
 from bench.base.text import visible
 from bench.base.yaml_files import FileMistake, FileMistakes, document_of, read_yaml
 from bench.config.bench_file.file import load_bench
@@ -124,7 +125,7 @@ def form(request: Request) -> Response:
     state = _begun(asked.get("file", ""), asked.get("start", ""), "")
     state.bench = asked.get("bench", "")[:LONGEST]
     if asked.get("written"):
-        state.note = f"{state.base.path} is written."
+        state.note = message(f"{state.base.path} is written.")
     return _shown(request, state)
 
 
@@ -135,7 +136,9 @@ def _begun(name: str, start: str, new_name: str) -> TableState:
         return TableState(name, "", base, base.text)
     known = shipped_files(PROCEDURES) | own_files(PROCEDURES)
     if start not in known:
-        raise Refusal(404, "there is no procedure of that name to start from; see the list of procedures")
+        raise Refusal(
+            404, message("there is no procedure of that name to start from; see the list of procedures")
+        )
     base = read_file(known[start])
     return TableState(new_name, start, FileText(base.path, base.text), base.text)
 
@@ -156,7 +159,7 @@ def _sent(request: Request, person: Person, given: dict[str, str]) -> Response:
         state.text = typed
     elif typed != before:
         state.typed = typed
-        state.refusal = "The text was changed, too: 'Use this text' takes it instead of the table."
+        state.refusal = message("The text was changed, too: 'Use this text' takes it instead of the table.")
     if not state.refusal and (change := CHANGES.get(do)):
         try:
             state.text = change(state.text, place_of(name, rows_of(_data(state.text))))
@@ -177,7 +180,7 @@ def _text_of(given: Mapping[str, str], name: str) -> str:
     lines = re.split(r"\r\n|\r|\n", given.get(name, "").rstrip())
     text = "\n".join(line.rstrip(" \t") for line in lines) + "\n"
     if visible(text) != text:
-        raise Refusal(400, "the text has characters that cannot be printed")
+        raise Refusal(400, message("the text has characters that cannot be printed; remove them"))
     return text
 
 
@@ -202,13 +205,13 @@ def _from_table(text: str, given: Mapping[str, str]) -> str:
     for number, one in enumerate(fields):
         typed = given.get(f"f{number}", values[one.name]).strip()
         if len(typed) > LONGEST or visible(typed) != typed or not (typed.isprintable() or not typed):
-            raise Refusal(400, f"{one.label}: at most {LONGEST} characters that can be printed")
+            raise Refusal(400, message(f"{one.label}: at most {LONGEST} characters that can be printed"))
         values[one.name] = typed
     try:
         return table_text(text, values, fields)
     except (yaml.YAMLError, TypeError, KeyError, AttributeError, IndexError, RecursionError) as error:
         raise Refusal(
-            409, "the file has a form that is not understood here; change it in the text"
+            409, message("the file has a form that is not understood here; change it in the text")
         ) from error
 
 
@@ -222,12 +225,12 @@ def _write(panel: Panel, person: Person, state: TableState, expected: str) -> bo
     if state.start:
         state.text = _named(state)
     if _data(state.text) is None or judged(path, state.text)[0]:
-        state.refusal = "Not written: there are mistakes. Each stands at its field."
+        state.refusal = message("Not written: there are mistakes. Each stands at its field.")
         return False
     state.text = signed(state.text, person.name, utc_now())
     if expected == state.base.sha256 and write_file(path, state.text, expected, panel.settings.runs / STATE):
         return True
-    state.refusal = (
+    state.refusal = message(
         "Not written: the file was changed since this table was shown. Look at the difference below."
     )
     state.difference = difference(read_file(path).text, state.text, path.name)
@@ -246,7 +249,7 @@ def _named(state: TableState) -> str:
 def _shown(request: Request, state: TableState) -> Response:
     data, procedure = _data(state.text), None
     if data is None:
-        state.refusal = state.refusal or "The text is no procedure in YAML. Mend it in its field."
+        state.refusal = state.refusal or message("The text is no procedure in YAML. Mend it in its field.")
         mistakes = _unreadable(state)
     else:
         state.groups, state.rows = sections_of(data), rows_of(data)
@@ -271,7 +274,7 @@ def _unreadable(state: TableState) -> tuple[FileMistake, ...]:
         return mistakes.mistakes
     except RecursionError:
         pass
-    return (FileMistake(0, "", "its parts stand too deep in each other"),)
+    return (FileMistake(0, "", message("its parts stand too deep in each other")),)
 
 
 def check_beside(procedure: Procedure, bench: str, runs: Path) -> CheckBeside:
@@ -280,19 +283,20 @@ def check_beside(procedure: Procedure, bench: str, runs: Path) -> CheckBeside:
 
     plan = procedure.plan
     if len(plan.steps) > MOST_CHECKED:
-        return CheckBeside((f"{len(plan.steps)} steps: so many are checked before their run.",))
+        return CheckBeside((message(f"{len(plan.steps)} steps: so many are checked before their run."),))
     try:
         file = load_bench(choices(CONFIG)[bench])
     except FileMistakes as mistakes:
-        return CheckBeside(problems=(f"the bench file has mistakes: {mistakes.mistakes[0].text}",))
+        return CheckBeside(problems=(message(f"the bench file has mistakes: {mistakes.mistakes[0].text}"),))
     found = findings_of(plan, file, runs).result
-    longest = f" (at most {duration(found.longest_s)})" if found.longest_s > found.expected_s else ""
+    longest = message(f" (at most {duration(found.longest_s)})") if found.longest_s > found.expected_s else ""
     told = [
-        f"{found.steps} steps, {found.operator_actions} operator actions, {found.counts.get('read', 0)} readings.",
+        message(f"{found.steps} steps, {found.operator_actions} operator actions, "
+        f"{found.counts.get('read', 0)} readings."),
         f"About {duration(found.expected_s)}{longest}.",
         *(f"{'Before the first mounting' if not label else f'Installation {label}'}: {duration(seconds)}."
           for label, seconds in found.expected_by_installation_s.items()),
-        *(f"Not determined: {', '.join(one.coefficients)}."
+        *(message(f"Not determined: {', '.join(one.coefficients)}.")
           for one in found.not_determined if one.coefficients),
     ]  # fmt: skip
     actions = tuple(step.describe() for step in plan.steps if step.BY_OPERATOR)

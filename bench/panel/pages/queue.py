@@ -13,6 +13,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 
+from bench.base.languages import message
 from bench.base.yaml_files import FileMistakes
 from bench.config.bench_file.file import BenchFile, Standing, load_bench, standings
 from bench.config.shipped import CONFIG, PROCEDURES
@@ -27,9 +28,9 @@ from bench.run.events import RecordError
 from bench.run.sentences import duration
 from drivers.clock import utc_now
 
-TO_DO: Final = "to do"
+TO_DO: Final = message("to do")
 DUE_WITHIN: Final = timedelta(days=30)
-"""How long before its end a certificate is called due."""
+"""How long before it expires a certificate is called due."""
 WARM: Final = timedelta(hours=1)
 """The warm-up after which voltmeters meet their specification (34401A User's Guide, chapter 8)."""
 MOVES: Final = {"up": -1, "down": 1}
@@ -126,14 +127,16 @@ def _row(panel: Panel, item: QueueItem, runs: dict[str, RunRow]) -> QueueRow:
     expected_s = _expected_s(item)
     time = duration(expected_s) if expected_s else ""
     if item.run and panel.queue.is_starting(item):
-        return QueueRow(item, "being started", time)
+        return QueueRow(item, message("being started"), time)
     state = TO_DO
     if item.wish:
         try:
             wish = panel.wishes.of(item.wish)
             found = wish.found()
-            checked = "checked" if found.startable else "check found an obstacle"
-            state = "being checked" if wish.at_work() else checked if found.stage == "done" else TO_DO
+            checked = "checked" if found.startable else message("check found an obstacle")
+            state = (
+                message("being checked") if wish.at_work() else checked if found.stage == "done" else TO_DO
+            )
         except Refusal:  # checks are deleted after a while
             pass
     return QueueRow(item, state, time, beginnable=True)
@@ -165,11 +168,13 @@ def bench_today(name: str, runs: Sequence[RunRow], on: DayNote | None) -> BenchT
     today = utc_now().astimezone().date()
     stated = standings(bench, today)
     dates = [one.certificate.valid_until for one in stated if one.certificate.valid_until is not None]
-    well = f"{len(stated)} certificates are valid" + (f", the first until {min(dates)}" if dates else "")
+    well = message(f"{len(stated)} certificates are valid") + (
+        message(f", the first until {min(dates)}") if dates else ""
+    )
     return BenchToday(
         name,
         certificates=[words for one in stated if (words := _attention(one, today))],
-        well=well if stated else "The bench file states no certificates.",
+        well=well if stated else message("The bench file states no certificates."),
         notes=[*_warm_up(bench), *_check_block(bench, runs)],
         switched_on=on,
         warm=_warm(on),
@@ -181,7 +186,9 @@ def chosen_bench_file(name: str) -> Path:
     """Return the bench file with this name. Raises `Refusal` if it is not there any more."""
     path = choices(CONFIG).get(name)
     if path is None:
-        raise Refusal(404, f"there is no bench file {name} any more; remove the unit and add it again")
+        raise Refusal(
+            404, message(f"there is no bench file {name} any more; remove the unit and add it again")
+        )
     return path
 
 
@@ -197,8 +204,10 @@ def _attention(standing: Standing, today: date) -> str:
         return ""
     which = f"{standing.instrument}: certificate {standing.certificate.number}"
     if standing.expired:
-        return f"✗ {which} expired on {until}. Have the instrument calibrated."
-    return f"! {which} is valid until {until}, {(until - today).days} more days. Plan its calibration."
+        return message(f"✗ {which} expired on {until}. Have the instrument calibrated.")
+    return message(
+        f"! {which} is valid until {until}, {(until - today).days} more days. Plan its calibration."
+    )
 
 
 def _warm_up(bench: BenchFile) -> list[str]:
@@ -207,7 +216,7 @@ def _warm_up(bench: BenchFile) -> list[str]:
         return []
     least, longest = duration(supply.warm_up_s), duration(supply.longest_warm_up_s)
     span = least if least == longest else f"{least} to {longest}"
-    return [f"The run switches the block on and lets it warm up: {span}."]
+    return [message(f"The run switches the block on and lets it warm up: {span}.")]
 
 
 def _warm(on: DayNote | None) -> str:
@@ -216,8 +225,8 @@ def _warm(on: DayNote | None) -> str:
         return ""
     minutes = (utc_now() - on.at) // timedelta(minutes=1)
     left_s = WARM.total_seconds() - 60.0 * minutes
-    return f"on for {duration(60.0 * minutes)}" + (
-        f"; warm in {duration(left_s)}" if left_s > 0 else "; warm"
+    return message(f"on for {duration(60.0 * minutes)}") + (
+        message(f"; warm in {duration(left_s)}") if left_s > 0 else "; warm"
     )
 
 
@@ -230,8 +239,10 @@ def _check_block(bench: BenchFile, runs: Sequence[RunRow]) -> list[str]:
         return [f"! The check block {section.serial} was not measured yet. Measure it first."]
     newest = max(done, key=lambda row: row.created)
     age_s = (utc_now() - datetime.fromisoformat(newest.created)).total_seconds()
-    told = f"The check block {section.serial} was last measured {duration(age_s)} ago, by {newest.name}"
-    return [f"! {told}: measure it first." if age_s > section.max_age else f"{told}."]
+    told = message(
+        f"The check block {section.serial} was last measured {duration(age_s)} ago, by {newest.name}"
+    )
+    return [message(f"! {told}: measure it first.") if age_s > section.max_age else f"{told}."]
 
 
 # --- changes ----------------------------------------------------------------------------------------
@@ -261,12 +272,12 @@ def _changed(panel: Panel, person: Person, sent: dict[str, str]) -> None:
         case "put aside":
             panel.queue.put_aside()
         case _:
-            raise Refusal(400, "the queue knows no such action")
+            raise Refusal(400, message("the queue knows no such action"))
 
 
 def _known_bench(name: str) -> str:
     if name not in choices(CONFIG):
-        raise Refusal(400, "there is no bench file of that name to choose")
+        raise Refusal(400, message("there is no bench file of that name to choose"))
     return name
 
 
@@ -296,20 +307,22 @@ def _item_changed(panel: Panel, person: Person, item_id: str, do: str) -> str:
         panel.queue.move(item_id, MOVES[do])
     elif do == "remove":
         panel.queue.remove([item_id])
-    elif do == "put back":
+    elif do == message("put back"):
         runs = {row.name: row for row in panel.table.rows()}
         if not _row(panel, item, runs).returnable:
-            raise Refusal(409, f"{item.words}: its run goes on or is finished; add the unit again instead")
+            raise Refusal(
+                409, message(f"{item.words}: its run goes on or is finished; add the unit again instead")
+            )
         panel.queue.change(item_id, wish="", run="", begun=None)
     else:
-        raise Refusal(400, "the queue knows no such action")
+        raise Refusal(400, message("the queue knows no such action"))
     return "/queue"
 
 
 def _check_of(panel: Panel, person: Person, item: QueueItem) -> str:
     """Return the id of the check of an item: the one at work or still true, else a new one."""
     if panel.runs.holds(item.run) or panel.queue.is_starting(item):
-        raise Refusal(409, f"{item.words} was begun already, as {item.run}")
+        raise Refusal(409, message(f"{item.words} was begun already, as {item.run}"))
     try:
         wish = panel.wishes.of(item.wish)
         if not wish.wanted().changed() and (wish.at_work() or wish.found().startable) and not wish.started():

@@ -136,7 +136,7 @@ def checked(asked: AskedPrompt | None, prompt_id: str, text: str) -> dict[str, s
     Raises `Refusal` (409) if the question is no longer open.
     """
     if asked is None or asked.prompt.id != prompt_id:
-        raise Refusal(409, "this question is closed; load the page again")
+        raise Refusal(409, message("this question is closed; load the page again"))
     return {
         "problem": problem_with_answer(asked.prompt, text),
         "understood": understood_answer(asked.prompt, text),
@@ -156,10 +156,10 @@ async def answer(request: Request) -> Response:
     await _doing(require_holder, run.folder, person)
     prompt_id, text = sent.get("id", ""), sent.get("text", "")
     if len(text) > LONGEST:
-        raise Refusal(413, f"shorten the answer to at most {LONGEST} characters")
+        raise Refusal(413, message(f"shorten the answer to at most {LONGEST} characters"))
     asked = await panel_of(request).followers.prompt(run.folder)
     if asked is None or asked.prompt.id != prompt_id:
-        raise Refusal(409, "this question is closed: it was answered, or another one is open")
+        raise Refusal(409, message("this question is closed: it was answered, or another one is open"))
     if problem := problem_with_answer(asked.prompt, text):
         raise Refusal(422, problem)
     await _doing(leave_answer, run.folder, LeftAnswer(prompt_id, text, _who(person)))
@@ -174,7 +174,7 @@ async def wish(request: Request) -> Response:
     if word != STOP:
         await _doing(require_holder, run.folder, person)
     if len(reason) > LONGEST_REASON:
-        raise Refusal(413, f"shorten the reason to at most {LONGEST_REASON} characters")
+        raise Refusal(413, message(f"shorten the reason to at most {LONGEST_REASON} characters"))
     try:
         asked = parse_wish(f"{word} {reason}")
     except ValueError as mistake:
@@ -182,9 +182,9 @@ async def wish(request: Request) -> Response:
     if not await _doing(is_being_written, run.folder):
         if asked.wish is Wish.ABORT:
             return await _given_up(request, run, person)
-        raise Refusal(409, "no program is carrying out this run")
+        raise Refusal(409, message("no program is carrying out this run"))
     await _doing(leave_wish, run.folder, RunControl(asked.wish, asked.reason, who=_who(person)))
-    return _done(request, run, f"{asked.wish} was sent")
+    return _done(request, run, message(f"{asked.wish} was sent"))
 
 
 async def control(request: Request) -> Response:
@@ -203,7 +203,7 @@ async def resume(request: Request) -> Response:
     run = panel_of(request).runs.run(request.path_params["name"])
     await _doing(_hold, run, person)
     await _doing(resume_run, run)
-    return _done(request, run, "it continues")
+    return _done(request, run, message("it continues"))
 
 
 async def give_up(request: Request) -> Response:

@@ -10,7 +10,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 
-from bench.base.languages import known_language
+from bench.base.languages import known_language, message
 from bench.panel.access import LANGUAGE, LONGEST_SESSION, Refusal, Role
 from bench.panel.shared import acting, fields, page, panel_of
 
@@ -29,14 +29,14 @@ async def signed_in(request: Request) -> Response:
     panel = panel_of(request)
     link, token = sent.get("link", ""), sent.get("token", "")
     if link and not panel.settings.loopback:
-        raise Refusal(403, "links work on the bench's computer only; use a token")
+        raise Refusal(403, message("links work on the bench's computer only; use a token"))
     sign_in_by = panel.access.sign_in_by_link if link else panel.access.sign_in_by_token
     person = await run_in_threadpool(sign_in_by, link or token)
     if person is None:
         wrong = (
-            "this link was used or has expired; 'bench panel link' makes another"
+            message("this link was used or has expired; 'bench panel link' makes another")
             if link
-            else "unknown token; 'bench panel token NAME' makes one"
+            else message("unknown token; 'bench panel token NAME' makes one")
         )
         return _form(request, sent.get("next", "/"), wrong=wrong, status=403)
     response = RedirectResponse(_here(sent.get("next", "/")), status_code=303)

@@ -156,7 +156,7 @@ async def go(request: Request) -> Response:
 
 def _begun(panel: Panel, person: Person, wish: WishFolder) -> str:
     if not wish.found().startable:
-        raise Refusal(409, "the check found an obstacle, or is not finished")
+        raise Refusal(409, message("the check found an obstacle, or is not finished"))
     wanted = wish.wanted()
     name = name_of(wanted, panel.runs)
     if wanted.queued:

@@ -51,7 +51,7 @@ def view(request: Request) -> Response:
     run, what = _run(request), request.path_params["what"]
     title, file = VIEWS.get(what, ("", ""))
     if not title:
-        raise Refusal(404, message("there is no such page of a run"))
+        raise Refusal(404, message("no such page of a run; go back to the run"))
     read_page(run, file)  # says what is missing, in the panel's own page
     here = f"/runs/{quote(run.name)}"
     return page(

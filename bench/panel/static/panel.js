@@ -173,8 +173,8 @@
         const reply = await fetch(`check-answer?${new URLSearchParams({ id: shownPrompt.id, text })}`, { headers: { accept: "application/json" } });
         if (number !== checkNumber || !reply.ok) return;
         const found = await reply.json();
-        if (found.problem) told(`✗ ${found.problem}`, "bad");
-        else told(found.understood ? `✓ ${found.understood}` : "✓", "good");
+        if (found.problem) told(`✗ ${_(found.problem)}`, "bad");
+        else told(found.understood ? `✓ ${_(found.understood)}` : "✓", "good");
       } catch { /* the loss of connection shows elsewhere */ }
     }, 120);
   };
@@ -199,7 +199,7 @@
     if (!shownPrompt) return;
     const text = $("typing").hidden ? "" : $("typed").value.trim();
     if (text || shownPrompt.enter) { answer(text); return; }
-    told(shownPrompt.kind === "angle" ? "✗ Nothing was typed: read the scale and type the angle." : "✗ Nothing was typed.", "bad");
+    told(shownPrompt.kind === "angle" ? _("✗ Nothing was typed: read the scale and type the angle.") : _("✗ Nothing was typed."), "bad");
     $("typed").focus();
   });
   $("typed").addEventListener("input", () => { keepDraft(); check(); });
@@ -231,7 +231,7 @@
       if (reply.ok) { say("", ""); return true; }
       say(found.problem || found.why || found.error || found.text || found.detail || _(`The panel refused this (${reply.status}).`), "bad");
     } catch {
-      say("The connection is down, and nothing was sent. Try again once it is back.", "bad");
+      say(_("The connection is down, and nothing was sent. Try again once it is back."), "bad");
     }
     return false;
   };
@@ -240,7 +240,7 @@
   for (const button of WISHES) {
     button.addEventListener("click", () => {
       const wish = button.dataset.wish, reason = ["skip", "abort"].includes(wish) ? $("reason").value.trim() : "";
-      if (["skip", "abort"].includes(wish) && !reason) { say("Type the reason beside it first.", "bad"); $("reason").focus(); return; }
+      if (["skip", "abort"].includes(wish) && !reason) { say(_("Type the reason beside it first."), "bad"); $("reason").focus(); return; }
       if (wish in AGAIN && sureOf !== wish) {
         const [calm, asked] = AGAIN[wish];
         sureOf = wish;
@@ -527,7 +527,7 @@
     source.addEventListener("error", async () => {
       if (source.readyState !== EventSource.CLOSED) return;
       const reply = await fetch("state", { headers: { accept: "application/json" } }).catch(() => null);
-      if (reply && reply.status === 401) gone = "✗ You are signed out: load the page again.";
+      if (reply && reply.status === 401) gone = _("✗ You are signed out: load the page again.");
       tick();
     });
   };

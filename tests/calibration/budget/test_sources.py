@@ -115,7 +115,7 @@ def test_gravity_as_a_number_is_known_to_its_last_digit(tmp_path, written, u):
 
 
 def test_mistakes_in_the_section_are_told(tmp_path):
-    with pytest.raises(FileMistakes, match=r"voltmeter_gain.*'k', the limit in standard"):
+    with pytest.raises(FileMistakes, match=r"voltmeter_gain.*'k', the limit of a normal"):
         edited(tmp_path, uncertainty={"voltmeter_gain": {"limit": "35 ppm", "distribution": "normal"}})
     wrong = {"bias_temperature_coefficient": {"limit": "30 ug", "distribution": "rectangular"}}
     with pytest.raises(FileMistakes, match="temperature coefficient of the bias"):
@@ -262,7 +262,7 @@ def test_a_foundation_that_the_bench_file_states_is_a_line(tmp_path):
 
 def test_a_correlation_time_is_more_than_nothing(tmp_path):
     never = {"limit": "0.5 K", "distribution": "rectangular", "correlation_time": "0 s"}
-    with pytest.raises(FileMistakes, match=r"correlation_time: expected above 0"):
+    with pytest.raises(FileMistakes, match=r"correlation_time: state a value above 0"):
         edited(tmp_path, uncertainty={"temperature": never})
 
 
@@ -346,7 +346,7 @@ def test_gls_weighs_by_what_is_stated():
 
 
 def test_unknown_estimator_and_too_few_orientations_are_refused():
-    with pytest.raises(CalibrationError, match="there are gls, closed-form, least-squares"):
+    with pytest.raises(CalibrationError, match="choose from gls, closed-form, least-squares"):
         make_budget(paper_setup(), stand(), "kalman")
     with pytest.raises(CalibrationError, match="every test point; missing"):
         make_budget(paper_setup(points=8), stand(), "closed-form")

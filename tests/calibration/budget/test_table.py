@@ -219,7 +219,7 @@ def test_decision_simple_and_guarded():
     assert simple.capable
     assert not guarded.capable
     assert delta_g(budget, 1e-4, "guarded")[0].passes == 0.0
-    with pytest.raises(CalibrationError, match="no decision rule 'lenient'"):
+    with pytest.raises(CalibrationError, match="unknown decision rule 'lenient'"):
         delta_g(budget, 3e-4, "lenient")
 
 

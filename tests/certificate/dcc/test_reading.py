@@ -55,7 +55,7 @@ def real_list(labels=NAMES, values=VALUES, k_unit=r"\volt", extra="", u="2e-4"):
 def test_coefficients_of_ours_come_back_whole(bench, ours, issued_certificate):
     status, _, err = bench("certificate", "read", ours, "--out", "coefficients.json")
     assert status == 0
-    assert "nobody signed" in err
+    assert "has no signature" in err
     data = json.loads(Path("coefficients.json").read_text())
     keeps_to("calibrate", data)
     taken = coefficients_of(data, "it")
@@ -105,8 +105,8 @@ def test_coefficients_of_anothers_list_are_taken_by_their_names(bench, empty_fol
         (real_list(k_unit=r"\ampere"), "give K in"),
         (real_list(k_unit=r"\furlong"), "furlong is not known"),
         (real_list(values=VALUES[:11]), "11 values, but 12 units"),
-        (real_list().replace("0.07", "seven"), "'seven' is no number"),
-        (real_list().replace("-2.1 ", "NaN "), "no number"),
+        (real_list().replace("0.07", "seven"), "'seven' is not a number"),
+        (real_list().replace("-2.1 ", "NaN "), "not a number"),
     ],
 )
 def test_what_cannot_be_read_is_refused(bench, empty_folder, content, told):

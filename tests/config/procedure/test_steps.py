@@ -79,7 +79,7 @@ def test_what_can_never_settle_is_a_mistake(mistakes):
     )
     expected = [
         "4 steps[1].settle: state a precision above 0",
-        "5 steps[2].settle: the timeout is at least the window and one interval",
+        "5 steps[2].settle: state a timeout of at least the window and one interval",
         "6 steps[3].settle: state an interval above 0 and at most the window",
         "7 steps[4].settle.precision: expected a voltage such as '0.3 mV', got '0.1 K'",
         "8 steps[5].temperature.settle.precision: expected a difference of temperatures such as '0.1 K', got",
