@@ -57,7 +57,7 @@ def lines(file):
 def test_the_holder_answers_the_question_that_stands(anna, one, alive):
     answer = {"id": QUESTION.id, "text": "yes"}
     status, told = anna.ask("/runs/one/answer", **answer)
-    assert (status, told["problem"]) == (403, "nobody is in control; take control first")
+    assert (status, told["problem"]) == (403, "nobody is in control; take it first")
     assert anna.ask("/runs/one/control", do="take")[0] == 200
     assert anna.ask("/runs/one/answer", **answer) == (200, {"done": "answered"})
     who = {"by": "anna", "role": "operator", "where": "panel"}
@@ -195,7 +195,7 @@ def refusal(folder, *what):
 
 def test_nobody_is_in_control_until_somebody_takes_it(tmp_path):
     assert read_holding(tmp_path).holder == ""
-    with pytest.raises(Refusal, match="nobody is in control; take control first"):
+    with pytest.raises(Refusal, match="nobody is in control; take it first"):
         require_holder(tmp_path, ANNA)
     change(tmp_path, "take", ANNA)
     require_holder(tmp_path, ANNA)
