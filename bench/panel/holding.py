@@ -167,7 +167,7 @@ def _checked(holding: Holding, word: str, person: Person, to: str) -> str:
     holds = holding.holder == person.name
     match word:
         case "take" | "ask" | "force" if holds:
-            raise Refusal(409, message(f"{person.name} is already in control; ask for control"))
+            raise Refusal(409, message(f"{person.name} is already in control; no need to ask"))
         case "take" if holding.holder:
             raise Refusal(409, message(f"{holding.holder} is in control; ask for it"))
         case "ask" if not holding.holder:

@@ -211,7 +211,7 @@ def test_another_certificate_beside_it_is_told(made, written):
     assert "c.pdf beside it differs" in looked_at(written / "c.xml").wrong[0]
     (written / "c.xml").write_bytes(made.xml)
     (written / "c.pdf").write_bytes(made.pdf + b"\n")
-    assert "c.pdf beside it: something was appended" in looked_at(written / "c.xml").wrong[0]
+    assert "c.pdf beside it: its signature does not cover its end" in looked_at(written / "c.xml").wrong[0]
 
 
 def test_files_that_cannot_be_read_are_told(tmp_path):

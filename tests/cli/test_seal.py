@@ -193,7 +193,9 @@ def test_a_time_stamp_says_not_later_than_when(bench, run, key):
         "the record existed by 2026-03-01T12:00:00+00:00",
     )
     assert NOTHING_OUTSIDE not in out
-    printed(bench("show", "one", "--authority", "other.pem"), "not by the authority in other.pem", status=1)
+    printed(
+        bench("show", "one", "--authority", "other.pem"), "not signed by the authority in other.pem", status=1
+    )
     assert len(authority.requests) == 1  # to verify asks nobody
 
 
