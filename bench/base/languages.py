@@ -170,7 +170,7 @@ class Catalogue:
             (one.context, text): one for one in self.entries for text in (one.english, one.plural) if text
         }
         copies = [one for one in self.entries if _BLANK.search(one.english) and one.of_modules]
-        # what begins with words of its own, and has many, is told before others
+        # what begins with words of its own, and has many, is stated before others
         copies.sort(
             key=lambda one: (one.english.startswith("{"), -_letters(one), -len(_BLANK.findall(one.english)))
         )

@@ -273,7 +273,7 @@ def _log_odds_of_weights(weight: Floats, of_mean: Floats, square: Floats) -> flo
     """Return what the evidence of rows with these weights (N,) lacks to that of t-distributed noise.
 
     A precision t has the prior Gamma(d/2, d/2) and, with the expected `square` (N,) of its row in units of the
-    noise, the posterior Gamma((d + 1)/2, (d + square)/2). The bound has E ln t in the place of ln of the weight,
+    noise, the posterior Gamma((d + 1)/2, (d + square)/2). The bound has E ln t instead of ln of the weight,
     less the divergence of posterior and prior. It takes precisions and fit for independent; the last term corrects
     this to second order. `of_mean` (N,) is the part of the square that the mean of the fit leaves.
     """
