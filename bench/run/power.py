@@ -190,7 +190,7 @@ class UnitPower:
         for number, rail in enumerate(() if self.supply.asks_person else reversed(self.section.rails)):
             if number:
                 self.clock.sleep(self.section.pause)
-            by_hand = f"its rail {rail.name} did not switch off: find the cause before the next run"
+            by_hand = f"its rail {rail.name} did not switch off by itself: find the cause before the next run"
             rails.make(by_hand, partial(self.supply.switch, rail.output, False, key))
         told = rails.end()
         if told or self.supply.asks_person:

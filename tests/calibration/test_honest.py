@@ -153,7 +153,7 @@ def test_what_other_runs_told_stands_in_place_of_the_statement():
     found = few("2+2", 1, known=stand)
     np.testing.assert_allclose(found.noise.by_channel, sizes, rtol=1e-3)
     assert found.noise.reading_dof == pytest.approx(20.0)
-    assert any("that other runs told" in note for note in found.notes)
+    assert any("other runs gave" in note for note in found.notes)
 
 
 @pytest.mark.parametrize("passes", [1, 3])

@@ -167,7 +167,7 @@ def test_a_singular_block_has_no_budget(bench):
 @pytest.mark.slow
 def test_a_procedure_of_several_temperatures_says_what_its_budget_takes_for_granted(bench):
     told = result_of(bench, "--procedure", "temperature", "--trials", 0)
-    assert any("5 temperatures, and the coefficients are taken as the same" in note for note in told["notes"])
+    assert any("5 temperatures, and the coefficients are assumed" in note for note in told["notes"])
     assert not any("temperatures," in note for note in result_of(bench, "--trials", 0)["notes"])
 
 

@@ -261,7 +261,7 @@ def test_the_copy_of_a_run_tells_where_it_comes_from(bench):
     assert bench("diagnose", "b", "--no-report", "--json", "d.json")[0] == 0
     copy = result_of("d.json")["corrected"]["readings"]
     assert copy == str(Path("runs/b/diagnose-corrected.csv"))
-    printed(bench("calibrate", copy, "--json", "c.json"), "mistakes put right: installation")
+    printed(bench("calibrate", copy, "--json", "c.json"), "with corrected mistakes: installation")
 
 
 @pytest.mark.parametrize(
@@ -270,7 +270,7 @@ def test_the_copy_of_a_run_tells_where_it_comes_from(bench):
         (["none.csv"], "none.csv: no such readings file"),
         (["null.csv", "--json", "nowhere/d.json"], "no such folder; create it or name another"),
         (["null.csv", "--model", "null.csv"], "null.csv"),
-        (["null.csv", "counts.csv", "--together"], "different units"),
+        (["null.csv", "counts.csv", "--together"], "use one unit"),
         (["null.csv", "null.csv"], "two sources would write"),
         (["short.csv"], "short.csv, line 1: column"),
     ],

@@ -102,6 +102,7 @@ def test_every_package_that_is_imported_comes_with_the_program_or_is_known_with_
     assert set(EXTRAS) <= set(project["optional-dependencies"])
     brought = {
         "numpy",
+        "babel",
         "scipy",
         "yaml",
         "pydantic",

@@ -259,7 +259,7 @@ def test_goals_have_units_in_the_table(bench):
 
 REFUSED = (
     ("require --accuracy soon", "--accuracy soon: expected an acceleration in local gravity"),
-    ("require --accuracy -1", "the accuracy is a positive number"),
+    ("require --accuracy -1", "the accuracy must be a positive number"),
     ("require --accuracy 3e-4 --of Kq", "--of Kq: delta-g, acceleration, modulus or a coefficient"),
     ("require --accuracy 3e-4 --up-to 5g", "--up-to needs --of acceleration"),
     ("require --accuracy 3e-4 --of modulus --up-to 0", "give an acceleration above 0"),

@@ -72,7 +72,7 @@ def test_axes_may_lie_the_other_way():
     )
     found = level.inclination("1/level", turned=False)
     assert (found.along_rad, found.across_rad) == pytest.approx((0.084e-3, 0.296e-3))
-    with pytest.raises(ValueError, match="both axis X"):
+    with pytest.raises(ValueError, match="not both X"):
         LeicaNivel("level", ScriptedSession([]), None, along="+X", across="-X")
 
 

@@ -58,7 +58,7 @@ def test_a_validation_is_written_sealed_accepted_and_compared(bench, few, labora
     refused(
         bench("validate", "--accept", "v1", *lab, "--by", "Somebody", "--reason", "x"),
         "--by Somebody",
-        "nobody else",
+        "choose one of them",
     )
     refused(bench("validate", "--accept", "v1", *lab), "--by NAME and --reason TEXT")
     refused(bench("validate", "--accept", "v1", *BY), "--laboratory FILE")
