@@ -83,7 +83,7 @@ def test_a_bench_is_made_found_written_and_tried_without_a_file_opened(visit, pa
     page.fill("[id='line_frequency']", "60 Hz")
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
     page.click("text=Write the file >> nth=0")
-    page.wait_for_selector("text=hall-3.yaml is written")
+    page.wait_for_selector("text=hall-3.yaml was written")
 
     file = load_bench(panel.runs.parent / "empty" / "config" / "hall-3.yaml")
     assert [meter.resource for meter in file.instruments.voltmeters] == list(resources.values())

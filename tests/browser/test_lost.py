@@ -68,7 +68,7 @@ def test_a_killed_panel_is_told_loudly_and_the_question_is_there_again(chromium,
         apart = served_apart(panel.runs, port)
         page.wait_for_selector("#lost", state="hidden")
         assert page.get_attribute("#live", "data-prompt") == asked
-        assert "You are in control" in page.inner_text("#who")
+        page.wait_for_selector("text=You are in control")
         answer_on(page, typed_for(run.of_type("asked")[-1], 0))
         prompt_of(page, asked)
         assert [event["by"] for event in run.of_type("answered")] == ["anna"]
