@@ -172,6 +172,11 @@ class NamedEffect:
         return self.name in CATALOGUE
 
     @property
+    def probability(self) -> float | None:
+        """The posterior probability of its name; None where no odds were computed."""
+        return next((one.probability for one in self.odds if one.name == self.name), None)
+
+    @property
     def shape_held(self) -> bool:
         """Whether the u of the parameters holds the effect's shape fixed as found."""
         return any(one.u is None for one in self.parameters)

@@ -71,6 +71,9 @@ class FoundPart(ResultModel):
         default=None,
         description="size over its u: |value|/u of one number, of several the root of their chi-square",
     )
+    probability: Real = Field(
+        default=None, description="posterior probability of the name; null for a mistake, which has none"
+    )
     words: str = Field(description="the sentence on it")
 
 
