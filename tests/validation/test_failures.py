@@ -48,7 +48,9 @@ def test_persons_note_state_and_remedy_and_only_the_authorised_close(call):
         "no failure of that number",
     )
     assert "remedied" in printed(call(*note, "--state", "remedied", "--by", "B. Technician"))
-    refused(call(*note, "--state", "closed", "--by", "B. Technician"), "--by B. Technician", "choose one of them")
+    refused(
+        call(*note, "--state", "closed", "--by", "B. Technician"), "--by B. Technician", "choose one of them"
+    )
     printed(call(*note, "--state", "closed", "--by", "A. Example", "--page", "review.html"), "review.html")
     page = Path("review.html").read_text(encoding="utf-8")
     assert "the cable was loose; replaced" in page
