@@ -21,15 +21,19 @@ THRESHOLD_U: Final = 0.1
 """Largest change of a coefficient, in its u, that is not listed."""
 
 
+def past_runs(request: Validate, over: str) -> list[str]:
+    """Return the runs that `over` names: a path pattern or a query of the catalogue. Raises `Refused` for none."""
+    return list(list_runs([over], runs_folder(request.runs), request.catalogue).runs)
+
+
 def against(request: Validate, over: str, folder: Path) -> AgainstPart:
-    """Recompute the runs that `over` names (a path pattern or a query of the catalogue) into a folder.
+    """Recompute the runs that `over` names (see `past_runs`) into a folder.
 
     A run without a stored result is computed by the default estimator and not compared. Raises `Refused` where
     no run is found.
     """
-    listed = list_runs([over], runs_folder(request.runs), request.catalogue)
     by_estimator: dict[str, list[str]] = {}
-    for run in listed.runs:
+    for run in past_runs(request, over):
         stored = stored_calibration(Path(run)).calibration
         by_estimator.setdefault(_known(GLS if stored is None else stored.estimator), []).append(run)
     rows: list[dict[str, Any]] = []

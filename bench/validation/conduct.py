@@ -59,6 +59,10 @@ def validated(request: Validate, passphrase: Callable[[], bytes]) -> ValidationR
     began_s = clock.now_s()
     key = None if request.key is None else private_key(request.key, passphrase)
     bench = _bench(request)
+    if request.against is not None:  # what names no run is refused before the checks begin
+        from bench.validation.against import against, past_runs
+
+        past_runs(request, request.against)
     folder = request.out or Path(f"validation-{began.astimezone():%Y%m%d-%H%M%S}")
     _take(folder)
     laboratory = laboratory_known(request.laboratory)
@@ -71,8 +75,6 @@ def validated(request: Validate, passphrase: Callable[[], bytes]) -> ValidationR
         name = _bench_name(context)
     part: AgainstPart | None = None
     if request.against is not None:
-        from bench.validation.against import against
-
         part = against(request, request.against, folder / "against")
         checks.append(_of_past_runs(part))
     result = ValidationResult(
