@@ -53,6 +53,7 @@ def test_a_killed_panel_is_told_loudly_and_the_question_is_there_again(chromium,
         page.click("main button[type=submit]")
         page.goto(f"http://127.0.0.1:{port}/runs/lost/")
         page.click("text=Take control")
+        page.wait_for_selector("text=You are in control")  # a kill before it would take the request along
         asked = prompt_of(page, "")
         assert not page.is_visible("#lost")
         apart.kill()
