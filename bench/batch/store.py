@@ -46,24 +46,26 @@ class Listed:
     no_runs: tuple[str, ...] = ()
 
 
-def list_runs(over: Sequence[str], runs: Path, catalogue: str | None = None) -> Listed:
+def list_runs(
+    over: Sequence[str], runs: Path, catalogue: str | None = None, option: str = "--over"
+) -> Listed:
     """Return the runs that `over` names: words of a query (`unit=Q-17`, all of which hold), or patterns.
 
     Patterns are shell patterns (`*`, `?`, `[…]`, `**` for nested folders), matched in the working folder or
     else in the folder `runs`. A folder that is no run represents the runs in it. Raises `Refused` if no run
-    is found.
+    is found; the message names the `option`.
     """
     words = [word for given in over for word in _words(given)]
     asked = [word for word in words if is_question(word)]
     if not any(words):
-        raise Refused("--over: name the runs, such as --over 'runs/*' or --over unit=Q-17")
+        raise Refused(f"{option}: name the runs, such as {option} 'runs/*' or {option} unit=Q-17")
     if asked and len(asked) < len(words):
         other = next(word for word in words if not is_question(word))
-        raise Refused(f"--over {other}: a pattern and a query together ({asked[0]}); give one of them")
+        raise Refused(f"{option} {other}: a pattern and a query together ({asked[0]}); give one of them")
     found = _asked(asked, catalogue) if asked else _there(words, runs)
     if not found.runs:
         kind = "no run in the catalogue matches" if asked else "no run is there"
-        raise Refused(f"--over {' '.join(words)}: {kind}")
+        raise Refused(f"{option} {' '.join(words)}: {kind}")
     return found
 
 

@@ -8,6 +8,7 @@ import pytest
 import bench as face
 from bench.batch import outcome
 from bench.batch.work import worked
+from bench.services.errors import Refused
 from bench.services.requests.documents import Validate
 from bench.validation.against import against
 from benchmarks.validation_faults import edited
@@ -34,6 +35,12 @@ def past_runs(empty_folder, monkeypatch):
 
 def names(part):
     return [Path(one.run).name for one in part.changed]
+
+
+def test_a_pattern_without_runs_is_refused_by_the_name_of_its_option(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(Refused, match=r"against nothing: no run is there"):
+        against(Validate(), "nothing", Path("out"))
 
 
 def test_nothing_changed(past_runs):
