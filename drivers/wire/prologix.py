@@ -47,7 +47,7 @@ _SETTINGS: Final = (
     ("read_tmo_ms", str(READ_TIMEOUT_MS)),
 )
 _VERSION: Final = re.compile(rb"[\x20-\x7e]*(?:GPIB|AR488|Prologix)[\x20-\x7e]*", re.IGNORECASE)
-_SAVES_EVERY_SETTING: Final = re.compile(rb"(?!.*AR488).*Prologix", re.IGNORECASE)
+_SAVES_EVERY_SETTING: Final = re.compile(rb"(?!.*AR488).*Prologix.*", re.IGNORECASE)
 """A Prologix itself; an AR488 may also be named after it."""
 _ATTEMPTS: Final = 4
 """An adapter built on an Arduino restarts when its port is opened, and loses what it is sent meanwhile."""

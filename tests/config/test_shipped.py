@@ -33,8 +33,8 @@ def test_an_unknown_name_is_told_with_the_nearest_and_the_list():
         "repeatability, return, stability, temperature, turn-12, turn-24, turn-on, verification"
     )
     listed = (
-        "shipped are: bench-encoder, bench-gpib, bench-lan, bench-motorised, bench-multiplexer, bench-prologix, "
-        "bench-rate-table, bench-rs232, bench-stand, paper-stand"
+        "shipped are: bench-encoder, bench-gpib, bench-harsh, bench-lan, bench-motorised, bench-multiplexer, "
+        "bench-prologix, bench-rate-table, bench-rs232, bench-stand, paper-stand"
     )
     with pytest.raises(FileMistakes, match=listed):
         find_bench("nothing/like/it.yaml")
