@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from bench.base.numbers import concise, fixed, rounded, scale_for
-from bench.calibration import calibrate, verify
+from bench.calibration import calibrate
+from bench.calibration.verification import verify
 from bench.model import ForwardModel
 from bench.model.geometry import COEFFICIENTS, INSTALLATION_1, INSTALLATION_2
 from bench.readings.table import make_readings
