@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
+from functools import cache
 from importlib import import_module
 from keyword import iskeyword
 from typing import Any, Final
@@ -229,8 +230,12 @@ class Commands(CommandGroup):
         return listed.shell_complete(ctx, incomplete)
 
 
+@cache
 def load_command(name: str) -> Any:
-    """Import the module of a command; return the library's object for the command or the group of commands."""
+    """Import the module of a command; return the library's object for the command or the group of commands.
+
+    It is made once: the library evaluates all annotations of the command anew each time.
+    """
     word = name.replace("-", "_") + "_" * iskeyword(name)
     module = import_module(f"bench.cli.{MODULES.get(name, word)}")
     if hasattr(module, "GROUP"):
