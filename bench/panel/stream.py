@@ -306,6 +306,11 @@ class SharedFollower:
         """Whether readings are still to be compared with their predictions."""
         return self._follower is not None and self._follower.waiting
 
+    @property
+    def over(self) -> bool:
+        """Whether the following has ended, by an error or with its event loop."""
+        return bool(self.trouble) or self._task.done()
+
     async def ready(self) -> None:
         """Wait until there is a first snapshot or an error."""
         await self._ready.wait()
@@ -432,7 +437,7 @@ class Followers:
 
     async def _of(self, folder: Path) -> SharedFollower:
         shared = self._shared.get(folder)
-        if shared is None or shared.trouble:
+        if shared is None or shared.over:
             shared = self._shared[folder] = SharedFollower(folder, self._add)
         shared.watchers += 1
         try:
