@@ -110,10 +110,10 @@
   };
 
   const askedAnew = (prompt) => {
-    const old = shownPrompt;
+    const typed = $("typed"), old = shownPrompt, sent = sentFor !== "";
+    const same = old && prompt && old.id.split("#")[0] === prompt.id.split("#")[0];  /* the same step asks again */
     shownPrompt = prompt;
     sentFor = "";
-    const typed = $("typed"), same = old && prompt && old.do === prompt.do && old.target === prompt.target && old.kind === prompt.kind;
     const wants = prompt && (prompt.kind === "angle" || prompt.kind === "number");
     if (!same) typed.value = prompt ? sessionStorage.getItem(DRAFT + prompt.id) || "" : "";
     show("typing", Boolean(wants));
@@ -135,6 +135,7 @@
     const inside = $("answer").contains(document.activeElement) || [document.body, $("main"), $("todo")].includes(document.activeElement);
     $("buttons").replaceChildren(...buttons);
     if (inside) (wants ? typed : prompt.enter && buttons.length ? buttons[0] : $("todo")).focus({ preventScroll: true });
+    if (same && sent) typed.select();  /* what was refused: typing replaces it */
     check();
   };
 
@@ -187,10 +188,11 @@
   const answer = async (text) => {
     if (!shownPrompt || sentFor === shownPrompt.id) return;
     const id = shownPrompt.id;
+    clearTimeout(checkTimer);
     sentFor = id;
     allow();
     const taken = await post("answer", { id, text });
-    if (!taken && sentFor === id) sentFor = "";
+    if (!taken && sentFor === id) { sentFor = ""; $("typed").select(); }
     allow();
   };
 
