@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from bench.services.calibration import CalibrationResult as CalibrationResult
     from bench.services.calibration import Coefficient as Coefficient
     from bench.services.check_block import chart as chart
+    from bench.services.compensation import tumble as tumble
     from bench.services.confirmation import ConfirmationResult as ConfirmationResult
     from bench.services.diagnosis import DiagnosisResult as DiagnosisResult
     from bench.services.diagnosis import FreeDiagnosisResult as FreeDiagnosisResult
@@ -60,6 +61,7 @@ _HOMES: Final = {
     "bench.services.calibration": ("CalibrationResult", "Coefficient"),
     "bench.results.control_chart": ("CheckBlockChart",),
     "bench.services.check_block": ("chart",),
+    "bench.services.compensation": ("tumble",),
     "bench.services.confirmation": ("ConfirmationResult",),
     "bench.services.diagnosis": ("DiagnosisResult", "FreeDiagnosisResult", "MistakesResult"),
     "bench.services.record_diagnosis": ("RecordDiagnosisResult",),

@@ -116,7 +116,7 @@ class CrossQuadratic(BlockEffect):
 
 
 ROUNDED_G: Final = 0.01
-"""Half-width, g, over which a step at zero force is smoothed, so that arcseconds of the stand do not flip its sign."""
+"""Half-width, g, over which a step at zero force is smoothed: arcseconds of the stand must not flip its sign."""
 
 
 class BiasAsymmetry(BlockEffect):
