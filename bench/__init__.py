@@ -50,6 +50,7 @@ if TYPE_CHECKING:
     from bench.services.history import compare as compare
     from bench.services.history import learn as learn
     from bench.services.history import stability as stability
+    from bench.services.monitor import monitor as monitor
     from bench.services.planning import budget as budget
     from bench.services.record_diagnosis import RecordDiagnosisResult as RecordDiagnosisResult
     from bench.services.verification import VerificationResult as VerificationResult
@@ -73,6 +74,7 @@ _HOMES: Final = {
     "bench.services.history": (
         "ComparisonResult", "LearningResult", "RecordAtRest", "compare", "learn", "stability",
     ),
+    "bench.services.monitor": ("monitor",),
     "bench.services.verification": ("VerificationResult",),
     "bench.base.yaml_files": ("FileMistakes",),
     "bench.config.bench_file.file": ("BenchFile",),

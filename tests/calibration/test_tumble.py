@@ -13,8 +13,10 @@ from bench.calibration.budget.whole import sign
 from bench.calibration.result import misalignments
 from bench.calibration.tumble import DEFAULT, HOMES, LINEAR, columns, combine, separable, tumble_view
 from bench.config.bench_file.file import load_bench
-from bench.config.shipped import find_bench
-from bench.model import ForwardModel
+from bench.config.procedure.load import load_procedure
+from bench.config.procedure.steps import Turn
+from bench.config.shipped import find_bench, find_procedure
+from bench.model import Block, ForwardModel
 from bench.model.conditions import Conditions
 from bench.readings.centrifuge import EXAMPLE, CentrifugePoints, read_centrifuge
 from bench.readings.csv import ReadingsError
@@ -95,6 +97,22 @@ def test_the_product_of_the_cross_axes_needs_a_third_installation(points):
         assert judged(points, channel, (hidden,)).inseparable == {hidden: {}}
         assert "shows in no reading" in judged(points, channel, (hidden,)).sentence()
         assert judged(points, channel, (hidden,), third=True).rank == 5
+
+
+def test_the_third_installation_shows_every_product(stand):
+    """Its forces come from the shipped procedure and bench; without 1T90 each channel lacks one product."""
+    steps = load_procedure(find_procedure("third-installation")).expand().steps
+    turns = [step for step in steps if isinstance(step, Turn)]
+    for labels, rank in ((("1", "2"), 7), (("1", "2", "1T90"), 8)):
+        placed = [step for step in turns if step.installation in labels]
+        conditions = Conditions.of(
+            [step.installation for step in placed], [step.target_rad for step in placed]
+        )
+        force = ForwardModel(stand.installation_models()).specific_force(
+            conditions, np.zeros((len(labels), 5)), Block(np.eye(3), np.zeros(3))
+        )
+        for channel in range(3):
+            assert separable(force, channel, ("K2", "Kip", "Kio", "Kpo"), conditions).rank == rank
 
 
 def test_the_last_square_is_a_bias_less_the_others():
