@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from bench.services.calibration import CalibrationResult as CalibrationResult
     from bench.services.calibration import Coefficient as Coefficient
     from bench.services.check_block import chart as chart
+    from bench.services.compensation import tumble as tumble
     from bench.services.confirmation import ConfirmationResult as ConfirmationResult
     from bench.services.diagnosis import DiagnosisResult as DiagnosisResult
     from bench.services.diagnosis import FreeDiagnosisResult as FreeDiagnosisResult
@@ -49,6 +50,7 @@ if TYPE_CHECKING:
     from bench.services.history import compare as compare
     from bench.services.history import learn as learn
     from bench.services.history import stability as stability
+    from bench.services.monitor import monitor as monitor
     from bench.services.planning import budget as budget
     from bench.services.record_diagnosis import RecordDiagnosisResult as RecordDiagnosisResult
     from bench.services.verification import VerificationResult as VerificationResult
@@ -60,6 +62,7 @@ _HOMES: Final = {
     "bench.services.calibration": ("CalibrationResult", "Coefficient"),
     "bench.results.control_chart": ("CheckBlockChart",),
     "bench.services.check_block": ("chart",),
+    "bench.services.compensation": ("tumble",),
     "bench.services.confirmation": ("ConfirmationResult",),
     "bench.services.diagnosis": ("DiagnosisResult", "FreeDiagnosisResult", "MistakesResult"),
     "bench.services.record_diagnosis": ("RecordDiagnosisResult",),
@@ -71,6 +74,7 @@ _HOMES: Final = {
     "bench.services.history": (
         "ComparisonResult", "LearningResult", "RecordAtRest", "compare", "learn", "stability",
     ),
+    "bench.services.monitor": ("monitor",),
     "bench.services.verification": ("VerificationResult",),
     "bench.base.yaml_files": ("FileMistakes",),
     "bench.config.bench_file.file": ("BenchFile",),

@@ -141,6 +141,7 @@ COMMANDS: Final = {
     "tumble": "Fit each axis of a multi-point tumble by IEEE 1293:"
     " bias, scale factor, misalignments, K2, K3, Koq.",
     "stability": "Compute the Allan deviation and noise terms of a block at rest, and the averaging to use.",
+    "monitor": "Chart runs of few positions over days: bias, scale factor, angle.",
     "chart": "Draw the control charts of the check block (Shewhart, EWMA).",
     "batch": "Recompute many runs; list the results and verdicts that change.",
     "compare": "Compare calibrations of one block: E_n, a joint test, drift.",
@@ -158,7 +159,7 @@ MODULES: Final[Mapping[str, str]] = {
     **dict.fromkeys(("diagnose", "confirm", "accept"), "evaluate"),
     **dict.fromkeys(("check", "init", "budget", "require", "plan-points"), "planning"),
     **dict.fromkeys(("run", "resume", "abort", "control"), "measure"),
-    **dict.fromkeys(("chart", "compare", "learn", "stability"), "history"),
+    **dict.fromkeys(("chart", "compare", "learn", "monitor", "stability"), "history"),
     **dict.fromkeys(("runs", "show", "seal", "key", "export", "import"), "records"),
     "simulate": "instruments",
 }

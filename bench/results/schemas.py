@@ -33,6 +33,7 @@ RESULTS: Final = {
     "fleet-effects": "fleet.EffectsResult",
     "fleet-prior": "fleet.PriorResult",
     "learn": "learning.LearnResult",
+    "monitor": "monitor.MonitorResult",
     "commission": "records.CommissionResult",
     "event": "records.EventLine",
     "instruments": "records.InstrumentsResult",
