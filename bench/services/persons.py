@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Final
 
 from bench.base.files import read_regular
+from bench.base.languages import message
 from bench.base.text import visible
 from bench.results.persons import PersonChange, PersonPart, PersonsResult
 from bench.run.events import OperatorPerson, RecordError
@@ -272,7 +273,7 @@ def checked_name(name: str) -> str:
     """Return a person's name, stripped. Raises `RecordError` if it is empty, too long or not printable."""
     name = name.strip()
     if not name or len(name) > LONGEST_NAME or not name.isprintable() or visible(name) != name:
-        raise RecordError(f"{visible(name)!r}: give a name of 1 to {LONGEST_NAME} characters")
+        raise RecordError(message(f"{visible(name)!r}: give a name of 1 to {LONGEST_NAME} characters"))
     return name
 
 
