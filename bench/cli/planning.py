@@ -55,7 +55,7 @@ def check(
 
 
 def _morning(request: Check, json: str | None) -> int:
-    """Carry out the morning check and print its one line; return 0 if every check passed, 1 or 2 as a commissioning."""
+    """Carry out the morning check and print its one line; return the status of a commissioning."""
     from bench.base.text import visible
     from bench.run.commission.session import WISHES
     from bench.run.terminal import TerminalPerson

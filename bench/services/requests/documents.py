@@ -342,6 +342,13 @@ class Validate:
         Option("Folder for page, PDF and result (default: validation-DATE).", metavar="DIR"),
     ] = None
     key: Annotated[Path | None, Option("Private key (Ed25519) that signs the seal.", metavar="FILE")] = None
+    release: Annotated[
+        Path | None,
+        Option("Manifest of a release: the program and its packages must be those.", metavar="FILE"),
+    ] = None
+    release_key: Annotated[
+        Path | None, Option("Public key (Ed25519) that must have signed the manifest.", metavar="FILE")
+    ] = None
     laboratory: LaboratoryField = None
     accept: Annotated[
         Path | None,
