@@ -17,13 +17,16 @@ import sys
 import tempfile
 import zipfile
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from bench.base.files import to_text
 from bench.run.events import sha256
 from bench.run.seal import private_key, sign
 from bench.services.validated import DISTRIBUTION, packages
 from release.bill import bill, licences
+
+if TYPE_CHECKING:
+    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 ROOT: Final = Path(__file__).parents[1]
 SHIPPED: Final = "bench/shipped_files/procedures/"
@@ -93,7 +96,7 @@ def download(out: Path, wheel: Path) -> None:
     shutil.copy(wheel, bundle)
 
 
-def write_manifest(out: Path, wheel: Path, key: Path | None) -> None:
+def write_manifest(out: Path, wheel: Path, key: Ed25519PrivateKey | None) -> None:
     """Write `manifest.json` over everything in `out`, and its signature beside it."""
     listed = {
         one.relative_to(out).as_posix(): sha256(one.read_bytes())
@@ -110,8 +113,7 @@ def write_manifest(out: Path, wheel: Path, key: Path | None) -> None:
     content = to_text(manifest).encode()
     (out / "manifest.json").write_bytes(content)
     if key is not None:
-        secret = private_key(key, lambda: getpass.getpass("passphrase of the key: ").encode())
-        pem, signature = sign(secret, content)
+        pem, signature = sign(key, content)
         (out / "manifest.json.sig").write_bytes(base64.b64encode(signature) + b"\n")
         (out / "release.pub").write_text(pem, encoding="ascii")
 
@@ -125,6 +127,9 @@ def main() -> None:
         "--bundle", action="store_true", help="also download the packages for offline installation"
     )
     asked = parser.parse_args()
+    key = None
+    if asked.key is not None:
+        key = private_key(asked.key, lambda: getpass.getpass("passphrase of the key: ").encode())
     out: Path = asked.out
     if out.exists() and any(out.iterdir()):
         raise SystemExit(f"{out}: is not empty; name another folder with --out")
@@ -138,11 +143,11 @@ def main() -> None:
         shutil.copy(ROOT / name, out)
     if asked.bundle:
         download(out, wheel)
-    write_manifest(out, wheel, asked.key)
+    write_manifest(out, wheel, key)
     for one in sorted(out.iterdir()):
         size = "" if one.is_dir() else sha256(one.read_bytes())
         print(f"{size:64}  {one}")
-    if asked.key is None:
+    if key is None:
         print("the manifest is not signed; --key FILE signs it")
 
 

@@ -15,11 +15,18 @@ from typing import Final
 
 LENT: Final = ("/usr", "/bin", "/lib", "/lib64", "/etc/ld.so.cache")
 
+LOOPBACK: Final = """
+import fcntl, socket, struct
+with socket.socket() as any_:
+    fcntl.ioctl(any_, 0x8914, struct.pack("16sH", b"lo", 1 | 64))
+"""
+"""Sets the loopback up (SIOCSIFFLAGS), which a new network namespace has down; a container engine does so."""
+
 
 def script(dist: Path, root: Path) -> str:
     """Return a shell script that carries out COPY and RUN of the container file in a root."""
     python = Path(sys.base_prefix)
-    lines = ["set -e", f"mount -t tmpfs none {root}"]
+    lines = ["set -e", f"{sys.executable} -c {shlex.quote(LOOPBACK)}", f"mount -t tmpfs none {root}"]
     folders = " ".join(
         f"{root}/{name}" for name in ("opt", "tmp", "proc", "dev", "etc", "root", "laboratory")
     )
