@@ -87,7 +87,7 @@ release: $(VENV)/.releasing
 	$(VENV)/bin/python -m release.build --out dist --bundle $(if $(KEY),--key $(KEY))
 
 release-matrix: $(VENV)/.releasing
-	PATH="$(abspath $(VENV)/bin):$$PATH" $(VENV)/bin/python -m release.matrix
+	$(VENV)/bin/python -m release.matrix
 
 $(VENV)/.releasing: $(STAMP)
 	PIP_CONSTRAINT=constraints.txt $(VENV)/bin/python -m pip install --quiet --editable '.[test,dev,release]'

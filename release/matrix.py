@@ -17,6 +17,7 @@ import time
 from pathlib import Path
 from typing import Final
 
+UV: Final = (sys.executable, "-m", "uv")
 ROOT: Final = Path(__file__).parents[1]
 PYTHONS: Final = ("3.11", "3.12", "3.13", "3.14")
 SETS: Final = ("lowest-direct", "highest")
@@ -36,7 +37,7 @@ def python_of(version: str) -> str | None:
     )
     if pyenv:
         return str(pyenv[-1])
-    command = ["uv", "python", "find", "--no-python-downloads", version]
+    command = [*UV, "python", "find", "--no-python-downloads", version]
     done = subprocess.run(command, capture_output=True, check=False, text=True)
     return done.stdout.strip() if done.returncode == 0 else None
 
@@ -46,12 +47,12 @@ def tried(python: str, versions: str, tests: list[str], place: Path) -> str:
     here = place / "bin" / "python"
     environment = {**os.environ, "UV_LINK_MODE": "copy", "OPENBLAS_NUM_THREADS": "1", "PYTHONPATH": ""}
     pins = place / "pins.txt"
-    compile_ = ["uv", "pip", "compile", "-q", "pyproject.toml", "--extra", "test", "--resolution", versions]
+    compile_ = [*UV, "pip", "compile", "-q", "pyproject.toml", "--extra", "test", "--resolution", versions]
     steps = (
-        ("environment", ["uv", "venv", "-q", "--python", python, str(place)]),
+        ("environment", [*UV, "venv", "-q", "--python", python, str(place)]),
         ("versions", [*compile_, "--only-binary", ":all:", "--python", str(here), "-o", str(pins)]),
-        ("installation", ["uv", "pip", "install", "-q", "--python", str(here), "-r", str(pins)]),
-        ("program", ["uv", "pip", "install", "-q", "--no-deps", "--python", str(here), "."]),
+        ("installation", [*UV, "pip", "install", "-q", "--python", str(here), "-r", str(pins)]),
+        ("program", [*UV, "pip", "install", "-q", "--no-deps", "--python", str(here), "."]),
         (
             "dry run",
             [str(place / "bin" / "bench"), "run", "paper", "--dry-run", "--runs", str(place / "runs")],
