@@ -119,6 +119,7 @@ COMMANDS: Final = {
     "check": "Check a procedure against a bench; list its steps and time.",
     "validate": "Validate this installation: reference data, instruments, records, certificates, machine.",
     "instruments": "Test all instruments of a bench: identity, self-test, reading.",
+    "persons": "List the persons of the laboratory; add one, change one, or end one's rights.",
     "panel": "Serve the operator's panel in a browser.",
     "simulate": "Serve the simulated instruments of a bench file until Ctrl-C.",
     "runs": "List the runs, their states and how to continue.",

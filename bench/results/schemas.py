@@ -40,6 +40,7 @@ RESULTS: Final = {
     "runs": "records.RunsResult",
     "show": "records.ShowResult",
     "simulate-ready": "records.ReadyResult",
+    "persons": "persons.PersonsResult",
     "plan-points": "planning.PlanPointsResult",
     "report": "verification.ReportResult",
     "require": "planning.RequireResult",
