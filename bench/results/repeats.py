@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final, Literal
 
+import numpy as np
 from pydantic import Field
 
+from bench.base.arrays import CHANNELS
 from bench.base.result_model import Real, ResultModel
+from bench.diagnosis.free_records import BetweenRecords
 from bench.stats.repeats import Ratio, Repeats
 
 MEANING: Final = {
@@ -73,3 +76,61 @@ def repeats_told(found: Repeats, where: str, sizes: Sequence[str]) -> str:
         f"scatters {after.value:.2g} × u (95 %: {after.low:.2g} to {after.high:.2g}), without it "
         f"{found.held_before.value:.2g} × u"
     )
+
+
+# --- zeros of free positions in several records ------------------------------------------------------
+
+
+class HeldOutByRecord(ResultModel):
+    """The ratio of scatter to stated u of the zeros of held-out records, predicted from the other records."""
+
+    by: Literal["record"]
+    before: Real = Field(description="with zeros that stay")
+    after: Real = Field(description="with the term that widens u, where it is too small")
+
+
+class BetweenRecordsPart(ResultModel):
+    """The changes of the zeros between records, each record fitted by itself."""
+
+    ratio: Real = Field(description="scatter of the zeros over their stated u")
+    repeats: RepeatsPart
+    u_with_term_g: list[list[list[Real]]] | None = Field(
+        description="u of the zeros with the term; null where u is honest"
+    )
+    bench_file: str = Field(
+        description="line of a bench file that puts the term into u of calibrations; may be empty"
+    )
+    scatter_g: list[Real]
+    common_part: list[Real] = Field(
+        description="part of the variance that the sensors share; null for one sensor"
+    )
+    held_out: HeldOutByRecord
+    zeros_g: list[list[list[Real]]] = Field(description="by sensor, record and channel")
+    u_g: list[list[list[Real]]]
+
+
+def between_part(found: BetweenRecords) -> BetweenRecordsPart:
+    """Return the part of a result on zeros of free positions in several records."""
+    repeats = found.repeats
+    before = np.nan if repeats.held_before is None else repeats.held_before.value
+    return BetweenRecordsPart(
+        ratio=repeats.scatter,
+        repeats=repeats_part(repeats),
+        u_with_term_g=None if repeats.term is None else repeats.term.u.tolist(),
+        bench_file=found.in_bench_file(),
+        scatter_g=found.scatter.tolist(),
+        common_part=found.common.tolist(),
+        held_out=HeldOutByRecord(
+            by="record",
+            before=before,
+            after=before if repeats.held_after is None else repeats.held_after.value,
+        ),
+        zeros_g=found.zero.tolist(),
+        u_g=found.u.tolist(),
+    )
+
+
+def repeats_between(between: BetweenRecords) -> str:
+    """Return how zeros scatter between records, with the term that makes u honest."""
+    sizes = [f"{c} {size}" for c, size in zip(CHANNELS, between.term_sizes(), strict=False)]
+    return repeats_told(between.repeats, "between records", sizes)

@@ -459,6 +459,28 @@ class CubicError(ErrorSize):
     limit: Annotated[float, not_negative(CUBIC)]
 
 
+_ZeroG = Annotated[float, not_negative(BIAS)]
+_Factor = Annotated[float, Field(ge=0.0)]
+
+
+class ZeroRepeats(FileModel):
+    """How the zeros of x, y, z scatter from repeat to repeat, as `bench diagnose --together` finds it.
+
+    `restart` and `drift` are standard deviations in g, of each repeat or from one repeat to the next; `scale` are
+    factors of the u of the readings. One of them is stated.
+    """
+
+    restart: tuple[_ZeroG, _ZeroG, _ZeroG] | None = None
+    drift: tuple[_ZeroG, _ZeroG, _ZeroG] | None = None
+    scale: tuple[_Factor, _Factor, _Factor] | None = None
+
+    @model_validator(mode="after")
+    def _one_of_them(self) -> Self:
+        if sum(one is not None for one in (self.restart, self.drift, self.scale)) != 1:
+            raise ValueError("state one of restart, drift and scale, with a size for each channel")
+        return self
+
+
 class UncertaintySection(FileModel):
     """The limits of errors that the readings do not reveal; omitted limits have defaults.
 
@@ -477,5 +499,6 @@ class UncertaintySection(FileModel):
     bias_supply_coefficient: BiasPerVolt | None = None
     scale_supply_coefficient: ScalePerVolt | None = None
     turn_on_repeatability: BiasError | None = None
+    zero_repeats: ZeroRepeats | None = None
     K2: QuadraticError | None = None
     K3: CubicError | None = None
