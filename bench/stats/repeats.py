@@ -25,6 +25,9 @@ FINE: Final = 1e-4
 COARSE: Final = 1e5
 """Sizes of a term that are tried, in median stated uncertainties."""
 
+PLAIN: Final = 3.0
+"""By so much, in ln p, another term must predict better than `restart`, the plainest."""
+
 TermName = Literal["restart", "drift", "scale"]
 
 
@@ -82,7 +85,7 @@ def compare_repeats(value: Floats, u: Floats) -> Repeats:
         return plain
     names: tuple[TermName, ...] = ("restart", "drift", "scale")
     tried = {name: _held_out(value, u, name) for name in names}
-    best = max(names, key=lambda name: tried[name][1])
+    best = max(names, key=lambda name: tried[name][1] + PLAIN * (name == "restart"))
     return Repeats(scatter, before, _ratio(tried[best][0]), _term(value, u, best))
 
 
