@@ -67,7 +67,9 @@ def cases() -> list[Case]:
 def hashes() -> dict[str, str]:
     """Return the SHA-256 of the truth and of every file of a record."""
     files = [TRUTH, *dict.fromkeys(file for case in cases() for file in case.files)]
-    return {file.relative_to(ROOT).as_posix(): hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
+    return {
+        file.relative_to(ROOT).as_posix(): hashlib.sha256(file.read_bytes()).hexdigest() for file in files
+    }
 
 
 def seal() -> None:

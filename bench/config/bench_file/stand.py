@@ -417,6 +417,16 @@ class TemperatureError(ErrorSize):
     ) = None
 
 
+class RoomError(ErrorSize):
+    """The limit of the changes of the room's temperature, K, which voltmeters follow a `lag` late.
+
+    The lag is 100 min by default, as a published record of a 34420A in an air bath shows.
+    """
+
+    limit: SizeK
+    lag: Annotated[SpanS, above_zero("state a lag above 0 min")] = 6000.0
+
+
 class BiasPerKelvin(ErrorSize):
     """A temperature coefficient of the bias, g/K."""
 
@@ -493,6 +503,8 @@ class UncertaintySection(FileModel):
     voltmeter_linearity: VoltageError | None = None
     gravity: GravityError | None = None
     temperature: TemperatureError | None = None
+    room_temperature: RoomError | None = None
+    voltmeter_temperature_coefficient: ScalePerKelvin | None = None
     bias_temperature_coefficient: BiasPerKelvin | None = None
     scale_temperature_coefficient: ScalePerKelvin | None = None
     supply_voltage: VoltageError | None = None
