@@ -133,17 +133,6 @@ class NoiseGrid:
     freedom: int
     known: bool = False
 
-    def at(self, ratio: int) -> NoiseGrid:
-        """Return the grid with the ratio of the index `ratio` only."""
-        one = slice(ratio, ratio + 1)
-        return replace(
-            self,
-            white=self.white[one],
-            log_det=self.log_det[one],
-            log_prior=self.log_prior[one],
-            setting_rad_per_noise=self.setting_rad_per_noise[one],
-        )
-
     def log_likelihood(self, square: Floats) -> Floats:
         """Return ln of the likelihood of residuals with the sum of squares `square`, in units of sigma^2."""
         if self.known:
@@ -271,9 +260,6 @@ class Products(Protocol):
     def among(self, columns: Ints) -> Floats:
         """Return the products of columns (…, p) with each other, shape (ratios, …, p, p)."""
 
-    def at(self, ratio: int) -> Products:
-        """Return the products for one ratio only."""
-
 
 @dataclass(frozen=True)
 class ColumnProducts:
@@ -300,10 +286,6 @@ class ColumnProducts:
     def _square(self) -> Floats:
         return np.asarray(np.einsum("gnp,gnp->gp", self.white, self.white))
 
-    def at(self, ratio: int) -> ColumnProducts:
-        """Return the products for one ratio only."""
-        return ColumnProducts(self.white[ratio : ratio + 1])
-
 
 @dataclass(frozen=True)
 class GramProducts:
@@ -322,10 +304,6 @@ class GramProducts:
     def among(self, columns: Ints) -> Floats:
         """Return the products of columns (…, p) with each other, shape (ratios, …, p, p)."""
         return np.asarray(self.gram[:, columns[..., :, None], columns[..., None, :]])
-
-    def at(self, ratio: int) -> GramProducts:
-        """Return the products for one ratio only."""
-        return GramProducts(self.gram[ratio : ratio + 1])
 
 
 # --- the noise, from repeats ----------------------------------------------------------------------

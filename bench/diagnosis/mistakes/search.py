@@ -20,18 +20,12 @@ from bench.calibration.design import Problem, make_problem
 from bench.calibration.gls import noise_floor
 from bench.calibration.mistakes import PREFIX, PREFIXES, WrongUnit, sheet_of, wrong_unit
 from bench.calibration.result import CalibrationError
-from bench.diagnosis.mistakes.describing import (
-    Description,
-    Situation,
-    descriptions,
-    examine,
-    situation,
-    weigh,
-)
 from bench.diagnosis.mistakes.gross import GrossMistake, GrossSearch
+from bench.diagnosis.mistakes.hypotheses import Table
 from bench.diagnosis.mistakes.reinterpretation import OrientedRows
 from bench.diagnosis.mistakes.single_readings import SingleMistake, find_single
 from bench.diagnosis.mistakes.whole_pass import PassMistake, find_in_pass
+from bench.diagnosis.noise_grid import RATIOS
 from bench.model import STAND_ANGLES, Block, ForwardModel
 from bench.readings.corrected import MistakeName
 from bench.readings.table import Readings
@@ -132,17 +126,14 @@ def find_mistakes(
         copies.append(gross.supposition.correct(copies[-1], table))
     for _ in range(MOST):
         view = stage.view(copies[-1])
-        of_pass, more = find_in_pass(
-            view.problem, view.table.signal, view.floor, partial(stage.fit, view.table)
-        )
-        looks += more
+        of_pass = find_in_pass(view.problem, view.table.signal, view.floor, partial(stage.fit, view.table))
         if of_pass is None:
             break
         found.append(_pass_mistake(view, of_pass))
         copies.append(_pass_put_right(copies[-1], view, of_pass))
     for _ in range(MOST):
         view = stage.view(copies[-1])
-        singles, looks = find_single(view.problem, view.block, view.situation, looks, significance)
+        singles = find_single(view.rows, significance)
         if not singles:
             break
         found += [_single_mistake(view, single) for single in singles]
@@ -163,12 +154,9 @@ class _FirstGuess:
     unit: str
 
     @property
-    def situation(self) -> Situation:
-        return situation(self.problem, self.block, self.table.signal, self.floor)
-
-    @property
-    def model(self) -> Description:
-        return descriptions(self.problem, self.block).ladder[0]
+    def rows(self) -> Table:
+        """The table of hypotheses."""
+        return Table.of(self.problem, self.block, self.table.signal, self.floor)
 
 
 @dataclass(frozen=True)
@@ -337,12 +325,8 @@ def _with_evidence(
     if not found:
         return ()
     views = [stage.view(copy) for copy in copies]
-    situations = [v.situation for v in views]
-    noise = examine(views[-1].model, situations[-1], None, 0).noise
-    sizes = [
-        float(np.sqrt((weigh(v.model, s, noise).chi2 + v.sheet) / s.left.size))
-        for v, s in zip(views, situations, strict=True)
-    ]
+    last = max((views[-1].rows.seen(ratio) for ratio in RATIOS), key=lambda seen: seen.log_evidence)
+    sizes = [float(np.sqrt((view.rows.chi2(last) + view.sheet) / view.table.signal.size)) for view in views]
     return tuple(
         replace(mistake, evidence=Evidence(before, after))
         for mistake, before, after in zip(found, sizes[:-1], sizes[1:], strict=True)
