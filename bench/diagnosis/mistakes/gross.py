@@ -115,13 +115,6 @@ LEAST_FALL: Final = 150.0
 """Least decrease of the cost by a mistake; a wrong sign of a scale factor costs 400."""
 FITS: Final = 4.0
 """Readings fit if the misfit is at most `LEAST_FALL` plus this per signal, the sheet's part `LEAST_FALL`."""
-LARGE_FALL: Final = 0.8
-"""Least relative decrease of the cost by a mistake if neither one nor two mistakes make the readings fit.
-
-A smaller decrease suffices for a mistake that brings the block nearer to its data sheet, if only that
-disagrees.
-"""
-
 LEAST_OF_TWO: Final = 0.25
 """Least misfit of two mistakes, g^2 over all readings; positions tilted by a degree give a tenth of it."""
 RAISED: Final = 2.0
@@ -193,34 +186,27 @@ class GrossSearch:
         """
         supposed = suppositions(table, units=self.nominal is not None)
         looks = len(supposed)
-        if float(self.score(table, [nothing(table)]).cost[0]) < LEAST_COST:
-            return None, looks
         scores = self.score(table, supposed)
-        if float(np.max(scores.cost[0] - scores.cost)) < LEAST_FALL:
+        cost = scores.cost
+        likely = list(_best_of_each(supposed, cost))
+        if not likely:
             return None, looks
-        best, two = int(np.argmin(scores.cost)), 0
-        if not bool(_fits(scores, len(table))[best]):
-            two, with_both, more = self._first_of_two(table, supposed, scores.cost)
-            looks += more
-            best = best if two or _better(scores, best, len(table)) else 0
-        odds = np.full(len(supposed), -np.inf)
         as_recorded = self._log_evidence(table, table)
-
-        def look(h: int) -> float:
-            right = self._log_evidence(put_right(table, supposed[h]), table)
-            return right + supposed[h].log_jacobian - as_recorded
-
-        for h in {best, *_best_of_each(supposed, scores.cost)} if best else {best}:
-            odds[h] = look(h)
-        if two:
-            odds[two] = max(look(two), self._log_evidence(with_both, table) - as_recorded)
-        if odds.max() - np.log(looks) <= np.log(ODDS):
-            for h in np.flatnonzero(scores.cost[0] - scores.cost >= LEAST_FALL).tolist():
-                odds[h] = look(h)
-        best = int(np.argmax(odds))
+        odds = {
+            h: self._log_evidence(put_right(table, supposed[h]), table)
+            + supposed[h].log_jacobian
+            - as_recorded
+            for h in likely
+        }
+        if not _fits(scores, len(table))[int(np.argmin(cost))]:
+            two, with_both, more = self._first_of_two(table, supposed, cost)
+            looks += more
+            if two:
+                odds[two] = max(odds.get(two, -np.inf), self._log_evidence(with_both, table) - as_recorded)
+        best = max(odds, key=lambda h: odds[h])
         if odds[best] - np.log(looks) <= np.log(ODDS):
             return None, looks
-        cost = np.where(scores.cost < scores.cost[best], np.inf, scores.cost)
+        cost = np.where(cost < cost[best], np.inf, cost)
         p = max(looks * float(np.exp(-odds[best])), LEAST_P)
         return self._with_equals(table, supposed, cost, best, p), looks
 
@@ -362,13 +348,6 @@ def _sheet_u() -> Floats:
 def _fits(scores: SuppositionScores, n: int) -> NDArray[np.bool_]:
     """Return whether the `n` readings fit with each supposition, shape (H,)."""
     return np.asarray((scores.sheet <= LEAST_FALL) & (scores.misfit <= LEAST_FALL + FITS * 3 * n))
-
-
-def _better(scores: SuppositionScores, best: int, n: int) -> bool:
-    """Whether a supposition that does not make the readings fit is the first step of more than two to it."""
-    falls = scores.cost[best] <= (1 - LARGE_FALL) * scores.cost[0]
-    against_sheet_alone = scores.misfit[best] - scores.sheet[best] <= FITS * 3 * n
-    return bool(falls or (against_sheet_alone and scores.sheet[0] - scores.sheet[best] >= LEAST_FALL))
 
 
 def _fit(
