@@ -23,6 +23,7 @@ from bench.diagnosis.candidates import (
 )
 from bench.diagnosis.evidence import Threshold, ThresholdCache, Whitened
 from bench.diagnosis.gap import Gap, measure_gap, near_ratios
+from bench.diagnosis.levels import BY_CHANCE
 from bench.diagnosis.mistakes.search import Mistake, MistakesLeaveTooLittle
 from bench.diagnosis.multi_run_system import find_mistakes_in_each, search_runs, with_blocks
 from bench.diagnosis.naming import FamilyOdds, FoundEffect, Naming, Scored, name, same_signature
@@ -105,7 +106,7 @@ def diagnose(
     effects = estimated.effects
     columns = prepared.candidates.columns[:, list(naming.columns)]
     far = far_readings(prepared.linear, columns, estimated.noise)
-    if any(one.p < FAR_P for one in far) and all(e.in_catalogue for e in effects):
+    if any(one.p < BY_CHANCE for one in far) and all(e.in_catalogue for e in effects):
         effects = (*effects, _apart(far[0].p, "; ".join(one.words for one in far[:LISTED_FAR])))
     if gap.shrinks is False:  # what held-out readings do not confirm excuses no reading
         far = far_readings(prepared.linear, columns[:, :0], estimated.noise)
@@ -271,8 +272,6 @@ def verdict_of(effects: tuple[NamedEffect, ...], findings: tuple[NoiseFinding, .
     return "named" if effects else "agrees"
 
 
-FAR_P: Final = 0.01
-"""Largest probability of a far reading, all looks counted, with which the verdict becomes `unknown`."""
 LISTED_FAR: Final = 4
 
 

@@ -20,11 +20,11 @@ from bench.diagnosis import (
     noise_grid,
     noise_kinds,
     visibility,
-    where,
 )
 from bench.diagnosis.candidates import Candidates, in_volts
 from bench.diagnosis.evidence import Data, Whitened
 from bench.diagnosis.gap import Gap, folds_of, thirds_of
+from bench.diagnosis.levels import BY_CHANCE
 from bench.diagnosis.linear import LinearSystem
 from bench.diagnosis.mistakes.search import MistakeSearch
 from bench.diagnosis.naming import FamilyOdds, Naming
@@ -86,10 +86,10 @@ def register(linear: LinearSystem, limit: evidence.Threshold) -> Registration:
         prior_of_kinds=candidates.KIND_PRIOR,
         most_effects=naming.MOST_EFFECTS,
         hidden_beyond=visibility.BEYOND_BELIEF,
-        significance_where=where.SIGNIFICANT,
+        significance_where=BY_CHANCE,
         gap_least_fall=gap.LEAST_FALL,
         gap_least_closed=gap.LEAST_CLOSED,
-        gap_by_chance=gap.BY_CHANCE,
+        gap_by_chance=BY_CHANCE,
         held_out=tuple(label for label, _ in folds_of(linear)),
         held_out_else=tuple(label for label, _ in thirds_of(linear)),
     )

@@ -177,20 +177,21 @@ class GrossSearch:
         """Standard deviation, in g, of the error of a reading without a mistake."""
         return max(GROSS_G, self.stand_rad)
 
-    def find(self, table: OrientedRows) -> tuple[GrossMistake | None, int]:
-        """Return the most probable mistake, or None, and the number of looks.
+    def find(self, table: OrientedRows) -> GrossMistake | None:
+        """Return the most probable mistake; None if its odds do not exceed `ODDS` for each look.
 
-        If only two mistakes together explain the readings, it is the first of them. Its odds must exceed `ODDS`
-        whatever the bench's limits are; if those of the mistake with the lowest cost do not, the mistake with
-        the best odds is returned among those that lower the cost by `LEAST_FALL`.
+        The best supposition of each name is compared if it lowers the cost by `LEAST_FALL`. If only two mistakes
+        together explain the readings, the first of them is among these.
         """
+        if float(self.score(table, [nothing(table)]).cost[0]) < LEAST_COST:
+            return None
         supposed = suppositions(table, units=self.nominal is not None)
         looks = len(supposed)
         scores = self.score(table, supposed)
         cost = scores.cost
         likely = list(_best_of_each(supposed, cost))
         if not likely:
-            return None, looks
+            return None
         as_recorded = self._log_evidence(table, table)
         odds = {
             h: self._log_evidence(put_right(table, supposed[h]), table)
@@ -205,10 +206,10 @@ class GrossSearch:
                 odds[two] = max(odds.get(two, -np.inf), self._log_evidence(with_both, table) - as_recorded)
         best = max(odds, key=lambda h: odds[h])
         if odds[best] - np.log(looks) <= np.log(ODDS):
-            return None, looks
+            return None
         cost = np.where(cost < cost[best], np.inf, cost)
         p = max(looks * float(np.exp(-odds[best])), LEAST_P)
-        return self._with_equals(table, supposed, cost, best, p), looks
+        return self._with_equals(table, supposed, cost, best, p)
 
     def p_of_units(
         self, recorded: OrientedRows, right: OrientedRows, log_scaling: float, log_looks: float

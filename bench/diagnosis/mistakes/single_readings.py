@@ -12,6 +12,7 @@ from scipy import special
 from scipy.special import logsumexp
 
 from bench.base.arrays import CHANNELS, Floats
+from bench.diagnosis.levels import HARDLY_EVER
 from bench.diagnosis.mistakes.hypotheses import CHANGES, NEAR_DEG, Seen, Table
 from bench.diagnosis.noise_grid import RATIOS
 from bench.readings.corrected import SLIPS_RAD as SLIP_SIZES_RAD
@@ -39,8 +40,6 @@ SLIP_G: Final = 5e-4
 """Upper limit of this uncertainty, g."""
 MOST: Final = 1 / 8
 """Largest part of the readings that may be single mistakes."""
-EXPLAINED: Final = 1e-4
-"""A kind of mistake explains a reading if the p-value of the remaining difference is above this."""
 
 
 @dataclass(frozen=True)
@@ -140,7 +139,7 @@ def _classify(seen: Seen, row: int, slips: Sequence[tuple[Floats, Floats]], p: f
     noise = float(np.sqrt((seen.square - pull @ shift) / free))
     precision = block / noise**2
     channels, outlier_p = _outlier(shift, precision)
-    off, least = None, float(special.chdtri(3, EXPLAINED))
+    off, least = None, float(special.chdtri(3, HARDLY_EVER))
     slope = float(np.linalg.norm(table.slope[row])) / table.unit
     for offs, moved in slips:
         expected = moved[row] / table.unit
@@ -150,7 +149,7 @@ def _classify(seen: Seen, row: int, slips: Sequence[tuple[Floats, Floats]], p: f
         chi2 = float(missed @ np.linalg.solve(np.linalg.inv(precision) + known**2 * np.eye(3), missed))
         if np.isfinite(offs[row]) and chi2 < least:
             off, least = float(offs[row]), chi2
-    as_outlier = len(channels) == 1 and outlier_p > EXPLAINED
+    as_outlier = len(channels) == 1 and outlier_p > HARDLY_EVER
     if off is not None:
         channels = tuple(
             c for c, of in zip(CHANNELS, np.abs(shift), strict=True) if of > SLIP_PART * np.max(np.abs(shift))
@@ -170,6 +169,6 @@ def _outlier(shift: Floats, precision: Floats) -> tuple[tuple[str, ...], float]:
             left[chosen] = float(shift @ pull - explained)
         best = min(left, key=lambda chosen: left[chosen])
         p = float(special.chdtrc(3 - number, max(left[best], 0.0)))
-        if p > EXPLAINED:
+        if p > HARDLY_EVER:
             return tuple(CHANNELS[i] for i in best), p
     return CHANNELS, 1.0

@@ -15,6 +15,7 @@ from scipy.special import logsumexp
 
 from bench.base.arrays import Floats, Mask
 from bench.calibration.design import Problem
+from bench.diagnosis.levels import OFTEN
 from bench.diagnosis.mistakes.gross import BIAS_U_G, CROSS_AXIS_U, ODDS, SCALE_U
 from bench.diagnosis.mistakes.hypotheses import CHANGES, Table
 from bench.diagnosis.noise_grid import RATIOS
@@ -23,8 +24,6 @@ from bench.readings.corrected import SLIPS_RAD
 
 LIKELIER: Final = 0.5
 """Least posterior probability of a mistake against the effects that may explain the pass."""
-TIED: Final = 0.05
-"""Posterior probability from which an effect is tied with the mistake."""
 ZERO_SHIFT_RAD: Final = CATALOGUE["head_zero_shift"].parameters[0].plausible
 ZERO_SHIFTS_RAD: Final = tuple(size * ZERO_SHIFT_RAD for size in (1.0, 4.0, 20.0))
 """Prior 1 sigma of a shift of the head's zero, rad, equally probable, since a plausible size is only a guess."""
@@ -116,7 +115,7 @@ def find_in_pass(
         whole = float(logsumexp([log_mistake, nothing, *(log_effect for _, log_effect in effects)]))
         odds = log_mistake - nothing - float(np.log(looks))
         if log_mistake - whole > np.log(LIKELIER) and odds > np.log(ODDS):
-            ties = dict.fromkeys(name for name, log_effect in effects if log_effect - whole > np.log(TIED))
+            ties = dict.fromkeys(name for name, log_effect in effects if log_effect - whole > np.log(OFTEN))
             p = max(float(np.exp(-odds)), np.finfo(float).tiny)
             found.append((odds, PassMistake(one.rows, off, channel, p, tuple(ties))))
     likeliest = max(found, key=lambda pair: pair[0], default=None)
