@@ -31,8 +31,10 @@ from bench.diagnosis.noise_grid import (
 from bench.diagnosis.noise_kinds import LOG_PRIOR, log_density, log_null, noise_hypotheses
 from bench.diagnosis.posterior import (
     applied_of,
+    beside,
     fit_found,
     noise_size,
+    with_other_shapes,
 )
 from bench.model.forward import ForwardModel
 from bench.model.geometry import Block
@@ -193,7 +195,28 @@ def search_run(task: SearchTask, readings: Readings) -> tuple[Prepared, Naming]:
         return _searched_again(task, fresh)
 
     first = _searched_again(task, _prepared(task, task.linear(readings)))
-    return choose_noise(*first, again)
+    prepared, naming = choose_noise(*first, again)
+    return prepared, _beside_shapes(task, prepared, naming)
+
+
+def _beside_shapes(task: SearchTask, prepared: Prepared, naming: Naming) -> Naming:
+    """Drop what is found no more where the largest effect may have parts with other shapes.
+
+    Between two shapes of the catalogue's grid a large effect leaves a remainder that others would explain.
+    """
+    largest = max(naming.found, key=lambda found: found.size, default=None)
+    if largest is None or len(naming.found) < 2 or not largest.variant.named:
+        return naming
+    alone = Naming((largest,), naming.left)
+    noise = noise_size(prepared.whitened, prepared.data, naming.columns)
+    sized = fit_found(prepared.linear, prepared.candidates, alone, noise)
+    (shapes,) = beside(prepared.candidates, alone, sized)
+    wide = with_other_shapes(prepared.linear, shapes)
+    if wide is prepared.linear:
+        return naming
+    whitened, data = task.whiten(wide, prepared.candidates, prepared.whitened.grid.sigma)
+    kept = name(whitened, data, prepared.limit, begun=[largest], among=lambda _: True).found
+    return name(prepared.whitened, prepared.data, prepared.limit, 0, begun=kept)
 
 
 def _searched_again(task: SearchTask, prepared: Prepared) -> tuple[Prepared, Naming]:
