@@ -12,25 +12,24 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
+from scipy import special
 from scipy.special import logsumexp
 
 from bench.base.arrays import Floats, Ints, Mask
 from bench.calibration.design import FIXED, Problem
 from bench.calibration.noise import repeat_groups, whiten
 from bench.calibration.result import Noise
+from bench.diagnosis.evidence import SIZES
 from bench.diagnosis.noise_grid import RATIOS
+from bench.diagnosis.residual_dictionary import shapes
 from bench.model import CATALOGUE, STAND_ANGLES, AppliedEffect, Block
 
 WIDE: Final = 1e5
 """Prior 1 sigma of what is left free, in units of the noise: wider than any signal."""
-SIZES: Final = (20.0, 1e3, 5e4)
+ERRORS: Final = (20.0, 1e3, 5e4)
 """Prior 1 sigma of the errors of a wrong reading, in units of the noise, equally probable."""
-CHANGES: Final = (1.0, 10.0, 100.0)
-"""Prior 1 sigma of changes of the bench, in units of the noise, equally probable."""
 NEAR_DEG: Final = 3.0
 """Largest difference, in degrees, between the angles of repeats."""
-RELAXATION_S: Final = (480.0, 960.0, 1920.0, 3840.0)
-"""Time constants of slow changes, s."""
 
 
 @dataclass(frozen=True)
@@ -59,19 +58,19 @@ class Seen:
         free = len(self.pull) - float(np.sum(self.basis**2))
         return self.table.unit * float(np.sqrt(self.square / max(free, 1.0)))
 
-    def of_group(self, columns: Floats, sizes: Sequence[float]) -> float:
-        """Return ln of the Bayes factor of columns (n, 3, p), one unit of noise each, over prior `sizes`."""
+    def of_group(self, columns: Floats) -> float:
+        """Return ln of the Bayes factor of a change; its columns (n, 3, p) have the plausible size of the noise."""
         inside = self.table.whiten(self.table.unit * columns, self.white)
         inside = inside - self.basis @ (self.basis.T @ inside)
         values, vectors = np.linalg.eigh(inside.T @ inside)
         along = (vectors.T @ (inside.T @ self.pull)) ** 2
-        return float(self._factors(np.maximum(values, 0.0)[None], along[None], sizes)[0])
+        return float(self._factors(np.maximum(values, 0.0)[None], along[None], SIZES)[0])
 
     def of_readings(self) -> Floats:
         """Return ln of the Bayes factor (n,) of arbitrary errors in all channels of each reading."""
         values, vectors = np.linalg.eigh(self.blocks)
         along = np.einsum("nij,ni->nj", vectors, self.pulls) ** 2
-        return self._factors(np.maximum(values, 0.0), along, SIZES)
+        return self._factors(np.maximum(values, 0.0), along, ERRORS)
 
     def _factors(self, values: Floats, along: Floats, sizes: Sequence[float]) -> Floats:
         of_size = []
@@ -106,8 +105,8 @@ class Seen:
 class Table:
     """Readings of a `problem` less its prediction for a first guess of the block, `left` (n, 3).
 
-    `slope` (n, 3) is du/dphi per rad; `model` (n, 3, p) has the columns of coefficients and stand, the stand's as
-    wide as its priors. `unit` is the noise of a reading as the bulk of them shows it. All are in the unit of the
+    `slope` (n, 3) is du/dphi per rad; `coefficients` and `stand` (n, 3, p) have their columns, the stand's as wide
+    as its priors. `unit` is the noise of a reading as the bulk of them shows it. All are in the unit of the
     signal.
     """
 
@@ -139,7 +138,7 @@ class Table:
             told = np.diagonal(seen.blocks, axis1=1, axis2=2) > 0.05
             if not told.any():
                 break
-            unit *= float(np.sqrt(np.median(size[told]) / MEDIAN))
+            unit *= float(np.sqrt(np.median(size[told]) / special.chdtri(1, 0.5)))
         return unit
 
     def chi2(self, noise_of: Seen) -> float:
@@ -218,7 +217,7 @@ class Table:
             yield self.points
         conditions, deflection = self.problem.conditions, self.deflection
         time = conditions.elapsed_s - conditions.elapsed_s.min()
-        course = [np.exp(-time / tau) for tau in RELAXATION_S]
+        course = [np.exp(-time / tau) for tau in shapes("warm_up", "tau")]
         course.append(time / max(float(time.max()), 1e-300))
         if np.ptp(conditions.warmth_k) > 0:
             course.append(conditions.warmth_k / float(np.max(np.abs(conditions.warmth_k))))
@@ -248,7 +247,7 @@ def _hysteresis(problem: Problem, block: Block) -> Iterator[Floats]:
     still = np.zeros((len(problem.conditions.mounts), len(STAND_ANGLES)))
     plain = replace(problem.model, effects=())
     without = plain.readings(block, problem.conditions, still)
-    for width_g in next(p.grid for p in effect.parameters if p.name == "width_g"):
+    for width_g in shapes("hysteresis", "width_g"):
         applied = AppliedEffect(effect, {"size": np.full(3, 1e-3), "width_g": np.asarray(width_g)})
         moved = replace(plain, effects=(applied,)).readings(block, problem.conditions, still) - without
         yield scaled(moved / max(float(np.max(np.abs(moved))), 1e-300), np.ones(len(moved)))
@@ -263,7 +262,3 @@ def per_channel(columns: Floats | Mask) -> Floats:
 def scaled(signal: Floats, by: Floats | Mask) -> Floats:
     """Return columns (n, 3, 3): the signal (n, 3) of each channel alone times a course (n,)."""
     return np.asarray(signal[:, :, None] * np.eye(3) * np.asarray(by, dtype=np.float64)[:, None, None])
-
-
-MEDIAN: Final = 0.4549
-"""Median of chi-square with one degree of freedom."""

@@ -13,7 +13,7 @@ from scipy.special import logsumexp
 
 from bench.base.arrays import CHANNELS, Floats
 from bench.diagnosis.levels import HARDLY_EVER
-from bench.diagnosis.mistakes.hypotheses import CHANGES, NEAR_DEG, Seen, Table
+from bench.diagnosis.mistakes.hypotheses import NEAR_DEG, Seen, Table
 from bench.diagnosis.noise_grid import RATIOS
 from bench.readings.corrected import SLIPS_RAD as SLIP_SIZES_RAD
 from bench.readings.corrected import reflected_rad
@@ -78,7 +78,7 @@ def find_single(table: Table, significance: float) -> list[SingleMistake]:
         if of_rows[best] < enough:
             break
         of_changes = [
-            logsumexp([w + one.of_group(columns, CHANGES) for w, one in zip(weight, seen, strict=True)])
+            logsumexp([w + one.of_group(columns) for w, one in zip(weight, seen, strict=True)])
             for columns in changes
         ]
         if changes and max(of_changes) > of_rows[best]:

@@ -15,9 +15,10 @@ from scipy.special import logsumexp
 
 from bench.base.arrays import Floats, Mask
 from bench.calibration.design import Problem
+from bench.diagnosis.evidence import SIZES
 from bench.diagnosis.levels import OFTEN
 from bench.diagnosis.mistakes.gross import BIAS_U_G, CROSS_AXIS_U, ODDS, SCALE_U
-from bench.diagnosis.mistakes.hypotheses import CHANGES, Table
+from bench.diagnosis.mistakes.hypotheses import Table
 from bench.diagnosis.noise_grid import RATIOS
 from bench.model import CATALOGUE, Block
 from bench.readings.corrected import SLIPS_RAD
@@ -25,7 +26,7 @@ from bench.readings.corrected import SLIPS_RAD
 LIKELIER: Final = 0.5
 """Least posterior probability of a mistake against the effects that may explain the pass."""
 ZERO_SHIFT_RAD: Final = CATALOGUE["head_zero_shift"].parameters[0].plausible
-ZERO_SHIFTS_RAD: Final = tuple(size * ZERO_SHIFT_RAD for size in (1.0, 4.0, 20.0))
+ZERO_SHIFTS_RAD: Final = tuple(size * ZERO_SHIFT_RAD for size in SIZES)
 """Prior 1 sigma of a shift of the head's zero, rad, equally probable, since a plausible size is only a guess."""
 MARKS_RAD: Final = tuple(
     sign * slip for slip in SLIPS_RAD.values() if slip > ZERO_SHIFTS_RAD[1] for sign in (1.0, -1.0)
@@ -102,7 +103,7 @@ def find_in_pass(
     base = logsumexp([one.log_evidence for one in seen])
     for rows in (table.turn == number for number in passes if len(passes) > 1):
         columns = table.of_pass(rows)
-        if logsumexp([s.log_evidence + s.of_group(columns, CHANGES) for s in seen]) - base < np.log(LOOK):
+        if logsumexp([s.log_evidence + s.of_group(columns) for s in seen]) - base < np.log(LOOK):
             continue
         one = _Pass.of(Table.of(problem, fit(~rows), signal, floor), rows)
         nothing = one.evidence()
