@@ -39,7 +39,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     blocks = re.findall(
         r"^```python\n# (\S+)\n(.*?)^```$", PAGE.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE
     )
-    assert len(blocks) == 6
+    assert len(blocks) == 10
     for name, text in blocks:
         place = made / name if "/" in name else made.parent / name  # the test stands beside the folder
         place.parent.mkdir(exist_ok=True)
@@ -70,7 +70,7 @@ def page(folder: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
 
 def test_the_page_is_short_and_names_what_exists() -> None:
     text = PAGE.read_text(encoding="utf-8")
-    assert len(text.splitlines()) <= 205
+    assert len(text.splitlines()) <= 335
     for path in re.findall(r"`((?:bench|drivers|sim|tests)/[\w/]+\.py)`", text):
         assert (ROOT / path).is_file(), path
 
@@ -129,9 +129,9 @@ def test_it_passes_what_every_instrument_must_do(folder):
         "-n",
         "0",
         "-k",
-        "frostline or all_devices",
+        "frostline or turnwell or all_devices",
     ]
     environment = {**os.environ, "BENCH_DEVICES": str(folder), "PYTHONPATH": str(ROOT)}
     done = subprocess.run(suite, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)  # noqa: S603
     assert done.returncode == 0, done.stdout[-3000:]
-    assert int(re.search(r"(\d+) passed", done.stdout)[1]) > 12
+    assert int(re.search(r"(\d+) passed", done.stdout)[1]) > 30
