@@ -33,7 +33,7 @@ from tests.support.pages import DOCS, ROOT, Block, blocks, commands, pages, told
 from tests.support.paper_bench import STAND_U, simulate
 from tests.support.schemas import keeps_to
 
-KINDS = {"console", "python", "text", "yaml", "{toctree}", "{include}", "{literalinclude}", "{picture}"}
+KINDS = {"console", "python", "text", "yaml", "{toctree}", "{include}", "{picture}"}
 OF_THEIR_OWN = {f"writing-{name}.md" for name in ("a-driver", "an-effect", "an-estimator", "a-command")}
 """Pages whose blocks need names of the tests: they have a test of their own."""
 RESULTS = {

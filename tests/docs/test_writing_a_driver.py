@@ -24,7 +24,7 @@ from tests.support.simulated_stand import a_world, served
 
 PAGE = Path(__file__).parents[2] / "docs" / "writing-a-driver.md"
 ROOT = PAGE.parent.parent
-DEVICES = PAGE.parent / "devices"
+DEVICES = PAGE.parent / "examples"
 LIMITS = ChamberLimits(-40.0, 85.0)
 SEED = 7
 
@@ -57,8 +57,8 @@ def page(folder: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
 def test_the_page_is_short_and_names_what_exists() -> None:
     text = PAGE.read_text(encoding="utf-8")
     assert len(text.splitlines()) <= 130
-    shown = re.findall(r"^```\{literalinclude\} devices/(\S+)$", text, re.M)
-    assert sorted(shown) == sorted(str(path.relative_to(DEVICES)) for path in DEVICES.rglob("*.py"))
+    shown = re.findall(r"^```\{literalinclude\} examples/(\S+)$", text, re.M)
+    assert sorted(shown) == sorted(str(path.relative_to(DEVICES)) for path in DEVICES.glob("*/*.py"))
     for path in re.findall(r"`((?:bench|drivers|sim|tests)/[\w/]+\.py)`", text):
         assert (ROOT / path).is_file(), path
 

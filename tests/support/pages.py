@@ -18,7 +18,8 @@ DOCS = ROOT / "docs"
 ELLIPSIS = "…"
 
 _BLOCK = re.compile(
-    r"(?:^<!-- (?P<mark>[^>]*) -->\n)?^```(?P<kind>\S*)[^\n]*\n(?P<text>.*?)^```$", re.M | re.S
+    r"(?:^<!-- (?P<mark>[^>]*) -->\n)?^```(?P<kind>\S*) ?(?P<argument>[^\n]*)\n(?P<text>.*?)^```$",
+    re.M | re.S,
 )
 
 
@@ -60,9 +61,16 @@ def blocks(page: Path) -> list[Block]:
     """Return the blocks of a page in their order."""
     text = page.read_text(encoding="utf-8")
     return [
-        Block(page.name, m["kind"], m["text"], m["mark"] or "", text.count("\n", 0, m.start()) + 1)
+        Block(page.name, *_shown(m), m["mark"] or "", text.count("\n", 0, m.start()) + 1)
         for m in _BLOCK.finditer(text)
     ]
+
+
+def _shown(block: re.Match[str]) -> tuple[str, str]:
+    """Return kind and text of a block; a file that it includes is Python."""
+    if block["kind"] == "{literalinclude}":
+        return "python", (DOCS / block["argument"]).read_text(encoding="utf-8")
+    return block["kind"], block["text"]
 
 
 def commands(block: Block) -> Iterator[Command]:
