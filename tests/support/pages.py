@@ -67,9 +67,10 @@ def blocks(page: Path) -> list[Block]:
 
 
 def _shown(block: re.Match[str]) -> tuple[str, str]:
-    """Return kind and text of a block; a file that it includes is Python."""
+    """Return kind and text of a block, or of the file that it includes."""
     if block["kind"] == "{literalinclude}":
-        return "python", (DOCS / block["argument"]).read_text(encoding="utf-8")
+        path = DOCS / block["argument"]
+        return {".py": "python", ".yaml": "yaml"}[path.suffix], path.read_text(encoding="utf-8")
     return block["kind"], block["text"]
 
 
