@@ -32,7 +32,7 @@ the run is simulated, and the number is of the series `SIM-`. See [Certificates]
 | `bench_inverse`, `bench_misalignments` | N = K⁻¹ with U0; the six angles; each with its covariance |
 | `bench_delta_g` | Δg at the verification points with U, covariance, statements, limit and risk |
 | `bench_readings`, `bench_file` | the readings; the result as `bench calibrate --json` writes it, with the verdict |
-"""
+"""  # noqa: E501 - rows of a table
 _FILES: Final = "example"
 _PART: Final = """\
 `bench certificate verify` says of it: *{headline}*. The files: [PDF]({files}/certificate.pdf) with all that is
