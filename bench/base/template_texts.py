@@ -3,7 +3,7 @@
 A text is what stands between block elements and Jinja statements. Inline elements belong to it, and its
 expressions are numbered blanks: `<p>Page <b>{{ n }}</b> of {{ m }}</p>` has the text `Page <b>{0}</b> of {1}`. An
 expression such as `{{ "" if n == 1 else "s" }}` makes it a text with a plural. Within expressions, `_("…")` marks
-a text. English pages are rendered from the template as it stands.
+a text. English pages are rendered from the template as it is.
 """
 
 from __future__ import annotations

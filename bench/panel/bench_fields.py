@@ -175,7 +175,7 @@ def _driver_words(name: str, section: type[Any]) -> str:
 def fields_in(
     model: type[BaseModel], at: Place, skip: frozenset[str] = frozenset(), default: Any = None
 ) -> Iterator[tuple[str, BenchField]]:
-    """Yield the fields of a model at a place, by name, and those of sections in it that must stand.
+    """Yield the fields of a model at a place, by name, and those of sections in it that are required.
 
     Certificates, lists and optional sections have no field: they are written in the file by hand. `default` is
     the section that counts where the file omits it.
@@ -389,7 +389,7 @@ _MISSING: Final = re.compile(r"'([^']+)' is missing")
 
 
 def placed(mistakes: Iterable[FileMistake], groups: Iterable[Group]) -> Placed:
-    """Return mistakes with their fields; a mistake at no field stands at its group, else elsewhere."""
+    """Return mistakes with their fields; a mistake at no field belongs to its group, else elsewhere."""
     groups = list(groups)
     fields = {one.name for group in groups for one in group.fields}
     known = fields | {group.place for group in groups if group.at}

@@ -135,7 +135,7 @@ def form(request: Request) -> Response:
 
 
 def _begun(name: str, start: str, new_name: str = "") -> FormState:
-    """Return the form of a file as it stands. Raises `Refusal` if there is none."""
+    """Return the form of a file as it is. Raises `Refusal` if there is none."""
     if name:
         base = read_file(own_file(CONFIG, name))
         return FormState(name, "", base, _values(base.text))

@@ -130,7 +130,7 @@ def form(request: Request) -> Response:
 
 
 def _begun(name: str, start: str, new_name: str) -> TableState:
-    """Return the table of a file as it stands. Raises `Refusal` if there is none."""
+    """Return the table of a file as it is. Raises `Refusal` if there is none."""
     if name:
         base = read_file(own_file(PROCEDURES, name))
         return TableState(name, "", base, base.text)
@@ -225,7 +225,7 @@ def _write(panel: Panel, person: Person, state: TableState, expected: str) -> bo
     if state.start:
         state.text = _named(state)
     if _data(state.text) is None or judged(path, state.text)[0]:
-        state.refusal = message("Not written: there are mistakes. Each stands at its field.")
+        state.refusal = message("Not written: there are mistakes, each shown beside its field.")
         return False
     state.text = signed(state.text, person.name, utc_now())
     if expected == state.base.sha256 and write_file(path, state.text, expected, panel.settings.runs / STATE):
