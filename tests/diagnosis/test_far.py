@@ -76,6 +76,7 @@ U_OF_POINT = 1.3
 """u of a modulus without itself, in units of the noise of a reading: stand and coefficients have a part in it."""
 
 
+@pytest.mark.slow
 def test_a_verification_point_that_is_off_is_far_from_the_model_whatever_its_size():
     sizes = []
     for times in (8, 12, 16, 24):

@@ -191,6 +191,7 @@ def test_hysteresis_that_is_off_in_a_first_reading_is_no_outlier(size_ug):
         assert find(run([27, seed], added=friction)).mistakes == (), seed
 
 
+@pytest.mark.slow
 def test_a_slip_and_another_voltmeter_in_one_pass_are_no_outliers():
     def of_one_pass(rng, moved):
         label, number = rng.choice(["1", "2"]), int(rng.integers(1, 4))
@@ -332,6 +333,7 @@ def test_without_a_data_sheet_what_the_coefficients_take_up_is_not_seen():
     assert "the same in installation" in mistake.words
 
 
+@pytest.mark.slow
 def test_the_record_is_not_changed():
     good = run(61, off=(7, np.radians(1)))
     bad = with_outlier(with_signal(good, good.installation == "1", lambda s: s[:, [1, 0, 2]]), 40, 2, 0.1)
@@ -358,6 +360,7 @@ def test_words_name_place_and_correction():
     assert outlier.words.startswith("installation 2, pass 1, point 5: channel y by +0.00")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("late", [False, True])
 def test_a_head_that_was_not_turned_and_points_exchanged_are_wrong_settings(late):
     """The signals are those of the stop before; where points are exchanged those of the stop after, too."""
