@@ -88,7 +88,7 @@ EFFECTS = {
 @pytest.mark.slow
 @pytest.mark.parametrize("effect", EFFECTS)
 def test_a_slip_of_the_block_in_a_pass_is_no_other_block(effect):
-    for seed in range(6):
+    for seed in range(3):
         rng = np.random.default_rng([107, seed])
         where, vector = of_a_pass(rng), EFFECTS[effect](rng)
         size = np.linalg.norm(vector)
@@ -120,9 +120,9 @@ def test_other_voltmeters_in_a_pass_are_no_other_block(channels):
 @pytest.mark.slow
 def test_a_channel_that_is_stuck_in_a_pass_is_named_and_its_pass_left_out():
     """At each value that it may have had, in a channel that moves with the head or across it."""
-    for seed in range(6):
+    for seed in range(3):
         rng = np.random.default_rng([112, seed])
-        good, (label, number), channel = run([111, seed]), of_a_pass(rng), seed % 3
+        good, (label, number), channel = run([111, seed]), of_a_pass(rng), seed
         rows = (good.installation == label) & (good.pass_number == number)
         signal = good.signal.copy()
         signal[rows, channel] = signal[rng.choice(np.flatnonzero(rows)), channel]
