@@ -238,8 +238,8 @@ class Standing:
 
     def site_of(self, point: PlannedPoint) -> Site:
         """Return the site of a planned point in the mounting now in use."""
-        mount = (self.now or {}).get(point.site.mount, point.site.mount)
-        return point.site._replace(mount=mount)
+        mount = (self.now or {}).get(point.site.mount)
+        return point.site if mount is None else point.site._replace(mount=mount)
 
     @property
     def worst(self) -> Reached | None:
@@ -389,8 +389,11 @@ class Chooser:
             site = standing.site_of(point)
             reads[site] = len(point.reads)
             seconds[site] = point.time_s
-        ahead = [number for number in range(len(self.pool.visits)) if self.open_points(number, standing)]
-        left = Counter(standing.site_of(p) for number in ahead for p in self.open_points(number, standing))
+        left = Counter(
+            standing.site_of(point)
+            for number in range(len(self.pool.visits))
+            for point in self.open_points(number, standing)
+        )
         grid = self._grid(reads)
         done = grid.counts(standing.done)
         limit_s = float("inf")

@@ -57,6 +57,7 @@ def test_the_verdict_stands_with_its_uncertainty_limit_and_risk(anna, judged):
     assert "Simulated instruments" in said
 
 
+@pytest.mark.slow
 @pytest.mark.figures
 def test_report_and_figures_stand_apart_and_nothing_of_them_acts(anna, judged, bench):
     assert bench("report", judged)[0] in (0, None)  # the run of all tests has empty figures

@@ -203,6 +203,7 @@ def test_coefficients_along_an_axis_that_is_never_turned_stay_open():
     assert len(undetermined(forces([0, 0, 1]))) == 12  # nothing was ever turned: bias and K_z are one
 
 
+@pytest.mark.slow
 @given(st.lists(st.sampled_from(["+x", "-x", "+y", "-y", "+z", "-z"]), min_size=1, max_size=8))
 def test_it_refuses_what_a_calibration_refuses(ups):
     force = forces(*[[float(axis == up[1]) * float(up[0] + "1") for axis in "xyz"] for up in ups])
