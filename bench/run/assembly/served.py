@@ -302,6 +302,7 @@ def _simulated(
             first_port=first_port,
             with_terminals=with_terminals,
             buses=buses_of(bench),
+            adapter_options=bench.simulation.adapter.model_dump(),
             faults=faults_of(bench),
         )
     except ValueError as error:
