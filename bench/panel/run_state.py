@@ -67,7 +67,9 @@ def prompt_of(asked: AskedPrompt, seen: RunView, installations: Mapping[str, Ins
         case "mount" if (installation := installations.get(str(action.get("installation")))) is not None:
             told["drawing"] = mounting(installation)
         case "wait":
-            told["text"] = message("Paused: nothing on the bench moves. Continue here, or redo a point first.")
+            told["text"] = message(
+                "Paused: nothing on the bench moves. Continue here, or redo a point first."
+            )
     told["buttons"] = _buttons(told)
     return told
 
