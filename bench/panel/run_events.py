@@ -61,6 +61,7 @@ class RunView:
     answered: Event | None = None
     left_safe: dict[str, str] = field(default_factory=dict)
     why: str = ""
+    stopped_by: str = ""
     readings_done: int = 0
     warnings: deque[Event] = field(default_factory=lambda: deque(maxlen=MOST_WARNINGS))
     last: deque[Event] = field(default_factory=lambda: deque(maxlen=MOST_LAST))
@@ -133,6 +134,7 @@ class RunView:
             case _ if event.type in _STOPPED:
                 self.step = None
                 self.why = str(event.data.get("error") or event.data.get("reason") or "")
+                self.stopped_by = str(event.data.get("by", ""))
 
     @property
     def prompt(self) -> AskedPrompt | None:

@@ -178,7 +178,7 @@ def test_a_diagnosis_is_a_process_of_its_own(anna, judged, monkeypatch):
     begun = []
     monkeypatch.setattr("bench.panel.pages.verdict.begin", lambda run: begun.append(run.name) or Started())
     for _ in range(2):
-        assert anna.post("/runs/run/diagnose").headers["location"] == "/runs/run/verdict"
+        assert anna.post("/runs/run/diagnose").headers["location"] == "/runs/run/verdict#diagnosis"
     assert begun == ["run"]
     assert "data-waiting" in anna.get("/runs/run/verdict").text
     Started.status = 2
