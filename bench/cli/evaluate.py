@@ -24,7 +24,9 @@ from bench.services.requests.evaluation import (
 )
 
 if TYPE_CHECKING:
+    from bench.services.calibration import CalibrationResult
     from bench.services.diagnosis import Diagnosed
+    from bench.services.record_calibration import RecordCalibrationResult
     from bench.services.source import Failed
 
 
@@ -52,7 +54,8 @@ def calibrate(
     printing.bench_files(done(loaded), json)
     everyone = each(loaded, lambda source: calibrated(asked, source))
     otherwise = replace(asked, estimator=find_estimator(asked.estimator).name).otherwise
-    for result in done(everyone):
+    results: list[CalibrationResult | RecordCalibrationResult] = done(everyone)
+    for result in results:
         what_if = otherwise or result.source.what_if
         file = printing.write_result(result.source, "calibrate", result.to_dict(), what_if=what_if)
         if json == "-":
@@ -62,7 +65,7 @@ def calibrate(
     printing.write_json([one.to_dict() for one in everyone], json)
     if printing.failed(everyone):
         return 2
-    accepted = [one.strictly_accepted if strict else one.accepted for one in done(everyone)]
+    accepted = [one.strictly_accepted if strict else one.accepted for one in results]
     return 0 if all(accepted) else 1
 
 
@@ -106,7 +109,7 @@ def report(request: Report, json: JsonOption = None, out: OutOption = None) -> i
     Exit status 1 if the fit or the verification is not accepted.
     """
     from bench.results.verification import ReportResult
-    from bench.services.calibration import calibration_of
+    from bench.services.calibration import result_of
     from bench.services.source import load_sources, reading
     from bench.services.verification import VerdictOptions
 
@@ -114,7 +117,7 @@ def report(request: Report, json: JsonOption = None, out: OutOption = None) -> i
     (loaded,) = load_sources(reading(request, request.source, out=out))
     on = printing.console(json=json)
     printing.bench_files([loaded], json)
-    result = calibration_of(loaded)
+    result = result_of(loaded)
     try:
         verdict, page = printing.report(result, on, asked)
     except OSError as error:

@@ -129,7 +129,7 @@ def stability(request: Stability, json: JsonOption = None, out: OutOption = None
     Exit status 1 if no averaging reaches the allowed noise.
     """
     from bench.results.stability import print_stability
-    from bench.services.history import at_rest
+    from bench.services.stability import at_rest
 
     with printing.progress():
         found = at_rest(request)

@@ -12,7 +12,6 @@ import numpy as np
 from bench.base.arrays import Floats
 from bench.base.files import to_text
 from bench.base.text import repeated
-from bench.calibration import Verification, verify
 from bench.calibration.budget.sources import assumed_stand
 from bench.calibration.budget.whole import sign
 from bench.calibration.calibrate import calibrate
@@ -20,6 +19,7 @@ from bench.calibration.result import SourceOfError
 from bench.calibration.temperature import CompensationTable, TemperatureModel, make_table
 from bench.calibration.temperature_fit import temperature_model
 from bench.calibration.tumble import DEFAULT, TumbleView, combine, tumble_view
+from bench.calibration.verification import Verification, verify
 from bench.exchange.compensation import c_header, json_test, table_checks, table_csv
 from bench.exchange.result import BlockResult
 from bench.model.geometry import COEFFICIENTS

@@ -120,7 +120,7 @@ class Stability:
     record: Annotated[
         str,
         Option(
-            "Static record (CSV: time_s,ux_v,uy_v,uz_v), or a run.",
+            "Static record (CSV: time_s,ux_v,uy_v,uz_v), record at a known input, or a run.",
             metavar="FILE",
             argument=True,
         ),
@@ -140,6 +140,7 @@ class Stability:
             common=True,
         ),
     ] = None
+    model: ModelField = None
     bench: BenchField = None
     runs: RunsField = None
 
