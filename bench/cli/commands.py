@@ -148,6 +148,7 @@ COMMANDS: Final = {
     "compare": "Compare calibrations of one block: E_n, a joint test, drift.",
     "learn": "Estimate the errors of a bench from many runs, for its bench file.",
     "fleet": "Compare many units on many benches: equivalence, priors, drift, CMC.",
+    "kit": "Compare laboratories by a travelling block: plan, sealed results, report.",
     "budget": "Compute what each error of the bench contributes to coefficients and accelerations.",
     "require": "Compute how large each error of the bench may be for a required accuracy.",
     "plan-points": "Find test points that reach an uncertainty in the least bench time.",

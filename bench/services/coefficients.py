@@ -331,10 +331,11 @@ def results_in(path: Path) -> list[tuple[Any, str]]:
 
 def snapshots_in(path: Path) -> list[Snapshot]:
     """Return the calibrations in a result of `calibrate --json`. Raises `Refused` for another file."""
-    return [_snapshot(data, name) for data, name in results_in(path)]
+    return [snapshot_of(data, name) for data, name in results_in(path)]
 
 
-def _snapshot(data: Any, name: str) -> Snapshot:
+def snapshot_of(data: Any, name: str) -> Snapshot:
+    """Return the calibration in a parsed result of `calibrate --json`. Raises `Refused` for other data."""
     from bench.history.comparison import Snapshot
 
     found = coefficients_of(data, name)
