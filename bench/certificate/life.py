@@ -21,7 +21,6 @@ from bench.results.certificate import IssuedRun, RegisteredCertificate, Register
 from bench.services.errors import Refused, sentence
 from bench.services.requests.documents import CheckRegister, IssueCertificates, Issuing, RevokeCertificate
 from bench.services.requests.shared import runs_folder
-from bench.services.validated import refuse_unvalidated_certificate
 from drivers.clock import utc_now
 
 if TYPE_CHECKING:
@@ -166,6 +165,8 @@ def _wanted(name: str, desk: Desk, laboratory: Laboratory, order: Order) -> Cert
     """Return the certificate of a run. Raises `Refused` where the laboratory demands a validated program."""
     certificate = certificate_of(name, desk.runs, laboratory, order)
     if laboratory.require_validation and not certificate.simulated:
+        from bench.services.validated import refuse_unvalidated_certificate
+
         refuse_unvalidated_certificate(desk.laboratory_file.path)
     return certificate
 

@@ -171,6 +171,14 @@ class SimulateRequest:
         Path | None,
         Option("Write all addresses as JSON when all instruments listen.", metavar="FILE", common=True),
     ] = None
+    hands: Annotated[
+        Path | None,
+        Option(
+            "Have simulated hands turn the head and mount the block as the runs in FOLDER ask.",
+            metavar="FOLDER",
+            common=True,
+        ),
+    ] = None
     no_pty: Annotated[bool, Option("Serve TCP only, without pseudo-terminals.", ("--no-pty",))] = False
     control: Annotated[
         str | None, Option("Send COMMAND to a served bench.", metavar="HOST:PORT", common=True)
