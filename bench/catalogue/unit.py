@@ -9,6 +9,7 @@ from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from datetime import timedelta
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -19,13 +20,33 @@ from bench.base.computing import tracked
 from bench.calibration.conformity import COVERAGE_FACTOR
 from bench.calibration.result import CalibrationError
 from bench.catalogue.questions import answer, condition_of, moment
-from bench.catalogue.store import DUES, FOLDERS, RUNS, VERIFICATIONS, Catalogue, open_catalogue
+from bench.catalogue.store import (
+    CERTIFICATES,
+    DUES,
+    FOLDERS,
+    INSTRUMENTS,
+    RUNS,
+    USES,
+    VERIFICATIONS,
+    Catalogue,
+    open_catalogue,
+)
 from bench.catalogue.sync import pool_of
 from bench.catalogue.values import CoefficientTable, coefficient_table
 from bench.history.drift import Due, due
 from bench.model.geometry import COEFFICIENTS
-from bench.results.catalogue import CoefficientThen, DueResult, UnitCalibration, UnitDue, UnitResult, due_part
+from bench.results.catalogue import (
+    CoefficientThen,
+    DueResult,
+    InstrumentDue,
+    UnitCalibration,
+    UnitDue,
+    UnitResult,
+    due_part,
+)
 from bench.services.errors import Refused
+from bench.services.fitness import REMINDED_DAYS
+from drivers.clock import utc_now
 
 if TYPE_CHECKING:
     from sqlalchemy import Connection
@@ -79,8 +100,34 @@ def due_units(
     return DueResult(
         query=list(query),
         units=sorted(asked_for, key=lambda one: (one.due, one.unit)),
+        instruments=_instruments_due(catalogue, query, before),
         not_known={name: told[name]["why_not"] for name in names if told[name]["due"] is None},
     )
+
+
+def _instruments_due(catalogue: Catalogue, query: Sequence[str], before: str | None) -> list[InstrumentDue]:
+    """Return the instruments whose latest certificate expires before a day, by default within 30 days."""
+    day = (utc_now().date() + timedelta(days=REMINDED_DAYS + 1)).isoformat() if before is None else before
+    wanted = (INSTRUMENTS.c.name, CERTIFICATES.c.number, CERTIFICATES.c.valid_until)
+    stated = (
+        select(*wanted)
+        .distinct()
+        .select_from(
+            USES.join(RUNS, RUNS.c.id == USES.c.run)
+            .join(INSTRUMENTS, INSTRUMENTS.c.id == USES.c.instrument)
+            .join(CERTIFICATES, CERTIFICATES.c.id == USES.c.certificate)
+        )
+        .where(condition_of(query))
+        .order_by(INSTRUMENTS.c.name, CERTIFICATES.c.date)
+    )
+    with catalogue.reading() as connection:
+        latest = {name: (number, until) for name, number, until in connection.execute(stated)}
+    found = [
+        InstrumentDue(instrument=name, certificate=number, valid_until=until.isoformat())
+        for name, (number, until) in latest.items()
+        if until is not None and until.isoformat() < day
+    ]
+    return sorted(found, key=lambda one: (one.valid_until, one.instrument))
 
 
 def until_day(before: str | None) -> str | None:

@@ -158,6 +158,10 @@ def read(request: ReadCertificate, json: JsonOption = None) -> int:
         section = section_of(request.file, root)
         on.print(section.text.rstrip())
         printing.notes_aside((*notes, *section.notes))
+        if request.into is not None:
+            from bench.panel.round_trip import accept_certificate
+
+            on.print(accept_certificate(request, section))
         return 0
     found = coefficients_in(request.file, request.g, request.noise)
     printing.write_json([found.result], json)

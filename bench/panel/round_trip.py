@@ -6,9 +6,12 @@ import io
 import re
 from collections.abc import Callable, Iterable, Mapping
 from datetime import datetime
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from bench.base.yaml_files import Place, dotted, read_yaml
+from bench.base.files import read_regular, write_whole
+from bench.base.yaml_files import Place, document_of, dotted, read_yaml, sha256_of_file, validated
+from bench.config.bench_file.file import BenchFile
 from bench.panel.bench_fields import (
     FORMS_OF_GRAVITY,
     GRAVITY,
@@ -21,9 +24,16 @@ from bench.panel.bench_fields import (
     number_of_meters,
     values_of,
 )
+from bench.services.errors import Refused
+from bench.services.persons import checked_name, persons_of
+from bench.services.requests.documents import ReadCertificate, Right
+from bench.services.validated import laboratory_known
+from drivers.clock import utc_now
 
 if TYPE_CHECKING:
     from ruamel.yaml import YAML
+
+    from bench.certificate.dcc.reading import Section
 
 WIDEST: Final = 4096
 """The longest line that is not broken."""
@@ -70,6 +80,50 @@ def edited_text(
     yaml.dump(tree, out)
     made = with_comments(text, out.getvalue())
     return text if read_yaml(made).data == read_yaml(text).data else made
+
+
+def with_certificate(text: str, instrument: str, section: str) -> str:
+    """Return the text of a bench file with `section`, a certificate in YAML, for an instrument; comments stay.
+
+    Raises `KeyError` for an instrument that the text does not list, and as `changed_text`.
+    """
+
+    def arrange(tree: Any, before: Values) -> None:
+        instruments = tree["instruments"]
+        meters = {f"voltmeter.{''.join(one['channels'])}": one for one in instruments.get("voltmeters", ())}
+        named = {one["name"]: one for one in meters.values() if "name" in one}
+        (meters | named | dict(instruments))[instrument]["certificate"] = _yaml().load(section)["certificate"]
+
+    return edited_text(text, {}, (), arrange)
+
+
+def accept_certificate(request: ReadCertificate, section: Section) -> str:
+    """Write the certificate of an instrument into a bench file; return a sentence.
+
+    The file's first line names who accepted it and the SHA-256 of the document. Raises `Refused` for an instrument
+    that the bench file does not list, a certificate that lacks corrections, and one that is there already;
+    `FileMistakes` where the bench file would have mistakes, and then leaves it as it was.
+    """
+    if request.into is None or not request.instrument or not request.by:
+        raise Refused("accepting a certificate needs --into FILE, --instrument NAME and --by NAME")
+    name, path = checked_name(request.by), Path(request.into)
+    if (register := persons_of(laboratory_known(None))) is not None:
+        register.chosen(name, Right.AUTHORISE, "--by")
+    digest = sha256_of_file(request.file)
+    text = read_regular(path).decode()
+    if digest in text:
+        raise Refused(f"{path}: this certificate was accepted already; nothing was changed")
+    if "values:" not in section.text:
+        raise Refused(f"{request.file}: no corrections could be read; copy them by hand from the paper")
+    try:
+        made = with_certificate(text, request.instrument, section.text)
+    except (KeyError, TypeError):
+        raise Refused(f"{path}: lists no instrument {request.instrument}; name one such as head") from None
+    day = utc_now().astimezone()
+    made = f"# certificate of {request.instrument} accepted by {name} on {day:%Y-%m-%d}: SHA-256 {digest}\n{made}"
+    validated(document_of(path, made.encode()), BenchFile)
+    write_whole(path, made)
+    return f"{path}: {request.instrument} has this certificate now; accepted by {name}"
 
 
 def signed(text: str, name: str, now: datetime) -> str:

@@ -109,12 +109,23 @@ class UnitDue(DuePart):
     unit: str = Field(description="type and serial number")
 
 
+class InstrumentDue(ResultModel):
+    """An instrument whose latest certificate has expired or will soon."""
+
+    instrument: str = Field(description="maker, model and serial number")
+    certificate: str = Field(description="its number")
+    valid_until: str = Field(description="the day")
+
+
 class DueResult(ResultModel):
     """The dates on which units are due for calibration, earliest first."""
 
     query: list[str] = Field(description="the words of the question")
     units: list[UnitDue]
     not_known: dict[str, str] = Field(description="units of which no date is known, with the reason")
+    instruments: list[InstrumentDue] = Field(
+        [], description="whose certificate expired or expires within 30 days, or before the day asked for"
+    )
 
     def print_on(self, out: Console) -> None:
         """Print the first units due, and why other units have no date."""
@@ -127,6 +138,13 @@ class DueResult(ResultModel):
         counted = "1 unit" if len(self.units) == 1 else f"{len(self.units)} units"
         out.print(f"{counted} due{_not_shown(len(self.units), '--json')}", style="bold")
         print_notes(out, [f"{name}: {why}" for name, why in self.not_known.items()])
+        print_notes(
+            out,
+            [
+                f"{one.instrument}: certificate {one.certificate} ends on {one.valid_until}; have it calibrated"
+                for one in self.instruments
+            ],
+        )
 
 
 class CoefficientThen(ResultModel):

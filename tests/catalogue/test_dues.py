@@ -42,6 +42,15 @@ def counts(catalogue, **asked):
     return {one.unit: one.calibrations for one in found.units}, found.not_known
 
 
+def test_instruments_are_due_by_their_latest_certificate(catalogue):
+    """Each meter has a certificate of each year, valid for a year; the last of them counts."""
+    found = due_units(catalogue, []).instruments
+    assert found
+    assert {one.valid_until[:4] for one in found} == {"2025"}
+    assert due_units(catalogue, [], before="2025-01-01").instruments == []
+    assert due_units(catalogue, ["serial=9"]).instruments == []
+
+
 def test_units_are_due_as_one_by_one(catalogue):
     asked = {"limit_g": 5e-4, "interval_days": 100.0}
     found = due_units(catalogue, [], **asked)

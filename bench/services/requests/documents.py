@@ -341,6 +341,20 @@ class ReadCertificate:
             "File for the coefficients, for verify --coefficients and compare.", metavar="FILE", common=True
         ),
     ] = None
+    into: Annotated[
+        Path | None,
+        Option(
+            "Bench file into which the certificate of --instrument is written.", metavar="FILE", common=True
+        ),
+    ] = None
+    instrument: Annotated[
+        str | None,
+        Option("With --into: its instrument, such as head or chamber.", metavar="NAME", common=True),
+    ] = None
+    by: Annotated[
+        str | None,
+        Option("With --into: who accepts the certificate.", metavar="NAME", common=True),
+    ] = None
     g: Annotated[
         float | None, Option("Local gravity of the stated K, for a foreign certificate.", metavar="M/S2")
     ] = None

@@ -10,7 +10,9 @@ import yaml
 
 from bench.certificate.dcc.document import document_of
 from bench.certificate.dcc.nodes import VOLT_PER_MS2, product, read_unit
+from bench.config.bench_file.file import load_bench
 from bench.config.devices.device import HeadCertificate
+from bench.config.shipped import find_bench
 from bench.model.geometry import COEFFICIENTS
 from bench.services.coefficients import coefficients_of
 from tests.support.commands import refused
@@ -152,6 +154,28 @@ def test_a_heads_certificate_is_printed_for_the_bench_file(bench, empty_folder):
     assert np.allclose(corrections, -np.array(errors), atol=1e-8)
     assert [value.U for value in head.values] == pytest.approx([np.radians(1 / 3600)] * 8, rel=1e-5)
     assert "a bench file cannot use" not in err
+
+
+def test_a_heads_certificate_is_accepted_into_a_bench_file_once(bench, empty_folder, monkeypatch):
+    monkeypatch.delenv("BENCH_LABORATORY", raising=False)
+    angles = [0, 45, 90, 135, 180, 225, 270, 315]
+    table = column("basic_nominalValue", angles, r"\degree") + column(
+        "basic_measurementError", [0.0, 2.4, 3.1, 1.9, -0.2, -2.2, -3.0, -2.1], r"\arcsecond", "1.0"
+    )
+    Path("x.xml").write_text(HEAD.format(f"<dcc:list>{table}</dcc:list>"))
+    Path("my.yaml").write_bytes(find_bench("bench-lan").read_bytes())
+    call = ("certificate", "read", "x.xml", "--into", "my.yaml")
+    refused(bench(*call, "--instrument", "head"), "--by NAME")
+    refused(bench(*call, "--instrument", "haed", "--by", "A. Example"), "lists no instrument haed")
+    assert load_bench(Path("my.yaml")).instruments.head.certificate is None
+    status, out, _ = bench(*call, "--instrument", "head", "--by", "A. Example")
+    assert (status, "number: H-88" in out) == (0, True)
+    held = load_bench(Path("my.yaml")).instruments.head.certificate
+    assert (held.number, len(held.values)) == ("H-88", 8)
+    text = Path("my.yaml").read_text()
+    assert text.startswith("# certificate of head accepted by A. Example on ")
+    assert text.count("#") == find_bench("bench-lan").read_text().count("#") + 1
+    refused(bench(*call, "--instrument", "head", "--by", "A. Example"), "was accepted already")
 
 
 def test_what_a_bench_file_would_not_take_is_said(bench, empty_folder):
