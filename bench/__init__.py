@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from bench.services.calibration import CalibrationResult as CalibrationResult
     from bench.services.calibration import Coefficient as Coefficient
     from bench.services.check_block import chart as chart
+    from bench.services.compensation import tumble as tumble
     from bench.services.confirmation import ConfirmationResult as ConfirmationResult
     from bench.services.diagnosis import DiagnosisResult as DiagnosisResult
     from bench.services.diagnosis import FreeDiagnosisResult as FreeDiagnosisResult
@@ -47,6 +48,7 @@ if TYPE_CHECKING:
     from bench.services.history import LearningResult as LearningResult
     from bench.services.history import compare as compare
     from bench.services.history import learn as learn
+    from bench.services.monitor import monitor as monitor
     from bench.services.planning import budget as budget
     from bench.services.record_calibration import RecordCalibrationResult as RecordCalibrationResult
     from bench.services.record_diagnosis import RecordDiagnosisResult as RecordDiagnosisResult
@@ -61,6 +63,7 @@ _HOMES: Final = {
     "bench.services.calibration": ("CalibrationResult", "Coefficient"),
     "bench.results.control_chart": ("CheckBlockChart",),
     "bench.services.check_block": ("chart",),
+    "bench.services.compensation": ("tumble",),
     "bench.services.confirmation": ("ConfirmationResult",),
     "bench.services.diagnosis": ("DiagnosisResult", "FreeDiagnosisResult", "MistakesResult"),
     "bench.services.record_calibration": ("RecordCalibrationResult",),
@@ -71,6 +74,7 @@ _HOMES: Final = {
         "read_readings", "verify",
     ),
     "bench.services.history": ("ComparisonResult", "LearningResult", "compare", "learn"),
+    "bench.services.monitor": ("monitor",),
     "bench.services.stability": ("RecordAtRest", "stability"),
     "bench.services.verification": ("VerificationResult",),
     "bench.base.yaml_files": ("FileMistakes",),

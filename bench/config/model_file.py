@@ -224,7 +224,10 @@ def effect_mistakes(
             yield from (
                 ((*here, "installations"), text) for text in _mounting_mistakes(listed, installations)
             )
-        of = channels if any(parameter.per_channel for parameter in effect.parameters) else CHANNELS
+        common = not any(parameter.per_channel for parameter in effect.parameters)
+        if common and set(channels) != set(CHANNELS):
+            yield (*here, "channels"), f"{effect.name} acts on all channels alike: remove this line"
+        of = CHANNELS if common else channels
         own = {(effect.name, listed, channel, *shapes.values()) for channel in of}
         if own & seen:
             yield here, f"{effect.name} appears twice for the same channel; merge the entries"

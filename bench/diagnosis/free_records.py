@@ -14,7 +14,6 @@ from bench.base.arrays import CHANNELS, Floats, Ints, Mask
 from bench.calibration.design import UPPER, make_problem
 from bench.calibration.free import first_guess_free
 from bench.calibration.result import CalibrationError
-from bench.calibration.verification import modulus_slopes
 from bench.diagnosis.candidates import Candidates
 from bench.diagnosis.gap import Gap
 from bench.diagnosis.linear import MODULUS, LinearSystem, Rows, View, own_column
@@ -24,6 +23,7 @@ from bench.diagnosis.result import NamedEffect, Verdict
 from bench.diagnosis.where import ResidualPattern
 from bench.model import AppliedEffect, Block
 from bench.model.forward import ForwardModel
+from bench.model.geometry import modulus_slopes
 from bench.readings.table import JoinedPart, Readings, together
 from bench.stats.repeats import Repeats, compare_repeats
 

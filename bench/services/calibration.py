@@ -23,6 +23,7 @@ from bench.calibration.mistakes import implausible, refuse_mixed_units, sheet_of
 from bench.calibration.result import COVERAGE_FACTOR, Calibration, CalibrationError
 from bench.calibration.temperature import separate_temperatures
 from bench.config.bench_file.learned import PriorFile, load_prior
+from bench.model.effects import TEMPERATURE_EFFECTS
 from bench.model.geometry import COEFFICIENTS, Block
 from bench.readings.table import is_record
 from bench.results.calibration import (
@@ -261,8 +262,6 @@ class CalibrationResult:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as `bench calibrate --json` writes it."""
-        from bench.services.coefficients import TEMPERATURE_EFFECTS
-
         source = self.source
         return calibrate_result(
             self.calibration,

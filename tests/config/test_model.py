@@ -143,6 +143,7 @@ def test_mountings_and_shapes(tmp_path):
         ("warm_up\n    parameters: {tau: {x: 5 min}}", "tau has one value, not one for each channel"),
         ("thermal_bias\n    parameters: {lag: -1 min}", "expected lag to be 0 or more, got '-1 min'"),
         ("hysteresis\n    installations: 2\n    parameters: {}", "installations"),
+        ("voltmeter_gain\n    channels: [y]\n    parameters: {gain: 30 ppm}", "acts on all channels alike"),
     ],
 )  # fmt: skip
 def test_a_shape_or_mounting_that_cannot_be_is_a_mistake(tmp_path, effect, told):
@@ -161,7 +162,7 @@ def test_a_shape_or_mounting_that_cannot_be_is_a_mistake(tmp_path, effect, told)
         ("warm_up\n    parameters: {tau: 10 min}", "warm_up\n    parameters: {tau: 600 s}", False),
         ("warm_up\n    parameters: {tau: 10 min}", "warm_up\n    parameters: {tau: 20 min}", True),
         ("warm_up\n    parameters: {tau: 20 min}", "warm_up", False),
-        ("backlash\n    channels: [x]", "backlash\n    channels: [y]", False),
+        ("backlash", "backlash", False),
         ("mounting_offset\n    installations: ['1']", "mounting_offset\n    installations: ['2']", True),
     ],
 )

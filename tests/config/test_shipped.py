@@ -29,12 +29,13 @@ def test_an_unknown_name_is_told_with_the_nearest_and_the_list():
     assert str(error.value) == (
         "calibraton: there is no such file, and no shipped procedure of that name; did you mean "
         "calibration? "
-        "shipped are: calibration, discerning, inputs, levelled, paper, quick, remount-180, remount-90, "
-        "repeatability, return, stability, temperature, turn-12, turn-24, turn-on, verification"
+        "shipped are: calibration, discerning, inputs, levelled, monitor-2, monitor-4, paper, quick, "
+        "remount-180, remount-90, repeatability, return, stability, temperature, third-installation, turn-12, "
+        "turn-24, turn-on, verification"
     )
     listed = (
-        "shipped are: bench-encoder, bench-gpib, bench-lan, bench-motorised, bench-multiplexer, bench-prologix, "
-        "bench-rate-table, bench-rs232, bench-stand, paper-stand"
+        "shipped are: bench-encoder, bench-gpib, bench-harsh, bench-lan, bench-motorised, bench-multiplexer, "
+        "bench-prologix, bench-rate-table, bench-rs232, bench-stand, paper-stand"
     )
     with pytest.raises(FileMistakes, match=listed):
         find_bench("nothing/like/it.yaml")

@@ -24,10 +24,9 @@ from bench.calibration.budget.propagation import effective_dof
 from bench.calibration.budget.sources import ROLL_ORIGIN, assumed_stand, hidden_sources
 from bench.calibration.components import walk_since
 from bench.calibration.result import Calibration, SourceOfError
-from bench.calibration.verification import modulus_slopes
 from bench.config.bench_file.file import BenchFile
 from bench.model import Block, Conditions, ForwardModel
-from bench.model.geometry import COEFFICIENTS
+from bench.model.geometry import COEFFICIENTS, modulus_slopes
 from bench.readings.table import UNORIENTED, VERIFICATION, Readings
 
 GRAVITY: Final = "gravity"
