@@ -236,7 +236,7 @@ class Commands(CommandGroup):
 def load_command(name: str) -> Any:
     """Import the module of a command; return the library's object for the command or the group of commands.
 
-    It is made once: the library evaluates all annotations of the command anew each time.
+    It is made once: the library evaluates all annotations of the command again each time.
     """
     word = name.replace("-", "_") + "_" * iskeyword(name)
     module = import_module(f"bench.cli.{MODULES.get(name, word)}")

@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from bench.base.arrays import CHANNELS, Floats
+from bench.base.arrays import CHANNELS, Floats, Ints
 from bench.calibration.result import CalibrationError
 from bench.history.control_chart import CheckRun, ControlChart, control_chart
 from bench.stats.control_charts import ChartDesign
@@ -24,7 +24,9 @@ def monitor_run(name: str, when: datetime, signal: Floats, force: Floats) -> Che
     `signal` (n, 3) at the nominal `force` (n, 3), g. u is that of the scatter of repeats. Raises `CalibrationError`
     if no axis was read up and down, or no position twice.
     """
-    turned = np.flatnonzero((force.max(axis=0) > LEAST_G) & (force.min(axis=0) < -LEAST_G))
+    turned: Ints = np.flatnonzero((force.max(axis=0) > LEAST_G) & (force.min(axis=0) < -LEAST_G)).astype(
+        np.int64
+    )
     columns = np.column_stack([np.ones(len(force)), force[:, turned]])
     if not len(turned) or len(turned) > 2 or len(force) <= columns.shape[1]:
         raise CalibrationError(
@@ -37,12 +39,12 @@ def monitor_run(name: str, when: datetime, signal: Floats, force: Floats) -> Che
     s = float(np.sqrt(np.sum((own - columns @ found) ** 2) / dof))
     of_each = s**2 * np.linalg.inv(columns.T @ columns)
     # unknowns in the order channel by channel: bias, then the row of K in the plane of rotation
-    point, covariance = found.T.ravel(), np.kron(np.eye(len(turned)), of_each)
-    step = 1e-6 * np.max(np.abs(point))
-    J = np.stack(
-        [(_numbers(point + d) - _numbers(point - d)) / (2 * step) for d in step * np.eye(len(point))], axis=1
-    )
-    spread = J @ covariance @ J.T
+    point: Floats = np.array(found.T.ravel(), dtype=np.float64)
+    covariance = np.kron(np.eye(len(turned)), of_each)
+    step = float(1e-6 * np.max(np.abs(point)))
+    shifts: Floats = step * np.eye(len(point))
+    J = np.stack([(_numbers(point + d) - _numbers(point - d)) / (2 * step) for d in shifts], axis=1)
+    spread: Floats = J @ covariance @ J.T
     none = np.zeros_like(spread)
     return CheckRun(
         name, when, _numbers(point), spread, np.sqrt(np.diag(spread)), s, float(dof), "monitor", (), none, none,
@@ -62,7 +64,7 @@ def _numbers(point: Floats) -> Floats:
     return np.array([*each, np.degrees(np.arccos(cosine))])
 
 
-def _names(turned: Floats) -> tuple[str, ...]:
+def _names(turned: Ints) -> tuple[str, ...]:
     letters = [CHANNELS[k] for k in turned]
     each = [name for letter in letters for name in (f"b{letter}", f"S{letter}")]
     return (*each, f"theta_{''.join(letters)}") if len(letters) > 1 else tuple(each)

@@ -139,7 +139,7 @@ def from_columns(source: str, unit: str, time_s: Floats, signal: Floats) -> Stat
 
 
 LONGEST_GAPS: Final = 10.0
-"""Greatest time of a record over the time its samples cover."""
+"""Greatest duration of a record, as a multiple of the time that its samples cover."""
 
 
 def on_grid(source: str, time_s: Floats, signal: Floats, channels: tuple[str, ...]) -> StaticRecord:

@@ -31,7 +31,18 @@ from bench.config.shipped import find_bench
 from bench.panel.access import PORT, STATE, Access, Gate, Refusal, Settings, is_loopback, private_folder
 from bench.panel.launching import Started, wait_until
 from bench.panel.launching import start as start_program
-from bench.panel.pages import bench, catalogue, plots, procedure, queue, run, runs, sign_in, start, verdict
+from bench.panel.pages import (
+    bench,
+    catalogue,
+    plots,
+    procedure,
+    queue,
+    run,
+    runs,
+    sign_in,
+    start,
+    verdict,
+)
 from bench.panel.shared import Panel, by_framework, by_record, by_refusal, load, refused, send_asset
 from bench.readings.csv import ReadingsError
 from bench.run.events import RecordError
