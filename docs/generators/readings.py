@@ -31,6 +31,7 @@ COLUMNS: Final[dict[str, tuple[str, str]]] = {
     "since_power_on_s": ("s", "since the block was switched on, for `warm_up`; may be empty"),
     "scan_order": ("–", "in which order the channels were read, such as `xyz`"),
     "reference_v": ("V", "voltage at a reference input, for `R`"),
+    "reference_sd_v": ("V", "scatter of the meters that read `reference_v`; counts as its u"),
     "temperature_source": ("–", "what told `temperature_c`, where that was a thermometer at the block"),
     "chamber_c": ("°C", "air of the chamber, beside it"),
     "meter_temperature_c": (
