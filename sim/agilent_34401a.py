@@ -267,7 +267,6 @@ class Trigger(MeasuringCycle):
     memory_depth = facts.MEMORY_READINGS
     most_readings = _MOST_READINGS
     keeps_latest = False
-    prints_last_comma = False
 
     def __init__(
         self,
@@ -325,8 +324,7 @@ class Trigger(MeasuringCycle):
         if self.source == "BUS":
             raise ScpiError(-214)
         self._begin(keeps=self.keeps_latest)
-        readings = self._outcome()
-        return None if readings is None else readings + self._after_last
+        return self._outcome()
 
     def _begin(self, keeps: bool) -> None:
         if self.trigger_count * self.sample_count > self.most_readings:
@@ -359,14 +357,6 @@ class Trigger(MeasuringCycle):
                 self.averaged.append(value)
             yield reading_text(value, self._converter.step(self._configuration))
         self._times_s = []
-
-    def fetch(self) -> str:
-        """FETCh?: return the readings in memory. Raises `ScpiError` -230 if there are none."""
-        return super().fetch() + self._after_last
-
-    @property
-    def _after_last(self) -> str:
-        return "," if self.prints_last_comma else ""
 
     def commands(self) -> list[Command]:
         """Return the commands and queries for triggering, memory and average."""
@@ -469,7 +459,7 @@ _DISPLAY_WIDTH: Final = 12
 
 
 _REAL_PORT: Final = LineEnds(buffer=110, loses_early=True)
-_FALLS_SILENT_S: Final = 600.0
+_IDLE_S: Final = 600.0
 _REMOTE: Final = re.compile(rb"\s*:?SYST(EM)?:REM(OTE)?\s*\Z", re.IGNORECASE)
 _COMMA_AFTER_LAST: Final = ("3-1-1", "7-5-2")
 """Firmware that prints a comma after the last of several readings, as the User's Guide shows them."""
@@ -507,8 +497,7 @@ class Agilent34401A(LineMeter):
         super().__init__(facts.IDENTITY, _ERRORS, interface)
         if firmware:
             self.identity = f"{self.identity.rpartition(',')[0]},{firmware}"
-        self._errors_at_start = tuple(errors_at_start)
-        self._real_port = real_port and interface == "rs232"
+        self._errors_at_start, self._real_port = errors_at_start, real_port and interface == "rs232"
         self._clock, self._heard_s = clock, clock.now_s()
         self.beeper_enabled = True
         self.configuration = Configuration(self._configuration_changed)
@@ -518,17 +507,14 @@ class Agilent34401A(LineMeter):
         self.trigger = self._trigger_type(
             clock, self.configuration, self._converter, self._overload, self.device_clear_pending
         )
-        self.trigger.prints_last_comma = firmware in _COMMA_AFTER_LAST
+        self.trigger.after_last = "," if firmware in _COMMA_AFTER_LAST else ""
         self._clear_text()
         self.display_on = True
         self.add(self.configuration.commands())
         self.add(self.trigger.commands())
         self.add(self._measure_commands())
         self.add(self._system_commands())
-        self._fill_error_queue()
-
-    def _fill_error_queue(self) -> None:
-        for number in self._errors_at_start:
+        for number in errors_at_start:
             self.report(number)
 
     @property
@@ -538,8 +524,7 @@ class Agilent34401A(LineMeter):
 
     def handle(self, message: bytes, interrupted: Callable[[], bool] = never) -> bytes | None:
         """Carry out one message; a real RS-232 port that was idle for long answers only after SYSTem:REMote."""
-        idle_s = self._clock.now_s() - self._heard_s
-        if self._real_port and idle_s > _FALLS_SILENT_S and not _REMOTE.match(message):
+        if self._real_port and self._clock.now_s() - self._heard_s > _IDLE_S and not _REMOTE.match(message):
             return None
         reply = super().handle(message, interrupted)
         self._heard_s = self._clock.now_s()
@@ -548,7 +533,8 @@ class Agilent34401A(LineMeter):
     def power_cycle(self) -> None:
         """Switch off and on; errors that an adapter causes at switch-on enter the queue again."""
         super().power_cycle()
-        self._fill_error_queue()
+        for number in self._errors_at_start:
+            self.report(number)
 
     @property
     def cycle(self) -> Trigger:

@@ -455,6 +455,8 @@ class MeasuringCycle(ABC):
     memory_depth: int
     starts_itself: tuple[str, ...] = ("IMM",)
     """The sources that trigger without a command or an external signal."""
+    after_last = ""
+    """What is printed after the last of several readings."""
 
     def __init__(self, clock: Clock, interrupted: Callable[[], bool]) -> None:
         self._clock = clock
@@ -490,7 +492,7 @@ class MeasuringCycle(ABC):
         """FETCh?: return the readings in memory. Raises `ScpiError` -230 if there are none."""
         if not self._memory:
             raise ScpiError(-230)
-        return ",".join(self._memory)
+        return ",".join(self._memory) + self.after_last
 
     def trigger(self, source: str) -> None:
         """Measure on one trigger from "BUS" or "EXT". Raises `ScpiError` -211 if the meter does not wait for it."""
@@ -558,7 +560,7 @@ class MeasuringCycle(ABC):
         if self.state is TriggerState.WAITING:
             return None
         self.complete()
-        return ",".join(self._readings)
+        return ",".join(self._readings) + self.after_last
 
     def _collect(self) -> None:
         self._readings += self._taken()
