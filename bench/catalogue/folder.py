@@ -33,7 +33,7 @@ from bench.run.events import (
 )
 from bench.run.folder import BENCH, VERIFY, Run
 from bench.services.bench_selection import instrument_name
-from bench.services.coefficients import coefficients_of
+from bench.services.coefficients import coefficients_of, is_of_record
 from bench.services.errors import Refused
 from drivers.interfaces import NO_SERIAL
 
@@ -323,6 +323,8 @@ def _results(folder: Path, run: int, record: RecordSeen) -> dict[str, Any]:
 
 
 def _calibration(data: Any, run: int, record: RecordSeen) -> dict[str, Any]:
+    if is_of_record(data):
+        return {}
     taken = coefficients_of(data, CALIBRATE)
     residual = data.get("residual") or {}
     noted = (data.get("record") or {}).get("head")

@@ -73,12 +73,22 @@ def read_coefficients(path: Path, unit: str) -> Coefficients:
     return taken
 
 
+def is_of_record(data: Any) -> bool:
+    """Return whether parsed JSON is a calibration of meters from a record at a known input."""
+    return isinstance(data, dict) and "channels" in data and "level_v" in data
+
+
 def coefficients_of(data: Any, where: str) -> Coefficients:
     """Return the coefficients in a result of `calibrate --json` (parsed JSON), in any signal unit.
 
     Raises `Refused`, naming the file `where`, if the data are not such a result or hold an invalid number or
     covariance.
     """
+    if is_of_record(data):
+        raise Refused(
+            f"{where}: calibrates meters from a record at a known input, without coefficients of a block; give "
+            "the calibration of a block"
+        )
     try:
         values = np.array([_number(data["coefficients"][name]["value"]) for name in COEFFICIENTS])
         covariance = _covariance(data, "covariance")

@@ -35,7 +35,7 @@ COLUMNS: Final[dict[str, tuple[str, str]]] = {
     "since_power_on_s": ("s", "since the block was switched on, for `warm_up`; may be empty"),
     "scan_order": ("–", "in which order the channels were read, such as `xyz`"),
     "reference_v": ("V", "voltage at a reference input, for `R`"),
-    "reference_sd_v": ("V", "standard deviation of the meters that read the reference; may be empty"),
+    "reference_sd_v": ("V", "scatter of the meters that read `reference_v`, counts as its u; may be empty"),
     "temperature_source": ("–", "what told `temperature_c`, where that was a thermometer at the block"),
     "chamber_c": ("°C", "air of the chamber, beside it"),
     "meter_temperature_c": (

@@ -133,7 +133,7 @@ class VoltmeterMove(VoltmeterEffect):
             grid=(HOUR, 2 * HOUR, 4 * HOUR, 8 * HOUR), default=HOUR,
         ),
     )  # fmt: skip
-    sentence = "the readings jumped: the meter or its leads were moved, or a junction was touched"
+    sentence = "the readings jumped, as where a meter or its leads are moved, or a junction is touched"
     shown_by = "a shorted input before and after the move"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
