@@ -117,9 +117,6 @@ FITS: Final = 4.0
 """Readings fit if the misfit is at most `LEAST_FALL` plus this per signal, the sheet's part `LEAST_FALL`."""
 LEAST_OF_TWO: Final = 0.25
 """Least misfit of two mistakes, g^2 over all readings; positions tilted by a degree give a tenth of it."""
-RAISED: Final = 2.0
-"""Most factor by which correcting only the first of two mistakes may increase the cost."""
-
 LEAST_P: Final = sys.float_info.min
 """Lower limit of p-values, so that none is 0."""
 
@@ -291,16 +288,13 @@ class GrossSearch:
     def _first_of_two(
         self, table: OrientedRows, supposed: Sequence[Reinterpretation], cost: Floats
     ) -> tuple[int, OrientedRows, int]:
-        """Return the first of two mistakes that make the readings fit (0 for none), both put right, and the looks.
-
-        One that by itself makes the misfit much larger is no first step.
-        """
+        """Return the first of two mistakes that make the readings fit, or 0; both put right; and the looks."""
         looks = 0
         if cost[0] * self.gross_g**2 < LEAST_OF_TWO:
             return 0, table, looks
         leaving = any(s.source is not None for s in supposed)
         for h in np.argsort(cost).tolist():
-            if h and supposed[h].factor is None and cost[h] < RAISED * cost[0]:
+            if h and supposed[h].factor is None:
                 corrected = put_right(table, supposed[h])
                 second = [s for s in suppositions(corrected) if leaving or s.source is None]
                 looks += len(second)
