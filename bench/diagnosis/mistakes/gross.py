@@ -117,6 +117,9 @@ FITS: Final = 4.0
 """Readings fit if the misfit is at most `LEAST_FALL` plus this per signal, the sheet's part `LEAST_FALL`."""
 LEAST_OF_TWO: Final = 0.25
 """Least misfit of two mistakes, g^2 over all readings; positions tilted by a degree give a tenth of it."""
+RAISED: Final = 2.0
+"""Most factor by which correcting only the first of two mistakes may increase the cost; it saves time."""
+
 LEAST_P: Final = sys.float_info.min
 """Lower limit of p-values, so that none is 0."""
 
@@ -294,7 +297,7 @@ class GrossSearch:
             return 0, table, looks
         leaving = any(s.source is not None for s in supposed)
         for h in np.argsort(cost).tolist():
-            if h and supposed[h].factor is None:
+            if h and supposed[h].factor is None and cost[h] < RAISED * cost[0]:
                 corrected = put_right(table, supposed[h])
                 second = [s for s in suppositions(corrected) if leaving or s.source is None]
                 looks += len(second)
