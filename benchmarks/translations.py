@@ -5,7 +5,8 @@
 Texts are the arguments of `message` in Python, of `_` in scripts and in expressions of templates, the words of page
 templates, and titles, descriptions and reasons of the shipped procedures and bench files.
 `make lint` fails if one lacks a translation, if a translation has other blanks or elements than its
-text, if a catalogue has a text that nothing uses, or if a word of the certificate lacks a language.
+text, if a catalogue has a text that nothing uses, if a word of the certificate lacks a language, or if the text
+of a `Refusal` or a `Prompt` is not marked.
 """
 
 from __future__ import annotations
@@ -36,6 +37,7 @@ _SHIPPED_TEXT: Final = re.compile(r"\b(?:title|description|reason): ([^}\n#]+)")
 _IN_SCRIPT: Final = re.compile(r"(?<![\w.$])_\((?=[\"`])")
 _VALUE: Final = re.compile(r"(\$\{(?:[^{}]|\{(?:[^{}]|\{[^{}]*\})*\})*\})")
 _ENDING: Final = re.compile(r'\$\{(?:[^{}]+?) === 1 \? "([^"]*)" : "([^"]*)"\}')
+_WORDS: Final = re.compile(r"[^\W\d_]{2,} ")
 _BLANKS: Final = re.compile(r"\{\d+\}|</?\w+")
 
 
@@ -186,6 +188,31 @@ def problems_of_words() -> Iterator[str]:
         yield from (f"{WORDS.name}: {key} has no word in {one}" for one in sorted(languages - told.keys()))
 
 
+def unmarked(source: str, place: str) -> Iterator[str]:
+    """Yield a sentence for each text of a `Refusal` or a `Prompt` that is not the argument of `message`."""
+    for node in ast.walk(ast.parse(source)):
+        if not isinstance(node, ast.Call) or not isinstance(node.func, ast.Name):
+            continue
+        at = {"Refusal": 1, "Prompt": 2}.get(node.func.id)
+        if at is None:
+            continue
+        texts = [*node.args[at : at + 1], *(one.value for one in node.keywords if one.arg == "text")]
+        literals = (
+            one for text in texts for one in (text.values if isinstance(text, ast.JoinedStr) else [text])
+        )
+        if any(isinstance(one, ast.Constant) and _WORDS.search(str(one.value)) for one in literals):
+            yield f"{place}, line {node.lineno}: the text of this {node.func.id} is not in message(); mark it"
+
+
+def all_unmarked() -> Iterator[str]:
+    """Yield the sentences of `unmarked` for all modules."""
+    for folder in ("bench", "drivers"):
+        for file in sorted((ROOT / folder).rglob("*.py")):
+            source = file.read_text(encoding="utf-8")
+            if "Refusal(" in source or "Prompt(" in source:
+                yield from unmarked(source, str(file.relative_to(ROOT)))
+
+
 def written(told: Catalog, texts: dict[Entry, list[str]], language: str) -> Catalog:
     """Return a catalogue with the texts in use, in their order, with the translations known so far."""
     known = {_entry(one): one for one in told if one.id}
@@ -214,7 +241,7 @@ def save(file: Path, told: Catalog) -> None:
 
 def main(arguments: list[str]) -> int:
     """Check the catalogues, or with `--write` bring them up to date; return 1 if something is missing."""
-    texts, told_off = all_entries(), list(problems_of_words())
+    texts, told_off = all_entries(), [*problems_of_words(), *all_unmarked()]
     for language in LANGUAGES.keys() - {ENGLISH}:
         file = CATALOGUES / f"{language}.po"
         with file.open("rb") as stream:

@@ -271,8 +271,6 @@ MOST_PER_TURN: Final = 72
 ALIKE: Final = 0.01
 """Fraction of a wave's square that another wave may leave and still count as the same."""
 SAME_ANGLE_DEG: Final = 0.1
-ORDERS: Final = {"head_eccentricity": 1, "head_ellipticity": 2}
-"""Periods a turn of effects that are a wave of the head's angle, where no shape `harmonic` states them."""
 
 
 def looking_like(angle_rad: Floats, order: int) -> tuple[int, ...]:
@@ -288,8 +286,9 @@ def looking_like(angle_rad: Floats, order: int) -> tuple[int, ...]:
 
 def order_of(applied: AppliedEffect) -> int | None:
     """Return how often a turn an effect repeats; None where it is no wave of the head's angle."""
-    if applied.effect.name in ORDERS:
-        return ORDERS[applied.effect.name]
+    order: int | None = getattr(applied.effect, "order", None)
+    if order is not None:
+        return order
     harmonic = applied.complete_values().get("harmonic")
     return None if harmonic is None else round(float(harmonic))
 

@@ -155,7 +155,7 @@ class CheckRun:
     `s_dof` degrees of freedom. Runs with the same `design` (plan) have equal covariances, except by chance.
     `meters` are the identities of the voltmeters; `of_meters` (12, 12) is the covariance due to their limits, which
     counts if they were replaced. `lasting` (12, 12) is the covariance of all other errors that do not vary from run
-    to run.
+    to run. `names` are those of the values, if they are neither the twelve nor the nine.
     """
 
     name: str
@@ -169,6 +169,7 @@ class CheckRun:
     meters: tuple[str, ...]
     of_meters: Floats
     lasting: Floats
+    names: tuple[str, ...] = ()
 
     def in_nine(self) -> CheckRun:
         """Return the run in the nine numbers. Raises `CalibrationError` for a K that describes no block."""
@@ -258,7 +259,10 @@ class ControlChart:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The names of the numbers of the chart, the nine or the twelve."""
+        """The names of the numbers of the chart: the nine, the twelve, or those of a monitor."""
+        own = next((run.names for run in (*self.baseline, *self.later) if run.names), ())
+        if own:
+            return own
         return INTRINSIC if self.centre.dimensions == len(INTRINSIC) else COEFFICIENTS
 
     @property

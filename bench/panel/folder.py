@@ -69,7 +69,7 @@ def read_page(run: Run, name: str) -> bytes:
                 return file.read(LARGEST_PAGE)
     except (OSError, ValueError):
         pass
-    raise Refusal(404, f"{run.name} has no {name}")
+    raise Refusal(404, message(f"{run.name} has no {name}; go back to the run and make it there"))
 
 
 @dataclass(frozen=True)

@@ -51,6 +51,20 @@ def test_a_new_text_without_translation_is_told_with_its_file(tmp_path):
     assert told == [f"uk: {entry.english!r} (bench/new.py) has no translation" for entry in found]
 
 
+def test_a_text_of_the_panel_or_a_question_that_is_not_marked_is_told():
+    source = """
+raise Refusal(404, f"{name} has no report")
+raise Refusal(404, message(f"{name} has no report"))
+raise Refusal(400, str(error))
+Prompt(key, PromptKind.CONFIRM, "Tap the block")
+Prompt(id=key, kind=PromptKind.CONFIRM, text=f"{trouble} {task}")
+"""
+    assert [told.partition(":")[0] for told in translations.unmarked(source, "a.py")] == [
+        "a.py, line 2", "a.py, line 5"
+    ]  # fmt: skip
+    assert not list(translations.all_unmarked())
+
+
 def test_a_translation_with_another_blank_and_one_that_nothing_uses_are_told():
     told = Catalog(locale="uk")
     told.add("{0} V", "{1} V")

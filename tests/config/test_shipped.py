@@ -6,7 +6,7 @@ import pytest
 
 from bench.base.yaml_files import FileMistakes
 from bench.config import shipped
-from bench.config.shipped import copy_shipped, find_bench, find_procedure
+from bench.config.shipped import CONFIG, PROCEDURES, copy_shipped, find_bench, find_procedure, shipped_folder
 
 
 def test_names_with_and_without_their_ending_are_found():
@@ -23,19 +23,21 @@ def test_a_path_wins_over_a_shipped_name(tmp_path, monkeypatch):
     assert "procedure: quick" in find_procedure("quick").read_text(encoding="utf-8")
 
 
+def names_in(kind):
+    names = sorted(path.stem for path in shipped_folder(kind).glob("*.yaml"))
+    assert len(names) >= 10
+    return ", ".join(names)
+
+
 def test_an_unknown_name_is_told_with_the_nearest_and_the_list():
     with pytest.raises(FileMistakes) as error:
         find_procedure("calibraton")
     assert str(error.value) == (
         "calibraton: there is no such file, and no shipped procedure of that name; did you mean "
         "calibration? "
-        "shipped are: calibration, discerning, inputs, levelled, paper, quick, remount-180, remount-90, "
-        "repeatability, return, stability, temperature, turn-12, turn-24, turn-on, verification"
+        f"shipped are: {names_in(PROCEDURES)}"
     )
-    listed = (
-        "shipped are: bench-encoder, bench-gpib, bench-lan, bench-motorised, bench-multiplexer, bench-prologix, "
-        "bench-rate-table, bench-rs232, bench-stand, paper-stand"
-    )
+    listed = f"shipped are: {names_in(CONFIG)}"
     with pytest.raises(FileMistakes, match=listed):
         find_bench("nothing/like/it.yaml")
 

@@ -1,9 +1,11 @@
 """Effects of stand, head and voltmeter against closed forms typed here, the geometry of support/paper_bench.py."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
-from bench.model import Conditions, ForwardModel
+from bench.model import CATALOGUE, Conditions, ForwardModel
 from tests.support.effect_bench import (
     ALPHA4,
     BLOCK,
@@ -186,3 +188,11 @@ def test_an_unknown_installation_is_refused_or_has_no_reading():
         False,
         True,
     ]
+
+
+@pytest.mark.parametrize("wave", [one for one in CATALOGUE.values() if getattr(one, "order", None)])
+def test_a_wave_of_the_head_has_as_many_periods_a_turn_as_its_order_says(wave):
+    turn = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
+    seen = SimpleNamespace(conditions=SimpleNamespace(angle_rad=turn))
+    lines = np.abs(np.fft.rfft(wave.addition({"cosine": 3.0, "sine": 4.0}, seen))) / 12
+    np.testing.assert_allclose(lines, 5.0 * (np.arange(13) == wave.order), atol=1e-12)

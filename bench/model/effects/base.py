@@ -133,8 +133,12 @@ class StandEffect(Effect):
 
 
 class HeadEffect(Effect):
-    """An effect of the head and its scale: an addition to the head angle, rad."""
+    """An effect of the head and its scale: an addition to the head angle, rad.
 
+    `order` is the number of periods per turn if the effect is a sine of the head angle, else None.
+    """
+
+    order: int | None = None
     stage = Stage.HEAD_ANGLE
     subsystem = Subsystem.STAND
 

@@ -100,6 +100,7 @@ class HeadEccentricity(HeadEffect):
     """An angle error with a period of one turn: the circle's centre is off the shaft's axis."""
 
     name = "head_eccentricity"
+    order = 1
     parameters = (angle("cosine", 8), angle("sine", 8))
     sentence = "the head's circle is off its axis: its angle is wrong by a sine with one period a turn"
     shown_by = "a second reading of the circle opposite the first; a polygon and autocollimator"
@@ -113,6 +114,7 @@ class HeadEllipticity(HeadEffect):
     """An angle error with a period of half a turn."""
 
     name = "head_ellipticity"
+    order = 2
     parameters = (angle("cosine", 5), angle("sine", 5))
     sentence = "the head's circle is not round: its angle is wrong by a sine with two periods a turn"
     shown_by = "a remount turned by 90 deg on the platform; a polygon and autocollimator"

@@ -18,6 +18,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import ClassVar
 
+from bench.base.languages import message
 from bench.config.procedure.steps import ActionVerb, AtBench, Step, Times
 from drivers.person import Prompt, PromptKind
 
@@ -60,7 +61,7 @@ class Tap(Step):
 
     def carry_out(self, at: AtBench) -> Tapped:
         """Ask for it."""
-        words = f"Tap the block {self.taps} times"
+        words = message(f"Tap the block {self.taps} times")
         at.person.ask(Prompt(self.key, PromptKind.CONFIRM, words, default="yes", action={"do": "answer"}))
         return Tapped(self.taps)
 '''
@@ -92,10 +93,10 @@ def program(tmp_path):
     folder = tmp_path / "bench/config/procedure"
     (folder / "tap.py").write_text(NEW, encoding="utf-8")
     plan = (folder / "plan.py").read_text(encoding="utf-8")
-    ends = "Level, Power,\n)"
-    assert ends in plan
+    begins = "KINDS: Final[tuple[type[Step], ...]] = (\n"
+    assert begins in plan
     imported = "from bench.config.procedure import tap\nfrom bench.config.procedure.steps import"
-    plan = plan.replace(ends, "Level, Power, tap.Tap,\n)")
+    plan = plan.replace(begins, f"{begins}    tap.Tap,\n")
     (folder / "plan.py").write_text(
         plan.replace("from bench.config.procedure.steps import", imported, 1), encoding="utf-8"
     )
