@@ -163,10 +163,9 @@ def _left(linear: LinearSystem, noise: NoiseSize) -> tuple[Model, float]:
 
 def _chi2(linear: LinearSystem, noise: NoiseSize) -> float:
     """Return the least sum of squares of readings and priors, in units of the noise."""
-    fitted = posterior(linear, np.zeros((len(linear), 0)), noise)
-    error = linear.response - np.concatenate([linear.fixed, linear.random], axis=1) @ fitted.mean
-    every = np.ones(len(linear), dtype=bool)
-    white = whiten_rows(linear, noise, error[:, None], every)
+    nothing = np.zeros((len(linear), 0))
+    fitted = posterior(linear, nothing, noise)
+    white = whiten_rows(linear, noise, (linear.response - linear.design(nothing) @ fitted.mean)[:, None])
     return float(np.sum(white**2) + np.sum(fitted.mean[linear.fixed.shape[1] :] ** 2))
 
 

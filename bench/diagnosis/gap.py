@@ -367,7 +367,7 @@ def _held_out(
     effects = candidates.columns[:, list(columns)]
     fitted = posterior(linear, effects, noise, ~held)
     error, chi2 = predicted_error(linear, effects, noise, fitted, held)
-    design = np.concatenate([linear.fixed, linear.random, effects], axis=1)[held]
+    design = linear.design(effects)[held]
     variance = (noise.reading * linear.relative[held]) ** 2 + (noise.setting_rad * linear.slope[held]) ** 2
     variance += np.einsum("ni,ij,nj->n", design, fitted.covariance, design)
     to_g = linear.g_per_signal[held]

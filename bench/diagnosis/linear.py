@@ -175,6 +175,10 @@ class LinearSystem:
         added = random.shape[1] - self.random.shape[1]
         return replace(self, random=random, of_noise=self.of_noise + added)
 
+    def design(self, effects: Floats) -> Floats:
+        """Return the columns of coefficients, stand and own effects, and further `effects` (N, m)."""
+        return np.concatenate([self.fixed, self.random, effects], axis=1)
+
     @property
     def own(self) -> slice:
         """Slice of the columns of `random` that belong to the model's own effects, `problem.effects`."""

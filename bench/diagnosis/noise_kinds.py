@@ -81,8 +81,8 @@ def log_null(grid: NoiseGrid) -> float:
 
 def _by_channel(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Iterator[NoiseHypothesis]:
     fitted = posterior(linear, effects, noise)
-    design = np.concatenate([linear.fixed, linear.random, effects], axis=1)
-    white = whiten_rows(linear, noise, design, np.ones(len(linear), dtype=bool))
+    design = linear.design(effects)
+    white = whiten_rows(linear, noise, design)
     free = 1.0 - np.einsum("np,pq,nq->n", white, fitted.covariance, white, optimize=True)
     oriented = linear.setting >= 0
     other = linear.relative / linear.relative_of_channel
@@ -175,8 +175,8 @@ def residuals(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Floats
     They are divided by the relative noise of their rows.
     """
     fitted = posterior(linear, effects, noise)
-    left = linear.response - np.concatenate([linear.fixed, linear.random, effects], axis=1) @ fitted.mean
-    return noise.reading * whiten_rows(linear, noise, left[:, None], np.ones(len(linear), dtype=bool))[:, 0]
+    left = linear.response - linear.design(effects) @ fitted.mean
+    return noise.reading * whiten_rows(linear, noise, left[:, None])[:, 0]
 
 
 def larger_scatter(linear: LinearSystem, left: Floats) -> LocalScatter | None:

@@ -229,7 +229,7 @@ class ReadingDesign:
         self._basis, _ = np.linalg.qr(np.concatenate([base, prior]))
 
     def _white(self, columns: Floats) -> Floats:
-        return whiten_rows(self.linear, self._noise, columns, np.ones(len(self.linear), dtype=bool))
+        return whiten_rows(self.linear, self._noise, columns)
 
     def _left(self, columns: Floats) -> Floats:
         """Return the whitened columns (N, m) with the free columns projected out."""

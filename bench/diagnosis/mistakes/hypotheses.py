@@ -61,8 +61,8 @@ class Seen:
     def of_group(self, columns: Floats) -> float:
         """Return ln of the Bayes factor of a change; its columns (n, 3, p) have the plausible size of the noise."""
         inside = self.table.whiten(self.table.unit * columns, self.white)
-        inside = inside - self.basis @ (self.basis.T @ inside)
-        values, vectors = np.linalg.eigh(inside.T @ inside)
+        known = self.basis.T @ inside
+        values, vectors = np.linalg.eigh(inside.T @ inside - known.T @ known)
         along = (vectors.T @ (inside.T @ self.pull)) ** 2
         return float(self._factors(np.maximum(values, 0.0)[None], along[None], SIZES)[0])
 
