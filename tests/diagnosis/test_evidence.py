@@ -106,9 +106,8 @@ def test_the_odds_of_names_in_a_place_are_those_of_bayes(one):
     forms = [
         next(v for v in one.candidates.variants if v.family == f and v.channels == (1,)) for f in families
     ]
-    some = replace(one, candidates=replace_variants(one.candidates, forms))
-    some = replace(some, whitened=Whitened.of(one.whitened.grid, some.candidates))
-    scored = Scored.beside(some.whitened, some.whitened.reduce(one.linear.response[:, None]), ())
+    some = Whitened.of(one.whitened.grid, replace_variants(one.candidates, forms))
+    scored = Scored.beside(some, some.reduce(one.linear.response[:, None]), ())
     odds = {o.name: o.probability for o in in_place(scored, scored.best()).odds}
     kinds = np.array([0.96 / 4] * 5)
     kinds[families.index("free_by_pass")] = 0.01
