@@ -243,10 +243,13 @@ def in_pass(readings, mount, *numbers):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("axis", "degrees"), [((1, 0, 0), 1.0), ((0, 1, 0), 1.0), ((0, 0, 1), 1.0), ((0, 1, 0), 0.02)]
+    ("axis", "degrees"), [((1, 0, 0), 1.0), ((0, 1, 0), 0.9), ((0, 0, 1), 1.0), ((0, 1, 0), 0.02)]
 )
 def test_a_slip_is_in_the_set_and_the_noise_stays_what_it_is(axis, degrees):
-    """From pass 2 on, up to a degree, where second order is ten times the noise."""
+    """From pass 2 on, up to a degree, where second order is ten times the noise.
+
+    A whole degree about the axis of the head would be pass 1 with its angles read wrong by a mark.
+    """
     readings = paper_run(np.random.default_rng(SEED))
     slipped = turned(readings, in_pass(readings, "1", 2, 3), axis, np.radians(degrees))
     found = diagnose(slipped, MODEL, STAND, np.diag(K), OneThreshold())
