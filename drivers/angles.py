@@ -23,7 +23,9 @@ _PART: Final = re.compile(r"(?P<number>[0-9]+(?P<decimals>\.[0-9]+)?)(?P<mark>\s
 
 
 class Slip(NamedTuple):
-    """A common mistake in reading a scale: its size as text and in degrees, and its description."""
+    """A common mistake in reading a scale: how far it moves the reading, as text and in degrees, and its
+    description.
+    """
 
     size: str
     degrees: float
@@ -72,7 +74,10 @@ def parse_angle(text: str) -> float:
 
 
 def typed_angle(text: str, target_rad: float) -> float:
-    """Return a typed angle in rad; `+5"` or `-12″` is the deviation from `target_rad`. Raises as `parse_angle`."""
+    """Return a typed angle in rad; a text such as `+5"` or `-12″` states the deviation from `target_rad`.
+
+    Raises `ValueError` as `parse_angle` does.
+    """
     stripped = text.strip().replace("−", "-").replace("''", "″").replace("′′", "″")
     match = _DEVIATION.fullmatch(stripped)
     if match is None:
