@@ -65,7 +65,7 @@ class LivingOperator:
     """A `drivers.interfaces.WatchingPerson`: `person` answers while a scripted operator acts in the world.
 
     The simulated head moves to the angle that the person reports. The prompt contains the value that a display or a
-    level's bubble shows. In the simulated world, a task takes the scripted operator's time.
+    level's bubble shows. In the simulated world, a task takes as long as the scripted operator needs for it.
     """
 
     def __init__(self, person: WatchingPerson, hands: ScriptedOperator) -> None:
@@ -84,9 +84,9 @@ class LivingOperator:
     def ask(self, prompt: Prompt) -> Answer:
         """Ask the person and carry out the task in the world; return the person's answer.
 
-        If the task is to read a display, the operator looks first, and the prompt contains what it shows. If the
-        task is to turn a head with an encoder, the operator's answer is returned. After an invalid or refusing
-        answer the task is not carried out. Raises the errors of the person's `ask`.
+        If the task is to read a display, the scripted operator reads it first, and the prompt contains the value
+        shown. If the task is to turn a head with an encoder, the operator's answer is returned. After an invalid or
+        refusing answer the task is not carried out. Raises the errors of the person's `ask`.
         """
         action = prompt.action
         if action["do"] in _LOOKED_AT:
@@ -312,7 +312,7 @@ class ScriptedHand:
     def _tell(self, command: str) -> None:
         reply = json.loads(self._control.handle(command.encode(), lambda: False) or b"{}")
         if not reply.get("ok"):
-            raise BenchError("simulation", str(reply.get("error")), "start again")
+            raise BenchError("simulation", f"'{command}' failed ({reply.get('error')})", "start again")
 
 
 def real_evening(
