@@ -75,8 +75,8 @@ class Separable:
     """The requested terms of a channel, and which of them its orientations determine.
 
     Of the terms `asked`, those `kept` are estimated. A term of `inseparable` acts like the listed shares of kept
-    terms and is not estimated: their estimates contain these shares of it. A term without shares shows in no
-    reading.
+    terms. It is not estimated: the estimates of the kept terms contain these shares of it. A term without shares
+    affects no reading.
     """
 
     channel: str
@@ -146,7 +146,7 @@ MOVES: Final = 0.01
 class Quantity:
     """One estimated quantity of an accelerometer, in `unit`.
 
-    `u` is the combined u if `TumbleView.combined`; `u_readings` is that from the readings and the stated stand
+    `u` is the combined u if `TumbleView.combined`; `u_readings` is the part from the readings and the stated stand
     errors. `contains` are the terms that cannot be separated from it, with their shares: "K3" with {"Koq": 0.59} is
     an estimate of K3 + 0.59 Koq.
     """
@@ -173,10 +173,10 @@ class TumbleView(HasCovariance):
 
     `axes` has the quantities of each channel, in the order of `names` ("x.K0") and of `covariance` (m, m).
     `covariance_readings` is the part from the readings and the stated stand errors; if `combined`, `covariance`
-    holds more. `judged` says which terms the orientations determine. `left_out` has the change, g or g/g^n, by 1
-    g/g^n of a term that was not requested: by channel, term and quantity. `block` has the coefficients estimated
-    together with these terms. `gain` (m, n, 3) is the map from the readings `fitted` to the quantities, `slope` (n,
-    3) is du/dphi.
+    holds more. `judged` says which terms the orientations determine. `left_out` states how a term that was not
+    requested would change each quantity: the change in g or g/g^n by 1 g/g^n of the term, by channel, term and
+    quantity. `block` has the coefficients estimated together with these terms. `gain` (m, n, 3) is the map from the
+    readings `fitted` to the quantities, `slope` (n, 3) is du/dphi.
     """
 
     unit: str
@@ -378,7 +378,7 @@ NOT_IN_VOLTS: Final = (
 def combine(
     view: TumbleView, bench: BenchFile, model: ForwardModel, terms: Sequence[str], day: date | None = None
 ) -> TumbleView:
-    """Return the view with the combined covariance; it has no prior of the requested, estimated `terms`.
+    """Return the view with the combined covariance; it omits the priors of `terms`, which are estimated.
 
     `day` is the date of the readings, from which the drift since each certificate follows. The meters' errors are
     in volts: a view in another unit only gets a note.

@@ -60,7 +60,8 @@ class Beliefs:
 class LikelihoodPoint:
     """The likelihood at given variances: -2 ln L, score (k,), information (k, k), means and their covariance.
 
-    `means` (m + waves,) are the m means followed by the harmonics of the head; `covariance` is theirs.
+    `means` (m + waves,) are the m means followed by the harmonics of the head; `covariance` is the covariance of
+    both.
     """
 
     minus_two_log: float
@@ -291,7 +292,10 @@ def _held_against(
 
 @dataclass(frozen=True)
 class Agreed:
-    """The runs that agree, their sums and noise (4,), and contradictions; `most` if too many runs contradict."""
+    """The runs that agree, with their sums and noise (4,), and the contradicting runs.
+
+    `most` is true if too many runs contradict.
+    """
 
     runs: list[RunFit]
     body: RunSums

@@ -291,8 +291,8 @@ def stability_of(
 ) -> Stability:
     """Return the analysis of a record whose meters integrated each sample for `integration_s` seconds.
 
-    `size` is the permitted noise of a reading, in the unit of the signals. With None, the averaging time is that
-    from which longer averages gain little.
+    `size` is the permitted noise of a reading, in the unit of the signals. If it is None, the averaging time is the
+    time beyond which longer averages gain little.
     """
     channels = tracked(range(3), "Allan deviation of the channels")
     curves = tuple(allan_curve(record.signal[:, i], record.interval_s) for i in channels)
