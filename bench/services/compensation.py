@@ -52,9 +52,9 @@ class SignedModel:
 
 
 def sign_model(model: TemperatureModel, source: Source) -> SignedModel:
-    """Return a model to whose covariance the bench errors are added that its readings do not show.
+    """Return a model whose covariance includes the bench errors that its readings do not show.
 
-    They are computed from one `source`, because they act on the readings equally at all temperatures.
+    They are computed from one `source`, because they act equally at all temperatures.
     """
     assumed = {name: size.u for name, size in assumed_stand(source.bench).items()}
     found = calibrate(
@@ -167,7 +167,7 @@ def _checks(source: Source, model: TemperatureModel) -> Iterator[tuple[float, Ve
 
 
 def tumble_of(source: Source, terms: Sequence[str] = DEFAULT) -> TumbleView:
-    """Return the tumble of each axis of a source with the nonlinear `terms` (such as "K2"), by IEEE 1293.
+    """Return the IEEE 1293 model of each axis of a source with the nonlinear `terms` (such as "K2").
 
     Raises `CalibrationError` if the readings do not determine them.
     """
@@ -177,7 +177,7 @@ def tumble_of(source: Source, terms: Sequence[str] = DEFAULT) -> TumbleView:
 
 
 def tumbled(source: Source, terms: Sequence[str]) -> tuple[TumbleView, TumbleResult]:
-    """Return the tumble of each axis of a source, and the result for JSON. Raises as `tumble_of`."""
+    """Return the IEEE 1293 model of each axis of a source, and the result for JSON. Raises as `tumble_of`."""
     view = tumble_of(source, terms)
     readings = source.readings
     notes = [*view.lack_of_fit.diagnose(source.name), *view.notes, *readings.notes, *readings.skipped]

@@ -246,7 +246,7 @@ def is_away(answers: str | None, *, panel: bool) -> bool:
 
 
 def refuse_contradictions(request: RunRequest) -> None:
-    """Raise `Refused` for options that do not go together, and for a real run without a bench file."""
+    """Raise `Refused` for options that exclude each other, and for a real run without a bench file."""
     if not (request.bench or os.environ.get("BENCH_FILE") or request.dry_run):
         raise Refused(
             "a run on real instruments needs a bench file; give --bench FILE or set BENCH_FILE, or try it "
@@ -530,7 +530,7 @@ def unfinished_run(name: str | None, runs: Path, *, results_too: bool = False) -
         if results_too and not waiting:
             waiting = [run for run, state in states if _lacks_results(run, state)]
         if not waiting:
-            raise Refused(f"{runs}: no unfinished run there")
+            raise Refused(f"{runs}: no unfinished run there; name a run, or its folder with --runs")
         return waiting[-1]
     found = find_run(name, runs)
     if found.imported:

@@ -384,8 +384,8 @@ def _meter_run(source: Source, meters: tuple[str, str, str], day: float) -> Mete
 def written_meters(found: MeterDifferences) -> dict[str, Any]:
     """Return the voltmeters' section of a learned file.
 
-    Each covariance is multiplied by ν/(ν − 2), where ν is the least degrees of freedom of the meters' differences,
-    but at least `FEW_DOF`; the factor is 1 if ν is infinite.
+    Each covariance is multiplied by ν/(ν − 2), where ν is the smallest degrees of freedom of the meters'
+    differences, or `FEW_DOF` if that is larger; the factor is 1 if ν is infinite.
     """
     return {
         "meters": list(found.meters),
@@ -482,7 +482,9 @@ def _dated(snapshots: list[Snapshot], dates: Sequence[str]) -> list[Snapshot]:
 
 @dataclass(frozen=True)
 class RecordAtRest:
-    """The noise and drift of a static record, with the bench file used, notes on its choice, and the run if any."""
+    """The noise and drift of a static record, with the bench file used, notes on the choice of that file, and the
+    run, if any.
+    """
 
     found: Stability
     taken: BenchTaken
