@@ -8,7 +8,7 @@ unexport PYTHONDONTWRITEBYTECODE
 # Slow files begin first (tests/conftest.py), which a worker alone would else have at the end.
 PYTEST := $(VENV)/bin/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
 
-.PHONY: dry-run test test-quick test-browser thresholds coverage mutation lint hooks docs blind-trial clean
+.PHONY: dry-run test test-quick test-browser thresholds coverage mutation lint hooks docs blind-trial release release-matrix clean
 
 # The program alone; every other target adds the tools of tests and of development to the same environment.
 dry-run: $(PRODUCT)
@@ -80,6 +80,18 @@ $(VENV)/.documented: $(STAMP)
 TRIAL ?= --page --seed 7
 blind-trial: $(STAMP)
 	OPENBLAS_NUM_THREADS=1 $(VENV)/bin/python -m benchmarks.blind_trial $(TRIAL)
+
+# Wheel and sdist (twice, equal), bill of materials, licences, container file, offline bundle, manifest, in dist.
+# `make release KEY=FILE` signs the manifest; `make release-matrix` tries Pythons and versions, an hour.
+release: $(VENV)/.releasing
+	$(VENV)/bin/python -m release.build --out dist --bundle $(if $(KEY),--key $(KEY))
+
+release-matrix: $(VENV)/.releasing
+	$(VENV)/bin/python -m release.matrix
+
+$(VENV)/.releasing: $(STAMP)
+	PIP_CONSTRAINT=constraints.txt $(VENV)/bin/python -m pip install --quiet --editable '.[test,dev,release]'
+	touch $@
 
 clean:
 	rm -rf $(VENV) docs/_build docs/reference .mypy_cache .ruff_cache .pytest_cache .hypothesis \

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from bench.services.calibration import CalibrationResult as CalibrationResult
     from bench.services.calibration import Coefficient as Coefficient
     from bench.services.check_block import chart as chart
+    from bench.services.compensation import tumble as tumble
     from bench.services.confirmation import ConfirmationResult as ConfirmationResult
     from bench.services.diagnosis import DiagnosisResult as DiagnosisResult
     from bench.services.diagnosis import FreeDiagnosisResult as FreeDiagnosisResult
@@ -45,12 +46,14 @@ if TYPE_CHECKING:
     from bench.services.face import verify as verify
     from bench.services.history import ComparisonResult as ComparisonResult
     from bench.services.history import LearningResult as LearningResult
-    from bench.services.history import RecordAtRest as RecordAtRest
     from bench.services.history import compare as compare
     from bench.services.history import learn as learn
-    from bench.services.history import stability as stability
+    from bench.services.monitor import monitor as monitor
     from bench.services.planning import budget as budget
+    from bench.services.record_calibration import RecordCalibrationResult as RecordCalibrationResult
     from bench.services.record_diagnosis import RecordDiagnosisResult as RecordDiagnosisResult
+    from bench.services.stability import RecordAtRest as RecordAtRest
+    from bench.services.stability import stability as stability
     from bench.services.verification import VerificationResult as VerificationResult
 
 _HOMES: Final = {
@@ -60,17 +63,19 @@ _HOMES: Final = {
     "bench.services.calibration": ("CalibrationResult", "Coefficient"),
     "bench.results.control_chart": ("CheckBlockChart",),
     "bench.services.check_block": ("chart",),
+    "bench.services.compensation": ("tumble",),
     "bench.services.confirmation": ("ConfirmationResult",),
     "bench.services.diagnosis": ("DiagnosisResult", "FreeDiagnosisResult", "MistakesResult"),
+    "bench.services.record_calibration": ("RecordCalibrationResult",),
     "bench.services.record_diagnosis": ("RecordDiagnosisResult",),
     "bench.services.errors": ("Refused",),
     "bench.services.face": (
         "DryRun", "calibrate", "confirm", "diagnose", "diagnose_each", "dry_run", "load_bench",
         "read_readings", "verify",
     ),
-    "bench.services.history": (
-        "ComparisonResult", "LearningResult", "RecordAtRest", "compare", "learn", "stability",
-    ),
+    "bench.services.history": ("ComparisonResult", "LearningResult", "compare", "learn"),
+    "bench.services.monitor": ("monitor",),
+    "bench.services.stability": ("RecordAtRest", "stability"),
     "bench.services.verification": ("VerificationResult",),
     "bench.base.yaml_files": ("FileMistakes",),
     "bench.config.bench_file.file": ("BenchFile",),

@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 from scipy import stats
 
-from bench.diagnosis.evidence import Search, Whitened, null_responses, total_evidence
+from bench.diagnosis.evidence import Search, null_responses, total_evidence
 from bench.diagnosis.noise_grid import make_noise_grid
 from benchmarks.campaign import arguments
 from tests.support.diagnosis_bench import NOISE_V, Set, paper_run, set_up
@@ -35,7 +35,8 @@ def main() -> None:
     typical = np.sqrt(np.sum(one.linear.slope**2) / (one.linear.setting.max() + 1))
     ratio = SETTING_U_RAD * typical / NOISE_V
     exact = replace(make_noise_grid(one.linear, NOISE_V, SETTING_U_RAD, (ratio,)), known=True)
-    known = Set(one.linear, one.candidates, Whitened.of(exact, one.candidates))
+    known = Set(one.linear, NOISE_V)
+    known.grid = exact
     limit = stats.norm.isf(ALPHA / LOOKS / 2)
     rows = [
         ("matched filter, 55 looks", [float(stats.norm.sf(limit - rho)) for rho in SIZES]),

@@ -13,6 +13,7 @@ import random
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 from typing import Final
 
 import yaml
@@ -68,6 +69,7 @@ class Message:
         return after if before else ""
 
 
+@cache
 def messages() -> list[Message]:
     """Return all messages, in the order of files and lines."""
     found: list[Message] = []

@@ -1,9 +1,10 @@
 """A calibration by panel in Chromium: keys and clicks, how late a live value is shown, what live reads cost.
 
-    python -m benchmarks.panel_evening keys        # a whole 'calibration', typed
+    python -m benchmarks.panel_evening keys        # a whole 'calibration', typed, then read by an encoder
     python -m benchmarks.panel_evening live        # meters of `bench simulate` over TCP, in real time
 
-`keys` types each reading as its deviation from the commanded angle, and counts what the browser is sent. `live`
+`keys` types each reading as its deviation from the commanded angle, and counts what the browser is sent; with an
+encoder, simulated hands turn the head, and only mountings and the thermometer are answered. `live`
 asks the browser for the age of each live value on the screen, then measures the time from a person's answer to the
 end of the reading, in turns with live reads and without. No reading changes: `pytest tests/run/test_live.py`.
 """
@@ -56,6 +57,8 @@ class CountingPerson:
     def answer(self, asked: dict[str, Any], turn: int) -> None:
         """Answer the question on the page."""
         what = "turn" if asked["action"]["do"] == "turn" else "else"
+        if asked["action"].get("hands_free"):
+            return
         if not self.page.is_visible("#typed"):
             self.page.click("#buttons button >> nth=0")
             self.clicks[what] += 1
@@ -80,10 +83,10 @@ def signed_in(panel: ServedPanel) -> Iterator[Any]:
         browser.close()
 
 
-def keys() -> CountingPerson:
-    """Carry out a whole calibration in practice in the panel, with typed readings; return who answered."""
+def keys(bench: str) -> CountingPerson:
+    """Carry out a whole calibration in practice in the panel; return who answered."""
     with tempfile.TemporaryDirectory() as folder, served(Path(folder)) as panel, signed_in(panel) as page:
-        run = Begun(Path(folder), "run", "calibration", "folder", more=("--dry-run", "--bench", "bench-lan"))
+        run = Begun(Path(folder), "run", "calibration", "folder", more=("--dry-run", "--bench", bench))
         return carried_out(run, panel, page)
 
 
@@ -95,7 +98,7 @@ def carried_out(run: Begun, panel: ServedPanel, page: Any) -> CountingPerson:
         page.click("text=Take control")
         person, asked_id, number = CountingPerson(page), "", 0
         while asked_id := prompt_of(page, asked_id):
-            person.answer(run.of_type("asked")[-1], number)
+            person.answer(next(asked for asked in run.of_type("asked") if asked["id"] == asked_id), number)
             number += 1
         status, said = run.ended()
         if status not in {0, 1}:
@@ -197,12 +200,14 @@ def main() -> None:
     if asked.what == "live":
         live(asked.turns)
         return
-    person = keys()
-    typed = person.keys["turn"]
-    print(
-        f"{person.readings} readings, {len(typed)} of them typed, at most {max(typed, default=0)} keys each; "
-        f"clicks: {person.clicks['turn']} for readings, {person.clicks['else']} for mountings"
-    )
+    for bench in ("bench-lan", "bench-encoder"):
+        person = keys(bench)
+        typed = person.keys["turn"]
+        print(
+            f"{bench}: {person.readings} readings, {len(typed)} typed, at most {max(typed, default=0)} keys each; "
+            f"clicks: {person.clicks['turn']} for readings, {person.clicks['else']} for mountings",
+            flush=True,
+        )
 
 
 if __name__ == "__main__":

@@ -32,8 +32,9 @@ from typing import Final
 import numpy as np
 
 from bench.base.arrays import Floats, Mask
-from bench.calibration import calibrate, verify
+from bench.calibration import calibrate
 from bench.calibration.conformity import SIMPLE, Population
+from bench.calibration.verification import verify
 from bench.model import ForwardModel
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
 from bench.readings.table import Readings, make_readings

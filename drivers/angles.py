@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from typing import Final, Literal, NamedTuple
+from typing import Final, Literal
 
 from drivers.interfaces import message
 
@@ -22,23 +22,14 @@ _DEVIATION: Final = re.compile(r"(?P<sign>[+-])\s*(?P<seconds>[0-9]{1,4}(?:[.,][
 _PART: Final = re.compile(r"(?P<number>[0-9]+(?P<decimals>\.[0-9]+)?)(?P<mark>\s*[^\s0-9.]*)\s*")
 
 
-class Slip(NamedTuple):
-    """A common mistake in reading a scale: how far it moves the reading, as text and in degrees, and its
-    description.
-    """
-
-    size: str
-    degrees: float
-    words: str
-
-
-SLIPS: Final = (
-    Slip("10°", 10.0, message("the tens of degrees are one off")),
-    Slip("1°", 1.0, message("the degree line is one off")),
-    Slip("10′", 10.0 / 60.0, message("the tens of minutes are one off")),
-    Slip("1′", 1.0 / 60.0, message("the minute line is one off")),
-    Slip("180°", 180.0, "the opposite side of the circle was read"),
+SLIPS: Final[tuple[tuple[str, float, str], ...]] = (
+    ("10°", 10.0, message("the tens of degrees are one off")),
+    ("1°", 1.0, message("the degree line is one off")),
+    ("10′", 10.0 / 60.0, message("the tens of minutes are one off")),
+    ("1′", 1.0 / 60.0, message("the minute line is one off")),
+    ("180°", 180.0, "the opposite side of the circle was read"),
 )
+"""Common mistakes in reading a scale: size as text, size in degrees, description."""
 
 
 def wrapped_rad(angle_rad: float) -> float:
@@ -173,8 +164,8 @@ def classic_slip(read_rad: float, target_rad: float, tolerance_rad: float) -> st
     if abs(difference) <= tolerance_rad:
         return None
     candidates = [
-        (abs(abs(difference) - math.radians(slip.degrees)), message(f"{slip.words} ({slip.size})"))
-        for slip in SLIPS
+        (abs(abs(difference) - math.radians(degrees)), message(f"{words} ({size})"))
+        for size, degrees, words in SLIPS
     ]
     candidates.append((abs(wrapped_rad(read_rad + target_rad)), message("360° - x was read instead of x")))
     miss, words = min(candidates, key=lambda candidate: candidate[0])

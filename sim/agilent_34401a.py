@@ -9,11 +9,12 @@ Source: 34401A User's Guide (34401-90004), chapters 3-5; chapter 8, specificatio
 from __future__ import annotations
 
 import math
+import re
 from functools import partial
 from typing import TYPE_CHECKING, Final
 
 from drivers.facts import agilent_34401a as facts
-from sim.scpi import Command, Interface, number_lines, switch_lines
+from sim.scpi import Command, Interface, never, number_lines, switch_lines
 from sim.scpi_values import (
     DEF,
     DEVICE_ERROR,
@@ -48,9 +49,10 @@ from sim.voltmeters import (
     chosen_resolution,
     reading_text,
 )
+from sim.wires.session import LineEnds
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from drivers.clock import Clock
 
@@ -265,6 +267,7 @@ class Trigger(MeasuringCycle):
     memory_depth = facts.MEMORY_READINGS
     most_readings = _MOST_READINGS
     keeps_latest = False
+    prints_last_comma = False
 
     def __init__(
         self,
@@ -322,7 +325,8 @@ class Trigger(MeasuringCycle):
         if self.source == "BUS":
             raise ScpiError(-214)
         self._begin(keeps=self.keeps_latest)
-        return self._outcome()
+        readings = self._outcome()
+        return None if readings is None else readings + self._after_last
 
     def _begin(self, keeps: bool) -> None:
         if self.trigger_count * self.sample_count > self.most_readings:
@@ -355,6 +359,14 @@ class Trigger(MeasuringCycle):
                 self.averaged.append(value)
             yield reading_text(value, self._converter.step(self._configuration))
         self._times_s = []
+
+    def fetch(self) -> str:
+        """FETCh?: return the readings in memory. Raises `ScpiError` -230 if there are none."""
+        return super().fetch() + self._after_last
+
+    @property
+    def _after_last(self) -> str:
+        return "," if self.prints_last_comma else ""
 
     def commands(self) -> list[Command]:
         """Return the commands and queries for triggering, memory and average."""
@@ -456,10 +468,22 @@ _OVERLOAD_BITS: Final = {"V": VOLT_OVERLOAD, "A": 2, "OHM": 512}
 _DISPLAY_WIDTH: Final = 12
 
 
+_REAL_PORT: Final = LineEnds(buffer=110, loses_early=True)
+_FALLS_SILENT_S: Final = 600.0
+_REMOTE: Final = re.compile(rb"\s*:?SYST(EM)?:REM(OTE)?\s*\Z", re.IGNORECASE)
+_COMMA_AFTER_LAST: Final = ("3-1-1", "7-5-2")
+"""Firmware that prints a comma after the last of several readings, as the User's Guide shows them."""
+
+
 class Agilent34401A(LineMeter):
     """The meter: settings, trigger system, status; `source` is the signal that it is wired to, `clock` its time.
 
-    `interface` is as for `LineMeter`, `noise` and `accuracy` are as for `Converter`.
+    `interface` is as for `LineMeter`; `noise`, `accuracy` and `flaws` are as for `Converter`. `firmware` is the
+    last field of its identity; "3-1-1" prints a comma after the last reading. `errors_at_start` enter its queue at
+    switch-on, as after an adapter's own *IDN?. `real_port` gives it the RS-232 port of chapter 4: a buffer of
+    some 100 characters; what is sent between a query and its reply is lost, Ctrl-C too. After ten idle minutes it
+    is silent until SYSTem:REMote.
+    Sources: 34401A User's Guide, pages 151-152 (DTR/DSR, Ctrl-C); xyphro/UsbGpib issue 41 (an adapter's *IDN?).
     """
 
     model = facts.MODELS[0]
@@ -475,20 +499,56 @@ class Agilent34401A(LineMeter):
         noise: bool = True,
         accuracy: Accuracy | None = None,
         line_hz: float = 50.0,
+        flaws: Mapping[str, float] | None = None,
+        firmware: str = "",
+        errors_at_start: Sequence[int] = (),
+        real_port: bool = False,
     ) -> None:
         super().__init__(facts.IDENTITY, _ERRORS, interface)
+        if firmware:
+            self.identity = f"{self.identity.rpartition(',')[0]},{firmware}"
+        self._errors_at_start = tuple(errors_at_start)
+        self._real_port = real_port and interface == "rs232"
+        self._clock, self._heard_s = clock, clock.now_s()
         self.beeper_enabled = True
         self.configuration = Configuration(self._configuration_changed)
-        self._converter = Converter(source, facts, noise=noise, accuracy=accuracy, line_hz=line_hz)
+        self._converter = Converter(
+            source, facts, noise=noise, accuracy=accuracy, line_hz=line_hz, flaws=flaws
+        )
         self.trigger = self._trigger_type(
             clock, self.configuration, self._converter, self._overload, self.device_clear_pending
         )
+        self.trigger.prints_last_comma = firmware in _COMMA_AFTER_LAST
         self._clear_text()
         self.display_on = True
         self.add(self.configuration.commands())
         self.add(self.trigger.commands())
         self.add(self._measure_commands())
         self.add(self._system_commands())
+        self._fill_error_queue()
+
+    def _fill_error_queue(self) -> None:
+        for number in self._errors_at_start:
+            self.report(number)
+
+    @property
+    def line_ends(self) -> LineEnds:
+        """The line ends; a real RS-232 port has a small buffer, and loses what arrives before a reply is out."""
+        return _REAL_PORT if self._real_port else LineEnds()
+
+    def handle(self, message: bytes, interrupted: Callable[[], bool] = never) -> bytes | None:
+        """Carry out one message; a real RS-232 port that was idle for long answers only after SYSTem:REMote."""
+        idle_s = self._clock.now_s() - self._heard_s
+        if self._real_port and idle_s > _FALLS_SILENT_S and not _REMOTE.match(message):
+            return None
+        reply = super().handle(message, interrupted)
+        self._heard_s = self._clock.now_s()
+        return reply
+
+    def power_cycle(self) -> None:
+        """Switch off and on; errors that an adapter causes at switch-on enter the queue again."""
+        super().power_cycle()
+        self._fill_error_queue()
 
     @property
     def cycle(self) -> Trigger:

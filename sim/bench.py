@@ -60,7 +60,8 @@ class SimulatedBench:
     `instruments` maps each name on the bench to a meter or to any dialect over the world; a dialect may state its
     `model`. Each instrument gets a TCP port on `host` (any free port, or consecutive ports from `first_port`), and
     a pseudo-terminal if `with_terminals` names it or is True. `buses` puts instruments on the GPIB bus of an
-    adapter, `{"adapter": {"voltmeter.x": 22, …}}`; they share the adapter's port. Each of the `faults` is armed
+    adapter, `{"adapter": {"voltmeter.x": 22, …}}`; they share the adapter's port. `adapter_options` are those of a
+    `GpibAdapter`. Each of the `faults` is armed
     for the instrument that it names, or for every instrument that can have it. Within the context `resources` maps
     names to VISA resources, `dialects` to the instruments, `faulty` and `wired` to the layers around them,
     `servers` and `terminals` to their wires. If the world has a virtual clock, it advances only after every
@@ -76,10 +77,12 @@ class SimulatedBench:
         first_port: int = 0,
         with_terminals: bool | Collection[str] = False,
         buses: Mapping[str, Mapping[str, int]] | None = None,
+        adapter_options: Mapping[str, Any] | None = None,
         faults: Sequence[Fault] = (),
     ) -> None:
         """Raise `ValueError` for a fault of an unknown instrument, or of one that cannot have it."""
         self.world = world
+        self._of_adapter = dict(adapter_options or {})
         self.traffic = Traffic()
         self.dialects: dict[str, Dialect] = {}
         self.faulty: dict[str, FaultyInstrument] = {}
@@ -124,7 +127,7 @@ class SimulatedBench:
 
     def _attach(self, adapter: str, members: Mapping[str, Dialect | SimulatedMeter]) -> None:
         """Put instruments on the bus of an adapter; a meter uses the clock that the adapter provides."""
-        bus = GpibAdapter(self.world.clock)
+        bus = GpibAdapter(self.world.clock, **self._of_adapter)
         self._add(adapter, bus)
         for name, given in members.items():
             if isinstance(given, SimulatedMeter):

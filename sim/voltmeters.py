@@ -172,15 +172,49 @@ class Measurement(Protocol):
         """The lowest AC frequency that is measured correctly, Hz."""
 
 
+@dataclass(frozen=True)
+class InputFlaws:
+    """What real wiring and a real input add; zeros are an ideal input.
+
+    `source_ohm` is the resistance of the source, which an input of 10 MOhm loads. `mains_v` is the amplitude of
+    the mains voltage on the signal; an integration over whole cycles cancels it. `zero_drift_v_s` is the drift of
+    the zero with autozero off, V/s. `flicker_v` is the standard deviation of 1/f noise per decade of frequency.
+    Sources: 34401A User's Guide, chapter 7, "Loading errors", "Rejecting power-line noise voltages"; E1412A data
+    sheet (autozero off).
+    """
+
+    source_ohm: float = 0.0
+    mains_v: float = 0.0
+    zero_drift_v_s: float = 0.0
+    flicker_v: float = 0.0
+
+    def loading(self, input_ohm: float) -> float:
+        """Return the fraction of the source's voltage that is left at an input of `input_ohm`."""
+        return 1.0 / (1.0 + self.source_ohm / input_ohm)
+
+    def pick_up_v(self, aperture_s: float, line_hz: float, phase_rad: float) -> float:
+        """Return the mean of the mains voltage over an integration that begins at `phase_rad`, V."""
+        cycles = aperture_s * line_hz
+        if not self.mains_v or math.isclose(cycles, round(cycles), abs_tol=1e-9):
+            return 0.0
+        return self.mains_v * math.sin(math.pi * cycles) / (math.pi * cycles) * math.sin(phase_rad)
+
+
+_FLICKER_DECADES: Final = (-5, -4, -3, -2, -1)
+"""The decades of frequency, log10 of Hz, in which the 1/f noise of an input has its power."""
+_INPUT_OHM: Final = 10e6
+_HIGH_IMPEDANCE_OHM: Final = 10e9
+
+
 class Converter:
     """Converts the voltage at the terminals to readings, with the ranges and errors in the `facts` of a meter.
 
     With `noise` a sample has white noise according to its integration time and is rounded to the resolution;
     without, it is exact (although a reply has only 8 decimals). `accuracy` "90 days" draws a gain error, an offset
     and their temperature coefficients for each range once, within half the limits of error; other values state the
-    errors. The terminals carry only a DC voltage: AC functions, current, frequency and period read zero;
-    resistance, continuity and diode see open leads; the ratio has no reference. While `overloaded` is set, every
-    sample is beyond the range.
+    errors. `flaws` are the fields of `InputFlaws`. The terminals carry only a DC voltage: AC functions, current,
+    frequency and period read zero; resistance, continuity and diode see open leads; the ratio has no reference.
+    While `overloaded` is set, every sample is beyond the range.
     """
 
     def __init__(
@@ -191,8 +225,10 @@ class Converter:
         noise: bool,
         accuracy: Accuracy | None,
         line_hz: float,
+        flaws: Mapping[str, float] | None = None,
     ) -> None:
         self._source = source
+        self._flaws = None if flaws is None else InputFlaws(**flaws)
         self._facts = facts
         self._noise = noise
         self._accuracy = accuracy
@@ -242,11 +278,35 @@ class Converter:
             return OVERLOAD_V
         match configuration.function.name:
             case "VOLT":
-                return self._volts(configuration, self._source.signal_v(time_s))
+                return self._volts(configuration, self._at_input_v(configuration, time_s))
             case "RES" | "FRES" | "CONT" | "DIOD" | "VOLT:RAT":
                 return OVERLOAD_V
             case _:
                 return 0.0
+
+    def _at_input_v(self, configuration: Measurement, time_s: float) -> float:
+        """Return the voltage that is converted: the signal, loaded by the input, and what the input adds to it."""
+        signal_v, flaws = self._source.signal_v(time_s), self._flaws
+        if flaws is None:
+            return signal_v
+        high = getattr(configuration, "high_impedance", True) and configuration.settings.range_value <= 10.0
+        signal_v *= flaws.loading(_HIGH_IMPEDANCE_OHM if high else _INPUT_OHM)
+        if configuration.function.has_nplc:
+            phase_rad = 2.0 * math.pi * math.fmod(self._line_hz * time_s, 1.0)
+            signal_v += flaws.pick_up_v(self.integration_s(configuration), self._line_hz, phase_rad)
+        if not configuration.autozero:
+            signal_v += flaws.zero_drift_v_s * time_s
+        return signal_v + (self._flicker_v(flaws.flicker_v, time_s) if flaws.flicker_v else 0.0)
+
+    def _flicker_v(self, deviation_v: float, time_s: float) -> float:
+        """Return 1/f noise at a time: in each decade four sines of equal power, of fixed frequency and phase."""
+        drawn = self._source.fixed_random("voltmeter flicker").random((len(_FLICKER_DECADES), 4, 2))
+        per_sine_v = deviation_v * math.sqrt(2.0 / 4.0)
+        return per_sine_v * sum(
+            math.sin(2.0 * math.pi * (10.0 ** (decade + float(where)) * time_s + float(phase)))
+            for decade, sines in zip(_FLICKER_DECADES, drawn, strict=True)
+            for where, phase in sines
+        )
 
     def step(self, configuration: Measurement) -> float:
         """Return the rounding step of samples, or 0 without rounding."""

@@ -58,8 +58,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def pytest_runtest_setup(item: pytest.Item) -> None:
     """Set the watch for a hang, and say whether this test and its fixtures draw figures.
 
-    The figures of pages are left empty: they cost more than all else. Tests marked `figures` draw them, and those
-    of the room of results, whose subject they are.
+    The figures of pages are left empty: they cost more than all else. Tests marked `figures` draw them.
     To set the watch for each test would cost more than most tests do.
     """
     if time.monotonic() - Session.watched_s > HANGS_S / 10.0:
@@ -69,7 +68,7 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 
     # beneath what other modules import by name: one imported now would keep the empty one for ever
     Session.draw = Session.draw or plots._written
-    drawn = item.get_closest_marker("figures") is not None or item.path.parent.name == "results"
+    drawn = item.get_closest_marker("figures") is not None
     plots._written = Session.draw if drawn else (lambda name, inches, draw: EMPTY_FIGURE)
 
 

@@ -1,4 +1,7 @@
-"""Estimation of the coefficients with their uncertainty, and the check at the verification points."""
+"""Estimation of the coefficients with their uncertainty, and the check at the verification points.
+
+The check stands in `bench.calibration.verification`.
+"""
 
 from bench.calibration.calibrate import calibrate
 from bench.calibration.estimators import ESTIMATORS
@@ -11,7 +14,6 @@ from bench.calibration.result import (
     Noise,
     Outlier,
 )
-from bench.calibration.verification import Verification, VerificationPoint, verify
 
 __all__ = [
     "ESTIMATORS",
@@ -21,9 +23,6 @@ __all__ = [
     "LackOfFit",
     "Noise",
     "Outlier",
-    "Verification",
-    "VerificationPoint",
     "calibrate",
     "implausible",
-    "verify",
 ]

@@ -181,8 +181,8 @@ def usable_rows(readings: Readings, model: ForwardModel) -> Readings:
     rows = readings.oriented()
     if len(readings) and np.all(readings.installation == REFERENCE):
         raise CalibrationError(
-            f"{readings.source}: a record at a known input has no coefficients of a block; 'bench diagnose' gives "
-            "zero, drift and effects of each channel"
+            f"{readings.source}: a record at a known input has no coefficients of a block; 'bench calibrate', "
+            "'report', 'stability', 'diagnose' and 'confirm' evaluate it"
         )
     if len(rows) == 0:
         raise CalibrationError(

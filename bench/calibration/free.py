@@ -15,8 +15,7 @@ from bench.base.arrays import Floats
 from bench.calibration.design import FIXED, FreeRows, Problem
 from bench.calibration.mistakes import refuse_still
 from bench.calibration.result import CalibrationError, Noise, Triangular
-from bench.calibration.verification import modulus_slopes
-from bench.model.geometry import Block
+from bench.model.geometry import Block, modulus_slopes
 
 MOST_ROUNDS: Final = 50
 STANDS_STILL_G: Final = 1e-14

@@ -15,19 +15,21 @@ import numpy as np
 
 from bench.base.arrays import CHANNELS, Floats, HasCovariance, rms, u_of
 from bench.calibration import gls
+from bench.calibration.above_1g import AboveOneG, join
 from bench.calibration.budget.coefficients import meters_of, parts_of
 from bench.calibration.budget.sources import hidden_sources
 from bench.calibration.budget.whole import GRAVITY, VOLTS, MeasuredReadings
 from bench.calibration.calibrate import first_guess, usable_rows
 from bench.calibration.design import FIXED, Problem, make_problem
 from bench.calibration.noise import require_told
-from bench.calibration.result import MISALIGNMENTS, CalibrationError, LackOfFit, Noise
+from bench.calibration.result import MISALIGNMENTS, NOT_ACCEPTED_P, CalibrationError, LackOfFit, Noise
 from bench.config.bench_file.file import BenchFile
 from bench.model.conditions import Conditions
 from bench.model.effects import CATALOGUE, Parameter, Seen
 from bench.model.effects.base import AppliedEffect
 from bench.model.forward import ForwardModel
 from bench.model.geometry import COEFFICIENTS, HIDDEN, STAND_ANGLES, Block
+from bench.readings.centrifuge import CentrifugePoints
 from bench.readings.table import Readings
 
 LINEAR: Final = ("K1", "Ki_j", "Ki_k", "K0")
@@ -42,8 +44,13 @@ HOMES: Final = {
     "Kpo": "cross_coupling",
     "Kpp": "cross_quadratic",
     "Koo": "cross_quadratic",
+    "K0p": "bias_asymmetry",
+    "K1p": "scale_asymmetry",
 }
-"""The effect of each nonlinear term, in the order in which terms are requested."""
+"""The effect of each nonlinear term, in the order in which terms are requested; K0p and K1p are K0' and K1'."""
+
+AS_PARAMETER: Final = {"K1p": ("Kabs", 0.5)}
+"""Terms that are another parameter of their effect, times a factor: (K1'/2) |a_i| = Kabs |a_i|."""
 
 DEFAULT: Final = ("K2", "K3", "Koq")
 
@@ -53,7 +60,15 @@ SHOWN: Final = 1e-3
 
 def parameter_of(term: str) -> Parameter:
     """Return the effect parameter of a nonlinear term."""
-    return next(p for p in CATALOGUE[HOMES[term]].parameters if p.name == term)
+    name, _ = AS_PARAMETER.get(term, (term, 1.0))
+    return next(p for p in CATALOGUE[HOMES[term]].parameters if p.name == name)
+
+
+def term_of(parameter: str) -> tuple[str, float]:
+    """Return the nonlinear term of an effect parameter, and by what the parameter's value is multiplied for it."""
+    return next(
+        ((t, 1 / by) for t, (name, by) in AS_PARAMETER.items() if name == parameter), (parameter, 1.0)
+    )
 
 
 def columns(force: Floats, channel: int, terms: Sequence[str], conditions: Conditions) -> Floats:
@@ -65,8 +80,8 @@ def columns(force: Floats, channel: int, terms: Sequence[str], conditions: Condi
 
 def _nonlinear(term: str, force: Floats, conditions: Conditions) -> Floats:
     """Return a term of size 1 in all channels, (n, 3), from the effect that simulation and fit use."""
-    effect = CATALOGUE[HOMES[term]]
-    sizes = {p.name: np.full(3, float(p.name == term)) for p in effect.parameters}
+    effect, (name, size) = CATALOGUE[HOMES[term]], AS_PARAMETER.get(term, (term, 1.0))
+    sizes = {p.name: np.full(3, size * (p.name == name)) for p in effect.parameters}
     return effect.addition(sizes, Seen(force, conditions, Block(np.eye(3), np.zeros(3))))
 
 
@@ -136,6 +151,8 @@ def separable(force: Floats, channel: int, terms: Sequence[str], conditions: Con
 
 NO_PRIOR: Final = 1.0
 """Prior standard deviation of a term, g/g^n: far beyond any plausible size, so that the data decide."""
+OPEN_AT_1_G: Final = 1e-2
+"""The same where points above 1 g follow: 500 times a plausible size, and their fit remains well conditioned."""
 K: Final = 2.0
 """Coverage factor of U."""
 MOVES: Final = 0.01
@@ -173,10 +190,10 @@ class TumbleView(HasCovariance):
 
     `axes` has the quantities of each channel, in the order of `names` ("x.K0") and of `covariance` (m, m).
     `covariance_readings` is the part from the readings and the stated stand errors; if `combined`, `covariance`
-    holds more. `judged` says which terms the orientations determine. `left_out` states how a term that was not
-    requested would change each quantity: the change in g or g/g^n by 1 g/g^n of the term, by channel, term and
-    quantity. `block` has the coefficients estimated together with these terms. `gain` (m, n, 3) is the map from the
-    readings `fitted` to the quantities, `slope` (n, 3) is du/dphi.
+    holds more. `judged` says which terms the orientations determine. `left_out` has the change, g or g/g^n, by 1
+    g/g^n of a term that was not requested: by channel, term and quantity. `block` has the coefficients estimated
+    together with these terms. `gain` (m, n, 3) is the map from the readings `fitted` to the quantities, `slope` (n,
+    3) is du/dphi. `above` tells of points above 1 g that joined the fit.
     """
 
     unit: str
@@ -194,6 +211,12 @@ class TumbleView(HasCovariance):
     fitted: Readings
     combined: bool = False
     notes: tuple[str, ...] = ()
+    above: AboveOneG | None = None
+
+    @property
+    def above_agrees(self) -> bool:
+        """Whether the points above 1 g, if there are any, agree with the readings."""
+        return self.above is None or self.above.p >= NOT_ACCEPTED_P
 
     @property
     def names(self) -> list[str]:
@@ -215,11 +238,13 @@ def tumble_view(
     noise: Noise | None = None,
     *,
     assumed_u: Mapping[str, float] | None = None,
+    above: CentrifugePoints | None = None,
 ) -> TumbleView:
     """Estimate the requested terms (of `HOMES`) from the oriented readings; other arguments as in `calibrate`.
 
-    The terms replace the effects of the model. Raises `CalibrationError` if the readings do not determine the
-    twelve coefficients, or a term is unknown or repeated.
+    The terms replace the effects of the model. Points `above` 1 g join the fit. At 1 g a power series is not
+    unique (DTIC AD0607702): only points above tell a cubic from what looks like one there. Raises
+    `CalibrationError` if the readings do not determine the twelve coefficients, or a term is unknown or repeated.
     """
     strange = [term for term in terms if term not in HOMES]
     if strange or len(set(terms)) < len(terms):
@@ -234,22 +259,39 @@ def tumble_view(
     start = first_guess(make_problem(plain, conditions, sizes), rows.signal, rows.resolution)
     still = make_problem(plain, conditions, {}).stand_matrix(np.zeros(0))
     force = plain.specific_force(conditions, still, Block(np.eye(3), np.zeros(3)))
-    judged = tuple(separable(force, channel, terms, conditions) for channel in range(3))
-    problem = _problem(plain, make_problem(with_terms(plain, terms), conditions, sizes), judged)
+    alone = tuple(separable(force, channel, terms, conditions) for channel in range(3))
+    judged = alone if above is None else _judged_with(above, force, terms, g_m_s2)
+    problem = _problem(
+        plain, make_problem(with_terms(plain, terms), conditions, sizes), judged,
+        NO_PRIOR if above is None else OPEN_AT_1_G,
+    )  # fmt: skip
     fit = gls.fit(problem, rows.signal, start, noise, rows.resolution)
     require_told(fit.noise)
     fit_test = replace(gls.lack_of_fit(problem, fit), rms=rms(fit.residuals))
+    joined = None
+    if above is not None:
+        opened = sum(own.rank - there.rank for own, there in zip(judged, alone, strict=True))
+        fit, joined = join(problem, fit, above, g_m_s2, opened)
     axes, through = _quantities(problem, fit, judged, readings.unit)
     whole = through @ fit.covariance @ through.T
     whole = 0.5 * (whole + whole.T)
     shown = whole - _of_assumed(problem, fit, through, assumed)
     gain = np.einsum("mp,pni->mni", through, fit.gain)
-    moved = _left_out(fit, force, conditions, terms, through, axes)
+    moved = _left_out(fit, force, conditions, terms, through, axes, joined)
     axes = sized(axes, whole, shown)
     return TumbleView(
         readings.unit, g_m_s2, fit.block, axes, whole, shown, gain, fit.slope, judged, moved, fit.noise, fit_test,
-        rows,
+        rows, above=joined,
     )  # fmt: skip
+
+
+def _judged_with(
+    above: CentrifugePoints, force: Floats, terms: Sequence[str], g_m_s2: float
+) -> tuple[Separable, ...]:
+    """Return which terms each channel's points above 1 g, with the signals that were read, and 1 g determine."""
+    every = [np.concatenate([force, above.force_ms2[np.isfinite(read)] / g_m_s2]) for read in above.signal.T]
+    nowhere = [Conditions.of(["1"] * len(one), np.zeros(len(one))) for one in every]
+    return tuple(separable(every[k], k, terms, nowhere[k]) for k in range(3))
 
 
 def _of_assumed(problem: Problem, fit: gls.Fit, through: Floats, assumed: Mapping[str, float]) -> Floats:
@@ -267,12 +309,12 @@ def with_terms(model: ForwardModel, terms: Sequence[str]) -> ForwardModel:
     return replace(model, effects=tuple(AppliedEffect(CATALOGUE[home], {}) for home in homes))
 
 
-def _problem(plain: ForwardModel, whole: Problem, judged: Sequence[Separable]) -> Problem:
+def _problem(plain: ForwardModel, whole: Problem, judged: Sequence[Separable], prior_u: float) -> Problem:
     """Return the problem with the determined terms as unknowns, without an informative prior."""
     kept = tuple(
-        replace(unknown, prior_u=NO_PRIOR, stated=False)
+        replace(unknown, prior_u=prior_u, stated=False)
         for unknown in whole.effects
-        if unknown.channel is not None and unknown.parameter in judged[unknown.channel].kept
+        if unknown.channel is not None and term_of(unknown.parameter)[0] in judged[unknown.channel].kept
     )
     return replace(whole, effects=kept) if kept else replace(whole, model=plain, effects=())
 
@@ -318,8 +360,9 @@ def _rows(problem: Problem, fit: gls.Fit, judged: Separable, channel: int, unit:
     first = FIXED + len(problem.stand)
     for at, unknown in enumerate(problem.effects, first):
         if unknown.channel == channel:
-            of_term = parameter_of(unknown.parameter).unit.replace("ug", "g")
-            yield unknown.parameter, float(vector[at]), of_term, ones[at]
+            term, by = term_of(unknown.parameter)
+            of_term = parameter_of(term).unit.replace("ug", "g")
+            yield term, by * float(vector[at]), of_term, by * ones[at]
 
 
 def sized(
@@ -345,7 +388,7 @@ def _contained(judged: Separable, name: str, channel: int) -> dict[str, float]:
 
 def _left_out(
     fit: gls.Fit, force: Floats, conditions: Conditions, terms: Sequence[str], through: Floats,
-    axes: Mapping[str, Sequence[Quantity]],
+    axes: Mapping[str, Sequence[Quantity]], above: AboveOneG | None,
 ) -> dict[str, dict[str, dict[str, float]]]:  # fmt: skip
     """Return the change of each quantity by 1 g/g^n of each term not requested, if above `MOVES`."""
     others = [term for term in HOMES if term not in terms]
@@ -355,7 +398,12 @@ def _left_out(
         own = axes[letter]
         scale = fit.block.K[channel, channel]
         shown = columns(force, channel, others, conditions)[:, len(LINEAR) :] * scale
-        shift = through[first : first + len(own)] @ (fit.gain[:, :, channel] @ shown)
+        by_unknown = fit.gain[:, :, channel] @ shown
+        if above is not None:
+            there = Conditions.of(["1"] * above.points, np.zeros(above.points))
+            more = columns(above.force, channel, others, there)[:, len(LINEAR) :] * scale
+            by_unknown = by_unknown + above.gain[:, :, channel] @ more
+        shift = through[first : first + len(own)] @ by_unknown
         moved[letter] = {
             term: {
                 q.name: float(by)

@@ -24,7 +24,7 @@ from bench.calibration.conformity import (
     probability_worst_outside,
 )
 from bench.calibration.result import CalibrationError
-from bench.model.geometry import Block
+from bench.model.geometry import Block, modulus_slopes
 from bench.readings.table import Readings
 
 HIGHEST_CONDITION: Final = 1e8
@@ -286,18 +286,6 @@ def verify(
         for i in range(len(rows))
     )
     return Verification(limit_g, points, together, readings.verification_missing, decision, population, joint)
-
-
-def modulus_slopes(force: Floats, block: Block) -> tuple[Floats, Floats]:
-    """Return the derivatives of |N (U - U0)| by the 12 coefficients (n, 12) and by the signals (n, 3).
-
-    `force` (n, 3) is the measured specific force, g.
-    """
-    # d|a|/dU = (a/|a|)^T N, d|a|/dK_ij = -(that)_i a_j, d|a|/dU0 = -(that)
-    modulus = np.linalg.norm(force, axis=1)
-    by_signal = (force / modulus[:, None]) @ np.linalg.inv(block.K)
-    by_k = -(by_signal[:, :, None] * force[:, None, :]).reshape(len(force), 9)
-    return np.concatenate([by_k, -by_signal], axis=1), by_signal
 
 
 def by_rule(statement: Statement, rule: str, *, passed: bool) -> Statement:

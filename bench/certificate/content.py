@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from typing import Final, TypeVar
 
 from bench.base.arrays import Floats, u_of
-from bench.calibration import Verification
 from bench.calibration.conformity import (
     FALSE_ACCEPTANCE,
     GUARDED,
@@ -22,7 +21,7 @@ from bench.calibration.conformity import (
     DecisionRule,
     Statement,
 )
-from bench.calibration.verification import by_rule
+from bench.calibration.verification import Verification, by_rule
 from bench.certificate.laboratory import (
     Laboratory,
     Order,

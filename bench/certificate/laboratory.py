@@ -30,6 +30,9 @@ from bench.base.yaml_files import (
 )
 from bench.config.bench_file.stand import StatedRule
 from bench.config.devices.device import Day
+from bench.services.errors import Refused
+from bench.services.persons import authorised_by
+from bench.services.requests.documents import Right
 
 SIMULATED_SERIES: Final = "SIM-"
 """Prefix of the certificate numbers of simulated runs; no other number begins with it."""
@@ -177,7 +180,7 @@ class Laboratory(Contact, StatedRule):
     environment: Annotated[str | None, OnCertificate("conditions")] = None
     numbers: str = "{year}-{count:04}"
     register_: Annotated[str, Field(alias="register")]
-    authorised: Annotated[tuple[Person, ...], Field(min_length=1)]
+    authorised: Annotated[tuple[Person, ...], Field(min_length=1)] = ()
     k: Annotated[float, Field(ge=1.0, le=5.0)] = 2.0
     language: Annotated[
         tuple[Language, ...], BeforeValidator(_languages), Field(min_length=1, max_length=2)
@@ -239,9 +242,19 @@ class Laboratory(Contact, StatedRule):
 
         return (SIMULATED_SERIES if simulated else "") + _FIELD.sub(filled, self.numbers)
 
-    def person(self, name: str) -> Person | None:
-        """Return the person of this name who may authorise certificates; None if there is none."""
-        return next((one for one in self.authorised if one.name == name), None)
+    def authorised_person(self, name: str, option: str = "--authorised-by") -> Person:
+        """Return the person of this name, who may authorise: of the register of persons, or else of the file.
+
+        Raises `Refused`, naming the option, for anybody else.
+        """
+        known = authorised_by(self._file, name, Right.AUTHORISE, option)
+        if known is not None:
+            return Person(name=known.name, role=known.role or None)
+        for one in self.authorised:
+            if one.name == name:
+                return one
+        names = ", ".join(one.name for one in self.authorised) or "nobody"
+        raise Refused(f"{option} {name}: the laboratory file names {names}; choose one of them")
 
 
 def load_laboratory(path: Path) -> Laboratory:

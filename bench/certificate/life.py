@@ -21,7 +21,6 @@ from bench.results.certificate import IssuedRun, RegisteredCertificate, Register
 from bench.services.errors import Refused, sentence
 from bench.services.requests.documents import CheckRegister, IssueCertificates, Issuing, RevokeCertificate
 from bench.services.requests.shared import runs_folder
-from bench.services.validated import refuse_unvalidated_certificate
 from drivers.clock import utc_now
 
 if TYPE_CHECKING:
@@ -52,8 +51,8 @@ class Desk:
         return validated(self.order_file, Order)
 
     def person(self, laboratory: Laboratory) -> Person:
-        """Return the authorising person. Raises `Refused` if the laboratory file does not name that person."""
-        return authorised(laboratory, self.authorised_by)
+        """Return the authorising person. Raises `Refused` if that person may not authorise."""
+        return laboratory.authorised_person(self.authorised_by)
 
 
 def desk_of(request: Issuing, passphrase: Callable[[], bytes]) -> Desk:
@@ -108,15 +107,6 @@ class Bodies:
     def sha256(self) -> dict[str, str]:
         """Return the SHA-256 of each form by its file suffix."""
         return {name: hashlib.sha256(body).hexdigest() for name, body in vars(self).items()}
-
-
-def authorised(laboratory: Laboratory, name: str, option: str = "--authorised-by") -> Person:
-    """Return the person called `name`. Raises `Refused`, naming the option, if this person may not authorise."""
-    person = laboratory.person(name)
-    if person is None:
-        names = ", ".join(one.name for one in laboratory.authorised)
-        raise Refused(f"{option} {name}: the laboratory file names {names}; choose one of them")
-    return person
 
 
 def issue_all(names: Sequence[str], desk: Desk) -> Iterator[IssuedRun]:
@@ -175,6 +165,8 @@ def _wanted(name: str, desk: Desk, laboratory: Laboratory, order: Order) -> Cert
     """Return the certificate of a run. Raises `Refused` where the laboratory demands a validated program."""
     certificate = certificate_of(name, desk.runs, laboratory, order)
     if laboratory.require_validation and not certificate.simulated:
+        from bench.services.validated import refuse_unvalidated_certificate
+
         refuse_unvalidated_certificate(desk.laboratory_file.path)
     return certificate
 
@@ -210,7 +202,7 @@ def revoke(request: RevokeCertificate) -> None:
     laboratory = laboratory_in(request.laboratory)
     if request.authorised_by is None:
         raise Refused("give --authorised-by NAME")
-    person = authorised(laboratory, request.authorised_by)
+    person = laboratory.authorised_person(request.authorised_by)
     with opened(laboratory.register_folder) as register:
         holds(register, request.number)
         told = {"reason": request.reason}

@@ -5,9 +5,11 @@ from __future__ import annotations
 import os
 import sys
 import traceback
-from typing import Annotated
+from functools import cache
+from typing import Annotated, Any
 
 import typer
+from typer.main import get_command
 
 from bench.base import computing
 from bench.base.text import bounded, visible
@@ -46,6 +48,12 @@ def _common(
     """Calibrates triaxial accelerometer blocks on a dividing head."""
 
 
+@cache
+def _program() -> Any:
+    """Return the group of commands: the library would make it, and each command known by then, at every call."""
+    return get_command(app)
+
+
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line and exit with its status; an error is reported on standard error, without a traceback.
 
@@ -56,7 +64,7 @@ def main(arguments: list[str] | None = None) -> None:
     hushed = computing.quiet.set("--quiet" in given)
     try:
         typed = [word for word in given if word not in ANYWHERE]
-        status = app(typed or ["--help"], prog_name="bench", standalone_mode=False)
+        status = _program()(typed or ["--help"], prog_name="bench", standalone_mode=False)
         if status == CTRL_C:
             status = _fail("stopped by Ctrl-C")
     except KeyboardInterrupt:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
+from functools import cache
 from importlib import import_module
 from keyword import iskeyword
 from typing import Any, Final
@@ -118,6 +119,7 @@ COMMANDS: Final = {
     "check": "Check a procedure against a bench; list its steps and time.",
     "validate": "Validate this installation: reference data, instruments, records, certificates, machine.",
     "instruments": "Test all instruments of a bench: identity, self-test, reading.",
+    "persons": "List the persons of the laboratory; add one, change one, or end one's rights.",
     "panel": "Serve the operator's panel in a browser.",
     "simulate": "Serve the simulated instruments of a bench file until Ctrl-C.",
     "runs": "List the runs, their states and how to continue.",
@@ -140,6 +142,7 @@ COMMANDS: Final = {
     "tumble": "Fit each axis of a multi-point tumble by IEEE 1293:"
     " bias, scale factor, misalignments, K2, K3, Koq.",
     "stability": "Compute the Allan deviation and noise terms of a block at rest, and the averaging to use.",
+    "monitor": "Chart runs of few positions over days: bias, scale factor, angle.",
     "chart": "Draw the control charts of the check block (Shewhart, EWMA).",
     "batch": "Recompute many runs; list the results and verdicts that change.",
     "compare": "Compare calibrations of one block: E_n, a joint test, drift.",
@@ -157,7 +160,7 @@ MODULES: Final[Mapping[str, str]] = {
     **dict.fromkeys(("diagnose", "confirm", "accept"), "evaluate"),
     **dict.fromkeys(("check", "init", "budget", "require", "plan-points"), "planning"),
     **dict.fromkeys(("run", "resume", "abort", "control"), "measure"),
-    **dict.fromkeys(("chart", "compare", "learn", "stability"), "history"),
+    **dict.fromkeys(("chart", "compare", "learn", "monitor", "stability"), "history"),
     **dict.fromkeys(("runs", "show", "seal", "key", "export", "import"), "records"),
     "simulate": "instruments",
 }
@@ -229,8 +232,12 @@ class Commands(CommandGroup):
         return listed.shell_complete(ctx, incomplete)
 
 
+@cache
 def load_command(name: str) -> Any:
-    """Import the module of a command; return the library's object for the command or the group of commands."""
+    """Import the module of a command; return the library's object for the command or the group of commands.
+
+    It is made once: the library evaluates all annotations of the command again each time.
+    """
     word = name.replace("-", "_") + "_" * iskeyword(name)
     module = import_module(f"bench.cli.{MODULES.get(name, word)}")
     if hasattr(module, "GROUP"):

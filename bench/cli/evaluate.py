@@ -24,7 +24,9 @@ from bench.services.requests.evaluation import (
 )
 
 if TYPE_CHECKING:
+    from bench.services.calibration import CalibrationResult
     from bench.services.diagnosis import Diagnosed
+    from bench.services.record_calibration import RecordCalibrationResult
     from bench.services.source import Failed
 
 
@@ -52,7 +54,8 @@ def calibrate(
     printing.bench_files(done(loaded), json)
     everyone = each(loaded, lambda source: calibrated(asked, source))
     otherwise = replace(asked, estimator=find_estimator(asked.estimator).name).otherwise
-    for result in done(everyone):
+    results: list[CalibrationResult | RecordCalibrationResult] = done(everyone)
+    for result in results:
         what_if = otherwise or result.source.what_if
         file = printing.write_result(result.source, "calibrate", result.to_dict(), what_if=what_if)
         if json == "-":
@@ -62,7 +65,7 @@ def calibrate(
     printing.write_json([one.to_dict() for one in everyone], json)
     if printing.failed(everyone):
         return 2
-    accepted = [one.strictly_accepted if strict else one.accepted for one in done(everyone)]
+    accepted = [one.strictly_accepted if strict else one.accepted for one in results]
     return 0 if all(accepted) else 1
 
 
@@ -106,7 +109,7 @@ def report(request: Report, json: JsonOption = None, out: OutOption = None) -> i
     Exit status 1 if the fit or the verification is not accepted.
     """
     from bench.results.verification import ReportResult
-    from bench.services.calibration import calibration_of
+    from bench.services.calibration import result_of
     from bench.services.source import load_sources, reading
     from bench.services.verification import VerdictOptions
 
@@ -114,7 +117,7 @@ def report(request: Report, json: JsonOption = None, out: OutOption = None) -> i
     (loaded,) = load_sources(reading(request, request.source, out=out))
     on = printing.console(json=json)
     printing.bench_files([loaded], json)
-    result = calibration_of(loaded)
+    result = result_of(loaded)
     try:
         verdict, page = printing.report(result, on, asked)
     except OSError as error:
@@ -196,18 +199,21 @@ def tumble(
     request: Tumble, json: JsonOption = None, out: OutOption = None, strict: StrictFitOption = False
 ) -> int:
     """Fit each axis of a multi-point tumble by IEEE 1293: bias, scale factor, misalignments, K2, K3, Koq."""
+    from pathlib import Path
+
+    from bench.readings.centrifuge import read_centrifuge
     from bench.results.tumble import print_tumble
-    from bench.services.compensation import tumbled
+    from bench.services.compensation import terms_in, tumbled
     from bench.services.source import load_sources, reading
 
     loaded = load_sources(reading(request, *request.sources, out=out))
     printing.bench_files(loaded, json)
-    terms = [term.strip() for term in request.terms.split(",") if term.strip()]
+    above = None if request.centrifuge is None else read_centrifuge(Path(request.centrifuge))
     results, fits = [], True
     for source in loaded:
-        view, result = tumbled(source, terms)
+        view, result = tumbled(source, terms_in(request.terms), above)
         results.append(result.to_dict())
-        fits = fits and view.lack_of_fit.accepted(strict=strict)
+        fits = fits and view.lack_of_fit.accepted(strict=strict) and view.above_agrees
         file = printing.write_result(source, "tumble", results[-1], what_if=source.what_if)
         on = printing.console(json=json)
         print_tumble(view, source.name, on)

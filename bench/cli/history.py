@@ -1,4 +1,4 @@
-"""chart, compare, learn, stability: evaluations of many measurements, and of a record at rest."""
+"""chart, compare, learn, monitor, stability: evaluations of many measurements, and of a record at rest."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import typer
 from bench.cli import printing
 from bench.cli.options import JsonOption, OutOption, app, requested
 from bench.services.errors import Refused
-from bench.services.requests.history import Chart, Compare, Learn, Stability
+from bench.services.requests.history import Chart, Compare, Learn, Monitor, Stability
 
 
 @app.command(epilog="Example: bench chart runs --bench my-bench.yaml --page chart.html")
@@ -101,6 +101,26 @@ def learn(
     return 1 if strict and found.learned.contradicting else 0
 
 
+@app.command(epilog="Example: bench monitor day-* --baseline 5 --out monitor")
+@requested
+def monitor(request: Monitor, json: JsonOption = None, out: OutOption = None) -> int:
+    """Chart runs of few positions over days: bias, scale factor, angle.
+
+    Exit status 1 unless the last run is in control.
+    """
+    from bench.results.monitor import print_monitor
+    from bench.services.monitor import monitored
+
+    found = monitored(request)
+    printing.bench_files(list(found.sources), json)
+    on = printing.console(json=json)
+    print_monitor(found.result, on)
+    if out is not None:
+        printing.write_files(found.files(out), on, asked=True)
+    printing.write_json([found.result.to_dict()], json)
+    return 0 if found.result.in_control else 1
+
+
 @app.command(epilog="Example: bench stability static.csv --size 20e-6 --bench my-bench.yaml")
 @requested
 def stability(request: Stability, json: JsonOption = None, out: OutOption = None) -> int:
@@ -109,7 +129,7 @@ def stability(request: Stability, json: JsonOption = None, out: OutOption = None
     Exit status 1 if no averaging reaches the allowed noise.
     """
     from bench.results.stability import print_stability
-    from bench.services.history import at_rest
+    from bench.services.stability import at_rest
 
     with printing.progress():
         found = at_rest(request)

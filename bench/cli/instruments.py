@@ -187,6 +187,8 @@ def _serve(request: SimulateRequest) -> int:
             host=host,
             first_port=port or 0,
             with_terminals=not request.no_pty,
+            hands=request.hands,
+            tell=lambda line: printing.console().out(f"hands: {line}", highlight=False),
         ) as serving,
         _announced(serving, request.ready_file),
     ):

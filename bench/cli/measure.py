@@ -38,7 +38,7 @@ def run(request: RunRequest, json: JsonOption = None) -> int:
             "--follow makes two runs, but --json holds one result; remove --json (each run's folder holds "
             "its result)"
         )
-    from bench.services.execution import refuse_contradictions
+    from bench.services.fitness import refuse_contradictions
 
     refuse_contradictions(request)
     done, status = _measured(request, json)
@@ -58,7 +58,7 @@ def _measured(request: RunRequest, json: str | None) -> tuple[Run, int]:
             out.print(f"bench file: {new.manifest['bench']}, {new.manifest['bench_why']}")
         printing.notes_on(out, new.notes)
         if request.panel:
-            _print_link(new.folder, out)
+            _print_link(new.folder, out, request.operator, request.laboratory)
 
     with started(request, out, announce) as (done, interrupts):
         return done, _results(done, interrupts, json, out)
@@ -77,16 +77,16 @@ def resume(request: ResumeRequest, json: JsonOption = None) -> int:
 
     def announce(found: Run) -> None:
         if request.panel:
-            _print_link(found.folder, out)
+            _print_link(found.folder, out, request.operator, None)
 
     with resumed(request, out, announce) as (done, interrupts):
         return _results(done, interrupts, json, out)
 
 
-def _print_link(run: Path, out: Console) -> None:
+def _print_link(run: Path, out: Console, operator: str, laboratory: Path | None) -> None:
     from bench.cli.panel import link_to
 
-    out.print(f"panel: {link_to(run.name, run.parent)}", soft_wrap=True)
+    out.print(f"panel: {link_to(run.name, run.parent, operator, laboratory)}", soft_wrap=True)
 
 
 def _results(run: Run, interrupts: Interrupts, json: str | None, out: Console) -> int:
@@ -109,11 +109,11 @@ def _results(run: Run, interrupts: Interrupts, json: str | None, out: Console) -
 @requested
 def abort(request: AbortRun) -> int:
     """End an interrupted run for good; its record is kept."""
-    from bench.run.person import at_the_shell
     from bench.services.execution import give_up, unfinished_run
+    from bench.services.persons import acting_at
 
     found = unfinished_run(request.name, runs_folder(request.runs))
-    left = give_up(found, at_the_shell("command"))
+    left = give_up(found, acting_at("command", request.operator))
     out = printing.console()
     out.print(f"{found.name}: aborted; its record is kept in {found.folder}")
     for sentence in left:
@@ -130,8 +130,9 @@ def control(request: ControlRun) -> int:
     """
     from bench.run.events import Wish
     from bench.run.folder import find_run
-    from bench.run.person import SIGN, at_the_shell, leave_wish, parse_wish
+    from bench.run.person import SIGN, leave_wish, parse_wish
     from bench.run.record import is_being_written
+    from bench.services.persons import acting_at
 
     found = find_run(request.run, runs_folder(request.runs))
     try:
@@ -142,7 +143,7 @@ def control(request: ControlRun) -> int:
         raise Refused(
             f"{found.name}: no program is carrying out this run; 'bench runs' shows how to continue"
         )
-    asked = replace(wish, by_person=False, who=at_the_shell("command"))
+    asked = replace(wish, by_person=False, who=acting_at("command", request.operator))
     leave_wish(found.folder, asked)
     when = "at once" if asked.wish is Wish.STOP else "before the next step, or at the open question"
     printing.console().print(f"{found.name}: {asked.wish} was sent; it takes effect {when}")

@@ -38,8 +38,8 @@ def refuse_without_packages() -> None:
     import uvicorn  # noqa: F401
 
 
-def link_to(run: str, runs: Path) -> str:
-    """Return a link to a run's page in the panel, which is started if it is not running. Raises `Refused`."""
+def link_to(run: str, runs: Path, operator: str, laboratory: Path | None) -> str:
+    """Return a link to a run's page for its operator; start the panel if it is not running. Raises `Refused`."""
     refuse_without_packages()
     from urllib.parse import quote
 
@@ -47,7 +47,7 @@ def link_to(run: str, runs: Path) -> str:
     from bench.run.events import RecordError
 
     try:
-        return open_panel(runs, f"/runs/{quote(run)}/")
+        return open_panel(runs, f"/runs/{quote(run)}/", operator, laboratory)
     except RecordError as error:
         raise Refused(str(error)) from error
 
@@ -63,9 +63,9 @@ def _of_people(request: ServePanel, what: PeopleCommand) -> int:
     if request.role not in list(Role):
         raise Refused(f"--role {request.role}: choose from {', '.join(Role)}")
     if what is PeopleCommand.LINK:
-        out.print(link_of(runs))
+        out.print(link_of(runs, name, request.laboratory))
         return 0
-    access = Access(runs / STATE)
+    access = Access(runs / STATE, laboratory=request.laboratory)
     match what:
         case PeopleCommand.TOKENS:
             shown = printing.table("name", "role", "made")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -33,8 +34,10 @@ def check(
 ) -> int:
     """Check a procedure against a bench; list its steps and time.
 
-    Touch no instrument.
+    Touch no instrument, but with --morning: prove the bench before the day's work.
     """
+    if request.morning:
+        return _morning(request, json)
     from bench.results.check import print_findings
     from bench.services.until import look_ahead
 
@@ -51,11 +54,33 @@ def check(
     return max(status, look(None if request.bench is None else str(request.bench)))
 
 
+def _morning(request: Check, json: str | None) -> int:
+    """Carry out the morning check and print its one line; return the status of a commissioning."""
+    from bench.base.text import visible
+    from bench.run.commission.session import WISHES
+    from bench.run.terminal import TerminalPerson
+    from bench.services.instruments import PAGE
+    from bench.services.morning import line_of, morning
+
+    if not request.dry_run and not sys.stdin.isatty():
+        raise Refused(
+            "the morning check asks a person and turns the head; start it in a terminal, or add --dry-run"
+        )
+    out = printing.console(json=json)
+    person = None if request.dry_run else TerminalPerson(sys.stdin, out, wishes=WISHES)
+    result, folder = morning(request, person, lambda line: out.print(visible(line)))
+    printing.write_json([result], json)
+    printing.written("page", folder / PAGE, out)
+    status = 1 if result["to_do"] else int(result["status"])
+    out.print(line_of(result), style="bold red" if status else "bold green")
+    return status
+
+
 def _offer_dry_run(found: Findings, request: Check) -> None:
     if found.can_be_tried:
         typed = [f"--bench {request.bench}"] if request.bench else []
         typed += [f"--devices {folder}" for folder in devices_given.get()]
-        words = " ".join(["bench run", request.procedure, *typed, "--dry-run"])
+        words = " ".join(["bench run", str(request.procedure), *typed, "--dry-run"])
         printing.console().print(f"no mistakes found; try it with: {words}")
 
 

@@ -21,8 +21,11 @@ if TYPE_CHECKING:
 
     from bench.results.parts import BenchPart
     from bench.services.calibration import CalibrationResult
+    from bench.services.record_calibration import RecordCalibrationResult
     from bench.services.source import Source
     from bench.services.verification import VerdictOptions, VerificationResult
+
+    Calibrated = CalibrationResult | RecordCalibrationResult
 
 
 def console(*, json: str | None = None) -> Console:
@@ -167,7 +170,7 @@ def bench_files(sources: Sequence[Source], json: str | None) -> None:
 # --- results that several commands print ------------------------------------------------------------
 
 
-def calibration(result: CalibrationResult, file: Path | None, out: Console | None = None) -> None:
+def calibration(result: Calibrated, file: Path | None, out: Console | None = None) -> None:
     """Print the coefficients, the noise, the fit, and the file of the result if it was written."""
     out = out or console()
     result.print_on(out)
@@ -185,7 +188,7 @@ def verification(result: VerificationResult, file: Path | None, out: Console | N
 
 
 def report(
-    result: CalibrationResult, out: Console, asked: VerdictOptions | None = None
+    result: Calibrated, out: Console, asked: VerdictOptions | None = None
 ) -> tuple[VerificationResult | None, Path]:
     """Write the report of a calibration; return the verification in it (or None) and the file. Raises `OSError`."""
     from bench.base.files import write_whole

@@ -20,7 +20,8 @@ from bench.calibration import CalibrationError
 from bench.calibration.design import EffectUnknown
 from bench.diagnosis.evidence import KNOWN_SIZE, ThresholdCache
 from bench.diagnosis.free_records import FreeDiagnosis
-from bench.diagnosis.gap import BY_CHANCE, LEAST_CLOSED, part_closed, rms
+from bench.diagnosis.gap import LEAST_CLOSED, part_closed, rms
+from bench.diagnosis.levels import BY_CHANCE
 from bench.diagnosis.linear import LinearSystem, make_linear
 from bench.diagnosis.pipeline import diagnose
 from bench.diagnosis.posterior import NoiseSize, posterior, whiten_rows

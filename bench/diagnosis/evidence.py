@@ -53,10 +53,6 @@ class Data:
     square: Floats
     along: Floats
 
-    def at(self, ratio: int) -> Data:
-        """Return these products for the noise ratio with the index `ratio` only."""
-        return Data(self.square[ratio : ratio + 1], self.along[ratio : ratio + 1])
-
     def part(self, of: slice) -> Data:
         """Return the data sets in the slice `of`."""
         return Data(self.square[:, of], self.along[:, :, of])
@@ -71,14 +67,12 @@ class Data:
 class Whitened:
     """The candidates' columns in units of the noise, represented by their scalar products.
 
-    `kept` caches the results of repeated searches in the same data. For a part with one noise ratio, `part_of` is
-    the whole, and the index of that ratio.
+    `kept` caches the results of repeated searches in the same data.
     """
 
     grid: NoiseGrid
     candidates: Candidates
     products: Products
-    part_of: tuple[Whitened, int] | None = field(default=None, compare=False, repr=False)
     kept: dict[str, Any] = field(default_factory=dict, compare=False, repr=False)
 
     @classmethod
@@ -105,13 +99,10 @@ class Whitened:
         """The number of ratios of the noise sizes."""
         return len(self.grid.white)
 
-    def at(self, ratio: int) -> Whitened:
-        """Return the whitened columns for the noise ratio with the index `ratio` only."""
-        return Whitened(self.grid.at(ratio), self.candidates, self.products.at(ratio), (self, ratio))
-
     def among(self, ratio: int, columns: Sequence[int]) -> Floats:
         """Return the Gram matrix (k, k) of some columns for one ratio."""
-        return np.asarray(self.products.at(ratio).among(np.array(columns, dtype=np.int64))[0])
+        chosen = np.array(columns, dtype=np.int64)
+        return self.products.across_at(ratio, chosen)[:, chosen]
 
     @cached_property
     def square(self) -> Floats:
@@ -122,11 +113,6 @@ class Whitened:
     @cached_property
     def blocks(self) -> tuple[tuple[Ints, Ints, Floats], ...]:
         """Variants with equally many columns: their numbers (v,), columns (v, p), Gram (ratios, v, p, p)."""
-        if self.part_of is not None:
-            whole, ratio = self.part_of
-            return tuple(
-                (members, columns, gram[ratio : ratio + 1]) for members, columns, gram in whole.blocks
-            )
         by_size: dict[int, list[int]] = {}
         for number, variant in enumerate(self.candidates.variants):
             by_size.setdefault(len(variant.columns), []).append(number)
@@ -191,19 +177,14 @@ class Search:
         """Project the known columns out of all others."""
         h = np.array(known, dtype=np.int64)
         across = whitened.products.across(h)
-        return cls._of(whitened, tuple(known), across, across[:, :, h])
-
-    @classmethod
-    def _of(cls, whitened: Whitened, known: tuple[int, ...], across: Floats, among: Floats) -> Search:
-        """Project out columns: products `across` (…, k, P) with all, `among` (…, k, k) each other."""
-        inner = among + np.eye(among.shape[-1]) / KNOWN_SIZE**2
+        inner = across[:, :, h] + np.eye(len(h)) / KNOWN_SIZE**2
         factor = np.linalg.cholesky(inner)
         inverse = np.linalg.inv(factor)
         half = inverse @ across
         gain = np.swapaxes(inverse, 1, 2) @ half
         diagonal = np.diagonal(factor, axis1=1, axis2=2)
         log_det = -np.sum(np.log(KNOWN_SIZE * diagonal), axis=1)
-        return cls(whitened, known, gain, half, inner, log_det)
+        return cls(whitened, tuple(known), gain, half, inner, log_det)
 
     @cached_property
     def groups(self) -> tuple[Group, ...]:
@@ -298,35 +279,6 @@ class Search:
             cost = 0.5 * np.add.reduceat(np.log1p(size**2 * values), starts, axis=1)
             of_size.append(log_weight - cost[:, :, None] + grid.log_likelihood(rest))
         return _log_sum(np.stack(of_size))
-
-
-def beside_each(whitened: Whitened, data: Data, models: Sequence[Sequence[int]]) -> Floats:
-    """Return the family evidence beside each of several models, shape (families, models).
-
-    The result is that of `Search.beside(…).score(…).families`, for one data set at one noise ratio. `models` are
-    the known columns of each model. They take the axis of the ratios, padded with zeros.
-    """
-    many = max(len(known) for known in models)
-    known = np.array([[*columns, *[-1] * (many - len(columns))] for columns in models])
-    there = known >= 0
-    used = np.unique(known[there])
-    place = np.searchsorted(used, np.where(there, known, used[0]))
-    across = np.where(there[:, :, None], whitened.products.across(used)[0][place], 0.0)
-    among = np.take_along_axis(across, np.where(there, known, 0)[:, None, :], axis=2) * there[:, None, :]
-    search = Search._of(whitened, tuple(set(models[0]).intersection(*models)), across, among)
-    at_known = np.where(there, data.along[0, known, 0], 0.0)[:, :, None]
-    fitted = np.swapaxes(search.gain, 1, 2) @ at_known
-    explained = np.einsum("ghs,ghs->gs", at_known, np.linalg.solve(search.inner, at_known))
-    left = Data(data.square - explained, data.along - fitted)
-    scores = np.full((len(whitened.candidates.variants), len(models)), EXCLUDED)
-    if search.groups:
-        with_one = search._likelihoods(left)[:, :, 0]
-        scores[search._together[0]] = (with_one - whitened.grid.log_likelihood(left.square)).T
-    taken = np.zeros((len(models), data.along.shape[1]), dtype=bool)
-    taken[np.nonzero(there)[0], known[there]] = True
-    for members, columns, _ in whitened.blocks:
-        scores[members] = np.where(taken[:, columns].any(axis=2).T, EXCLUDED, scores[members])
-    return Scores(scores, np.ones((1, len(models)))).families(whitened.candidates)
 
 
 @dataclass(frozen=True)

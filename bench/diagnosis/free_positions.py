@@ -41,13 +41,14 @@ from bench.diagnosis.free_records import (
     place_of,
 )
 from bench.diagnosis.gap import LEAST_FREEDOM, measure_gap
+from bench.diagnosis.levels import BY_CHANCE, HARDLY_EVER
 from bench.diagnosis.linear import LinearSystem
 from bench.diagnosis.naming import Naming, name
 from bench.diagnosis.noise_grid import NoiseGrid, make_noise_grid
 from bench.diagnosis.pipeline import effects_of, verdict_of
 from bench.diagnosis.posterior import NoiseSize, Posterior, fit_found, noise_size, posterior
 from bench.diagnosis.result import UNNAMED_WORDS, NamedEffect
-from bench.diagnosis.where import MOST_PLACES, SIGNIFICANT, ResidualPattern, far_readings
+from bench.diagnosis.where import MOST_PLACES, ResidualPattern, far_readings
 from bench.model.effects import CATALOGUE, Effect
 from bench.model.effects.base import Subsystem
 from bench.model.forward import ForwardModel
@@ -148,7 +149,7 @@ def _where(
         size = float(np.sqrt(np.mean(own**2)))
         pattern = f"sensor {sensor + 1}, record {record + 1}"
         places.append(ResidualPattern("modulus", FREE, pattern, size, "g", min(1.0, p * len(cells)), p))
-    shown = [place for place in places if place.p < SIGNIFICANT]
+    shown = [place for place in places if place.p < BY_CHANCE]
     return tuple(sorted(shown, key=lambda place: -place.size)[:MOST_PLACES])
 
 
@@ -219,8 +220,6 @@ def _add_unnamed(rows: FreeRows, collector: Collector, unit: float) -> None:
 
 # --- noise and outliers -------------------------------------------------------------------------------
 
-OUTLIER: Final = 1e-4
-"""A position is an outlier if its p-value, corrected for the number of positions, is below this."""
 FAR: Final = 12.0
 """It must also be this many standard deviations from the others, as real sensors have heavier tails than normal."""
 MOST_APART: Final = 0.1
@@ -284,7 +283,7 @@ def without_outliers(rows: FreeRows) -> tuple[FreeRows, tuple[str, ...], Ints]:
         without = np.maximum(fit.left @ fit.left - fit.left**2 / fit.free, 1e-300) / freedom
         t = np.abs(fit.left) / np.sqrt(fit.free * without)
         row = int(np.argmax(t))
-        if t[row] < FAR or 2.0 * float(stats.t.sf(t[row], freedom)) * len(rows) > OUTLIER:
+        if t[row] < FAR or 2.0 * float(stats.t.sf(t[row], freedom)) * len(rows) > HARDLY_EVER:
             break
         table, at = rows.tables[rows.sensor[row]], int(np.sum(rows.sensor[:row] == rows.sensor[row]))
         apart.append(

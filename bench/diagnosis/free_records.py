@@ -14,7 +14,6 @@ from bench.base.arrays import CHANNELS, Floats, Ints, Mask
 from bench.calibration.design import UPPER, make_problem
 from bench.calibration.free import first_guess_free
 from bench.calibration.result import CalibrationError
-from bench.calibration.verification import modulus_slopes
 from bench.diagnosis.candidates import Candidates
 from bench.diagnosis.gap import Gap
 from bench.diagnosis.linear import MODULUS, LinearSystem, Rows, View, own_column
@@ -24,7 +23,9 @@ from bench.diagnosis.result import NamedEffect, Verdict
 from bench.diagnosis.where import ResidualPattern
 from bench.model import AppliedEffect, Block
 from bench.model.forward import ForwardModel
+from bench.model.geometry import modulus_slopes
 from bench.readings.table import JoinedPart, Readings, together
+from bench.stats.repeats import Repeats, compare_repeats
 
 SAME_TIME_S: Final = 1.0
 """Two tables whose times agree within this belong to sensors measured side by side."""
@@ -293,25 +294,39 @@ SHARED: Final = 0.5
 class BetweenRecords:
     """Change of the zeros between records: zeros (sensors, records, 3) in g with their u, fitted by record.
 
-    Zeros are NaN where a record does not determine them. `ratio` is the scatter of the zeros about their mean
-    over the stated u, and `scatter` (3,) this scatter in g. `common` (3,) is the fraction of the variance
-    that the sensors share, NaN for one sensor. `held_before` and `held_after` are the ratio for records held
-    out and predicted from the others. Before, the zeros are constant; after, they scatter as in the other
-    records.
+    Zeros are NaN where a record does not determine them. `scatter` (3,) is their scatter about their means in g,
+    `repeats` compares it with u, with a term that widens u where it is too small. `common` (3,) is the fraction of
+    the variance that the sensors share, NaN for one sensor.
     """
 
     zero: Floats
     u: Floats
-    ratio: float
     scatter: Floats
     common: Floats
-    held_before: float
-    held_after: float
+    repeats: Repeats
+
+    def term_sizes(self) -> list[str]:
+        """Return the size of the term of each channel as a bench file has it: "1.7 mg", or a factor."""
+        term = self.repeats.term
+        if term is None:
+            return []
+        return [
+            f"{1e3 * size:.2g} mg" if term.name != "scale" else f"{size:.3g}" for size in term.size.tolist()
+        ]
+
+    def in_bench_file(self) -> str:
+        """Return the line of a bench file by which calibrations hold the term in u; "" where u is honest."""
+        term = self.repeats.term
+        return (
+            ""
+            if term is None
+            else f"uncertainty: {{zero_repeats: {{{term.name}: [{', '.join(self.term_sizes())}]}}}}"
+        )
 
     def in_words(self) -> str:
         """Return a text on the size of the changes, their common part and the held-out records."""
         sizes = ", ".join(f"{c} {size * 1e3:.2g} mg" for c, size in zip(CHANNELS, self.scatter, strict=True))
-        text = f"scatter {sizes}, {self.ratio:.3g} times the stated u"
+        text = f"repeats between records scatter {self.repeats.scatter:.3g} × u ({sizes})"
         shared = zip(CHANNELS, self.common, strict=True)
         parts = [f"{c} {100 * part:.0f} %" for c, part in shared if part >= SHARED]
         if np.all(np.isnan(self.common)):
@@ -320,10 +335,7 @@ class BetweenRecords:
             text += f"; the change is common to the sensors ({', '.join(parts)} of its variance)"
         else:
             text += "; each sensor changes by itself"
-        return (
-            f"{text}; the cause is not determined; held out by record the ratio is {self.held_before:.3g} with "
-            f"zeros that stay and {self.held_after:.2g} with zeros of each record"
-        )
+        return f"{text}; the cause is not determined"
 
 
 def between_records(rows: FreeRows) -> BetweenRecords | None:
@@ -344,9 +356,8 @@ def between_records(rows: FreeRows) -> BetweenRecords | None:
     change = zero - np.nanmean(zero, axis=1, keepdims=True)
     count = full.sum(axis=1)[:, None, None]
     degrees = (count - 1) / np.maximum(count, 1)
-    ratio = float(np.sqrt(np.nanmean(change[usable] ** 2 / u[usable] ** 2 / degrees[usable])))
     scatter = np.sqrt(np.nanmean(change[usable] ** 2 / degrees[usable], axis=(0, 1)))
-    return BetweenRecords(zero, u, ratio, scatter, _common(change, full), *_held_out(zero, u))
+    return BetweenRecords(zero, u, scatter, _common(change, full), compare_repeats(zero[usable], u[usable]))
 
 
 def _zeros(signal: Floats) -> tuple[Floats, Floats] | None:
@@ -378,29 +389,6 @@ def _common(change: Floats, full: Floats) -> Floats:
     mean = np.mean(np.mean(own, axis=0) ** 2, axis=0)
     part = (mean - total / sensors) / (total * (1.0 - 1.0 / sensors))
     return np.asarray(np.clip(part, 0.0, 1.0))
-
-
-def _held_out(zero: Floats, u: Floats) -> tuple[float, float]:
-    """Return the root mean square error, over its u, of predicting a record's zeros, before and after.
-
-    Before, the zeros of a sensor are constant, and the mean of the other records has its u. After, they scatter as
-    in the other records.
-    """
-    before, after = [], []
-    for record in range(zero.shape[1]):
-        past, of_past = np.delete(zero, record, axis=1), np.delete(u, record, axis=1)
-        count = np.sum(np.isfinite(past), axis=1)
-        many = np.maximum(count, 1)
-        off = zero[:, record] - np.nansum(past, axis=1) / many
-        own = past - (np.nansum(past, axis=1) / many)[:, None]
-        stated = u[:, record] ** 2 + np.nansum(of_past**2, axis=1) / many**2
-        scatter = np.nansum(own**2, axis=1) / np.maximum(count - 1, 1) * (1.0 + 1.0 / many)
-        usable = np.isfinite(off) & (count > 1)
-        before.append((off**2 / stated)[usable])
-        after.append((off**2 / (stated + scatter))[usable])
-    if not sum(map(len, before)):
-        return float("nan"), float("nan")
-    return float(np.sqrt(np.mean(np.concatenate(before)))), float(np.sqrt(np.mean(np.concatenate(after))))
 
 
 OUTLIER: Final = "outlier"

@@ -15,6 +15,8 @@ from bench.base.computing import tracked
 from bench.base.languages import message
 from bench.diagnosis.candidates import Candidates, replace_columns
 from bench.diagnosis.evidence import Data, Threshold, Whitened
+from bench.diagnosis.levels import BY_CHANCE as BY_CHANCE  # noqa: PLC0414 - also taken from here
+from bench.diagnosis.levels import OFTEN
 from bench.diagnosis.linear import MODULUS, LinearSystem, Rows
 from bench.diagnosis.naming import ALIAS, Naming, name
 from bench.diagnosis.noise_grid import RATIOS, coupled, make_noise_grid, make_whitener
@@ -32,8 +34,6 @@ An absent effect of any size reaches this fall by noise in at most 2.3 % of case
 LEAST_CLOSED: Final = 0.5
 """Least part of the gap above the floor that must close, unless chance explains the gap."""
 
-BY_CHANCE: Final = 0.01
-"""Probability of a gap by chance from which on no part of it must close."""
 
 UNDETERMINED: Final = message("the rest does not determine the coefficients")
 
@@ -198,8 +198,6 @@ DETERMINED: Final = 1e-6
 
 REPEATED: Final = 0.5
 """The readings beside a part that is held out show a find where they keep this part of its square."""
-IN_FOLDS: Final = 0.05
-"""Probability of a false alarm in the search of a fold, which has fewer readings than all."""
 
 THIRDS: Final = 3
 HELD_OUT: Final = message("readings held out in turn")
@@ -256,7 +254,7 @@ def measure_gap(
     and their forms (`_tell`), every third setting is held out instead.
     """
     hold = partial(
-        _fold, linear, whitened, noise, threshold.at(IN_FOLDS), setting_rad, search, len(naming.found)
+        _fold, linear, whitened, noise, threshold.at(OFTEN), setting_rad, search, len(naming.found)
     )
     if not parts:
         parts = list(folds_of(linear))

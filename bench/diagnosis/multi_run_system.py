@@ -29,8 +29,9 @@ from bench.diagnosis.candidates import (
     make_candidates,
 )
 from bench.diagnosis.evidence import Data, Threshold, Whitened
+from bench.diagnosis.levels import HARDLY_EVER
 from bench.diagnosis.linear import LinearSystem, Rows, make_linear
-from bench.diagnosis.mistakes.search import FALSE_MISTAKE, Mistake, MistakeSearch, find_mistakes
+from bench.diagnosis.mistakes.search import Mistake, MistakeSearch, find_mistakes
 from bench.diagnosis.naming import FoundEffect, Naming, Scored, name
 from bench.diagnosis.noise_grid import (
     NoiseGrid,
@@ -231,16 +232,14 @@ def find_mistakes_in_each(
     found = []
     for rows, block in parts:
         sheet = None if sheets is None else sheets[min(block, len(sheets) - 1)]
-        found.append(find_mistakes(readings.select(rows), model, stand_u, sheet, FALSE_MISTAKE / len(parts)))
-    looks = sum(one.looks for one in found)
+        found.append(find_mistakes(readings.select(rows), model, stand_u, sheet, HARDLY_EVER / len(parts)))
     if not any(one.mistakes for one in found):
-        return MistakeSearch((), readings, looks)
+        return MistakeSearch((), readings)
     corrected = stacked([one.corrected for one in found])
     return MistakeSearch(
         tuple(_of_run(mistake, readings.select(rows), len(parts))
               for one, (rows, _) in zip(found, parts, strict=True) for mistake in one.mistakes),
         replace(corrected, source=readings.source, notes=readings.notes, skipped=_skipped(found, readings)),
-        looks,
     )  # fmt: skip
 
 

@@ -19,7 +19,6 @@ from bench.diagnosis.evidence import (
     Search,
     Threshold,
     Whitened,
-    beside_each,
     total_evidence,
 )
 from bench.model.effects import CATALOGUE
@@ -31,10 +30,6 @@ SET: Final = 0.99
 """Least sum of the posterior probabilities of the names in a tie."""
 ALIAS: Final = 1.0
 """An effect that leaves at most this part of another's signature, in units of noise, is its alias for any prior."""
-FIRST_OF_PAIR: Final = 12
-"""The number of effects that are tried as the first of a pair."""
-PAIR_MARGIN: Final = 5.0
-"""Two named effects replace an unnamed family when ln of their evidence is higher by this margin."""
 ABSURD: Final = 60.0
 """A candidate is no alias if it would have to be more than this many plausible sizes large."""
 SAME: Final = 1e-6
@@ -195,7 +190,7 @@ def _kept(whitened: Whitened, data: Data) -> dict[tuple[int, ...], Scored]:
     """Return the scores cached for these data, by the columns of the model; those of other data are dropped."""
     if whitened.kept.get("data") is not data:
         whitened.kept.clear()
-        whitened.kept.update(data=data, scored={}, pairs={})
+        whitened.kept.update(data=data, scored={})
     scored: dict[tuple[int, ...], Scored] = whitened.kept["scored"]
     return scored
 
@@ -217,9 +212,7 @@ def name(
         scored = Scored.beside(whitened, data, _columns(found))
         if scored.total < threshold.value or len(found) == most + free:
             break
-        best = scored.best(among)
-        pair = None if best.variant.named or among is not None else _pair_kept(scored, data, best)
-        found += pair or [best]
+        found.append(scored.best(among))
         if len(found) > 1:
             kept = free if among is not None else 0
             found = needed(
@@ -232,41 +225,6 @@ def name(
         in_place(Scored.beside(whitened, data, _columns(found, but=i)), f, among) for i, f in enumerate(found)
     )
     return Naming(found_tied, scored.total)
-
-
-def _pair_kept(scored: Scored, data: Data, unnamed: FoundEffect) -> list[FoundEffect] | None:
-    """Return the cached result of `_named_pair` for these data."""
-    whitened = scored.search.whitened
-    _kept(whitened, data)
-    pairs: dict[tuple[int, ...], list[FoundEffect] | None] = whitened.kept["pairs"]
-    if scored.search.known not in pairs:
-        pairs[scored.search.known] = _named_pair(scored, data, unnamed)
-    return pairs[scored.search.known]
-
-
-def _named_pair(scored: Scored, data: Data, unnamed: FoundEffect) -> list[FoundEffect] | None:
-    """Return two effects of the catalogue that together are more plausible than one unnamed family.
-
-    An unnamed family may explain two effects of one channel at once. The likeliest ratio of the noise sizes
-    selects the pair; all ratios decide how plausible it is.
-    """
-    search, evidence = scored.search, scored.evidence
-    candidates = search.whitened.candidates
-    named = [family for family in evidence if family in CATALOGUE]
-    firsts = [scored.found(f) for f in sorted(named, key=lambda f: -evidence[f])[:FIRST_OF_PAIR]]
-    models = [[*search.known, *first.variant.columns] for first in firsts]
-    seconds = beside_each(search.whitened.at(scored.ratio), data.at(scored.ratio), models)
-    families = candidates.families
-    joint = [
-        first.evidence + float(of_first.max()) if families[int(of_first.argmax())] in CATALOGUE else -np.inf
-        for first, of_first in zip(firsts, seconds.T, strict=True)
-    ]
-    if max(joint, default=-np.inf) == -np.inf:
-        return None
-    first = firsts[int(np.argmax(joint))]
-    second = Scored.beside(search.whitened, data, [*search.known, *first.variant.columns]).best()
-    enough = first.evidence + second.evidence >= unnamed.evidence + PAIR_MARGIN
-    return [first, second] if second.variant.named and enough else None
 
 
 def _columns(found: Sequence[FoundEffect], but: int | None = None) -> list[int]:

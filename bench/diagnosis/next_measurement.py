@@ -23,6 +23,7 @@ from bench.config.procedure.load import Procedure, load_procedure
 from bench.config.procedure.plan import Plan, Read, SelectInput, SetTemperature
 from bench.config.shipped import PROCEDURES, shipped_folder
 from bench.diagnosis.candidates import in_volts
+from bench.diagnosis.levels import NEGLIGIBLE
 from bench.diagnosis.linear import LinearSystem, make_linear
 from bench.diagnosis.naming import ALIAS, ALONE
 from bench.diagnosis.result import Diagnosis
@@ -191,17 +192,13 @@ def answers(odds: Mapping[str, float], gained: Mapping[str, float], first: str) 
     def reached(one: str, other: str, d: float) -> float:
         if d == -math.inf:
             return 0.0
-        mean, spread = math.log(odds[one] / odds[other]) + d, math.sqrt(2.0 * max(d, NOTHING))
+        mean, spread = math.log(odds[one] / odds[other]) + d, math.sqrt(2.0 * max(d, NEGLIGIBLE))
         return float(special.ndtr((mean - enough) / spread) + special.ndtr((-enough - mean) / spread))
 
     rivals = [name for name in gained if odds.get(name, 0.0) > 0.0]
     told = odds[first] * min((reached(first, other, gained[other]) for other in rivals), default=1.0)
     told += sum(odds[other] * reached(other, first, gained[other]) for other in rivals)
     return told / (odds[first] + sum(odds[other] for other in rivals))
-
-
-NOTHING: Final = 1e-12
-"""Largest D that is rounding only: the odds then stay the same."""
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from bench.base.arrays import Floats, Ints, Mask
+from bench.diagnosis.levels import BY_CHANCE, NEGLIGIBLE
 from bench.diagnosis.linear import MODULUS, LinearSystem, RunSizes
 from bench.readings.table import Readings
 
@@ -42,9 +43,6 @@ LOCAL: Final = 0.5
 
 Of several runs it is one in at most a run's rows: what all runs share would join them all in one dense block.
 """
-
-ROUNDING: Final = 1e-12
-"""Remaining fraction of variance below which a fitted direction counts as completely removed."""
 
 
 @dataclass(frozen=True)
@@ -132,17 +130,6 @@ class NoiseGrid:
     sigma: float
     freedom: int
     known: bool = False
-
-    def at(self, ratio: int) -> NoiseGrid:
-        """Return the grid with the ratio of the index `ratio` only."""
-        one = slice(ratio, ratio + 1)
-        return replace(
-            self,
-            white=self.white[one],
-            log_det=self.log_det[one],
-            log_prior=self.log_prior[one],
-            setting_rad_per_noise=self.setting_rad_per_noise[one],
-        )
 
     def log_likelihood(self, square: Floats) -> Floats:
         """Return ln of the likelihood of residuals with the sum of squares `square`, in units of sigma^2."""
@@ -249,7 +236,7 @@ def _fitted(half: Whitener, fixed: Floats, wide: Floats) -> tuple[tuple[Span, ..
     log_det -= float(np.sum(np.log(np.abs(np.diag(r)))))
     basis, size, _ = np.linalg.svd(q[: len(wide)], full_matrices=False)
     left = 1.0 - size**2
-    kept = np.sqrt(np.where(left > ROUNDING, left, 0.0))
+    kept = np.sqrt(np.where(left > NEGLIGIBLE, left, 0.0))
     return (*spans, Span(slice(None), basis, kept)), log_det
 
 
@@ -270,9 +257,6 @@ class Products(Protocol):
 
     def among(self, columns: Ints) -> Floats:
         """Return the products of columns (…, p) with each other, shape (ratios, …, p, p)."""
-
-    def at(self, ratio: int) -> Products:
-        """Return the products for one ratio only."""
 
 
 @dataclass(frozen=True)
@@ -300,10 +284,6 @@ class ColumnProducts:
     def _square(self) -> Floats:
         return np.asarray(np.einsum("gnp,gnp->gp", self.white, self.white))
 
-    def at(self, ratio: int) -> ColumnProducts:
-        """Return the products for one ratio only."""
-        return ColumnProducts(self.white[ratio : ratio + 1])
-
 
 @dataclass(frozen=True)
 class GramProducts:
@@ -322,10 +302,6 @@ class GramProducts:
     def among(self, columns: Ints) -> Floats:
         """Return the products of columns (…, p) with each other, shape (ratios, …, p, p)."""
         return np.asarray(self.gram[:, columns[..., :, None], columns[..., None, :]])
-
-    def at(self, ratio: int) -> GramProducts:
-        """Return the products for one ratio only."""
-        return GramProducts(self.gram[ratio : ratio + 1])
 
 
 # --- the noise, from repeats ----------------------------------------------------------------------
@@ -537,10 +513,6 @@ def repeated(digit: float, sigma: float) -> float:
     return float(digit * np.sqrt(np.sum(np.exp(-4 * np.pi**2 * k2 * s2) / (2 * np.pi**2 * k2))))
 
 
-UNEQUAL_P: Final = 0.01
-"""Runs have noise of different sizes where the p-value of equal sizes is below this."""
-
-
 def with_sizes_of_runs(linear: LinearSystem, least: float) -> LinearSystem:
     """Return the system with a noise size for each run, where the runs differ significantly.
 
@@ -564,7 +536,7 @@ def _by_run(linear: LinearSystem, least: float) -> RunSizes | None:
         found.append(likeliest(parts))
     freedom = np.array([one.freedom for one in found])
     variance = np.maximum([one.sigma**2 for one in found], least**2)
-    if p_alike(variance, freedom, _kurtosis(found)) >= UNEQUAL_P:
+    if p_alike(variance, freedom, _kurtosis(found)) >= BY_CHANCE:
         return None
     rows = np.bincount(readings.run[linear.rows.reading], minlength=len(numbers))
     return RunSizes(np.sqrt(variance / np.average(variance, weights=rows)), freedom)

@@ -20,6 +20,7 @@ from bench.base.arrays import ARCSEC, CHANNELS, Floats, Ints, Mask, rms
 from bench.base.languages import message
 from bench.base.numbers import quantity
 from bench.diagnosis.evidence import KNOWN_SIZE
+from bench.diagnosis.levels import HARDLY_EVER
 from bench.diagnosis.linear import LinearSystem, RunSizes
 from bench.diagnosis.noise_grid import (
     NoiseGrid,
@@ -462,8 +463,6 @@ def _series(linear: LinearSystem) -> list[list[int]]:
 
 LARGER: Final = 2.0
 """Least ratio of found to stated noise of a finding."""
-SIGNIFICANT: Final = 1e-4
-"""Largest probability of that ratio by chance."""
 
 OWN_SCATTER: Final = message("the readings' own scatter")
 BENCH_FILE: Final = message("the bench file")
@@ -521,7 +520,7 @@ def noise_findings(
     """
     of_readings = _of_readings if by_run is None else partial(_of_runs, by_run)
     found = [*of_readings(noise, readings, stand_u, digit), *_of_settings(noise, stand_u, typical_slope)]
-    return tuple(one for one in found if one.factor > LARGER and one.p < SIGNIFICANT)
+    return tuple(one for one in found if one.factor > LARGER and one.p < HARDLY_EVER)
 
 
 def _of_readings(

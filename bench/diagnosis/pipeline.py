@@ -8,15 +8,12 @@ from functools import partial
 from typing import Final
 
 import numpy as np
-from scipy import special
 
 from bench.base.arrays import CHANNELS, Floats
 from bench.calibration.design import FIXED
 from bench.calibration.result import CalibrationError
 from bench.config.bench_file.file import BenchFile
 from bench.diagnosis.candidates import (
-    FREE_BY_ANGLE,
-    FREE_BY_PASS,
     NOTHING_KNOWN,
     Candidates,
     KnownBench,
@@ -24,13 +21,14 @@ from bench.diagnosis.candidates import (
     is_form,
     with_terms,
 )
-from bench.diagnosis.evidence import Data, Search, Threshold, ThresholdCache, Whitened
+from bench.diagnosis.evidence import Threshold, ThresholdCache, Whitened
 from bench.diagnosis.gap import Gap, measure_gap, near_ratios
+from bench.diagnosis.levels import BY_CHANCE
 from bench.diagnosis.mistakes.search import Mistake, MistakesLeaveTooLittle
 from bench.diagnosis.multi_run_system import find_mistakes_in_each, search_runs, with_blocks
 from bench.diagnosis.naming import FamilyOdds, FoundEffect, Naming, Scored, name, same_signature
 from bench.diagnosis.next_measurement import Proposal, propose
-from bench.diagnosis.noise_grid import RATIOS, digit_of, make_noise_grid
+from bench.diagnosis.noise_grid import RATIOS, digit_of
 from bench.diagnosis.noise_kinds import NoiseFinding, NoiseKind, noise_findings, noise_kinds
 from bench.diagnosis.posterior import (
     NoiseSize,
@@ -47,7 +45,7 @@ from bench.diagnosis.posterior import (
     with_other_shapes,
 )
 from bench.diagnosis.residual_dictionary import WITH_CHANNELS
-from bench.diagnosis.residual_model import UNNAMED_FORM, FreeForm, describe
+from bench.diagnosis.residual_model import UNNAMED_FORM, FreeForm, UnexplainedScatter, describe
 from bench.diagnosis.result import (
     UNNAMED_WORDS,
     Diagnosis,
@@ -65,9 +63,6 @@ from bench.diagnosis.where import far_readings, find_places, looking_like, order
 from bench.model import CATALOGUE, AppliedEffect, ForwardModel
 from bench.model.geometry import COEFFICIENTS
 from bench.readings.table import Readings
-
-UNEXPLAINED: Final = 1e-3
-"""Residuals beside the named effects are significant where their p-value given the repeats is below this."""
 
 
 def diagnose(
@@ -111,7 +106,7 @@ def diagnose(
     effects = estimated.effects
     columns = prepared.candidates.columns[:, list(naming.columns)]
     far = far_readings(prepared.linear, columns, estimated.noise)
-    if any(one.p < FAR_P for one in far) and all(e.in_catalogue for e in effects):
+    if any(one.p < BY_CHANCE for one in far) and all(e.in_catalogue for e in effects):
         effects = (*effects, _apart(far[0].p, "; ".join(one.words for one in far[:LISTED_FAR])))
     if gap.shrinks is False:  # what held-out readings do not confirm excuses no reading
         far = far_readings(prepared.linear, columns[:, :0], estimated.noise)
@@ -144,7 +139,7 @@ def diagnose(
         in_part=estimated.in_part,
         left_open=estimated.left_open,
         noise=estimated.noise,
-        p_left=estimated.p_left,
+        p_left=UnexplainedScatter.of(estimated.noise, repeats).p,
         whitened=whitened,
         data=prepared.data,
         findings=findings,
@@ -177,7 +172,7 @@ def _left_out(weak: Sequence[FoundEffect]) -> Iterator[str]:
 
 def _held_out(prepared: Prepared, naming: Naming, setting_rad: float) -> tuple[_Estimated, Gap]:
     """Return the joint estimate with the finds, and the gap on readings held out."""
-    estimated = _estimated(prepared, naming, setting_rad)
+    estimated = _estimated(prepared, naming)
     gap = measure_gap(
         prepared.linear, prepared.whitened, naming, estimated.noise, prepared.limit, setting_rad
     )
@@ -203,8 +198,7 @@ class _Estimated:
     """The joint estimate of coefficients and named effects.
 
     `sized` has the effects in the shapes found. `fitted` also has their possible parts with other shapes
-    (`in_part`), of which `left_open` goes into a model file. `p_left` is the p-value of the residuals,
-    compared with the scatter of the repeats.
+    (`in_part`), of which `left_open` goes into a model file.
     """
 
     effects: tuple[NamedEffect, ...]
@@ -213,11 +207,10 @@ class _Estimated:
     fitted: Posterior
     in_part: tuple[AppliedEffect, ...]
     left_open: tuple[AppliedEffect, ...]
-    p_left: float
 
 
-def _estimated(prepared: Prepared, naming: Naming, setting_rad: float) -> _Estimated:
-    """Estimate the named effects together with the coefficients, and locate residuals that they do not explain."""
+def _estimated(prepared: Prepared, naming: Naming) -> _Estimated:
+    """Estimate the named effects together with the coefficients."""
     linear, candidates, whitened, data = (
         prepared.linear, prepared.candidates, prepared.whitened, prepared.data,
     )  # fmt: skip
@@ -226,17 +219,9 @@ def _estimated(prepared: Prepared, naming: Naming, setting_rad: float) -> _Estim
     others = beside(candidates, naming, sized, channels_of(whitened, data, naming))
     in_part = tuple(applied for of_find in others for applied in of_find)
     fitted = fit_found(with_other_shapes(linear, in_part), candidates, naming, noise)
-    p_left = _p_left(whitened, data, naming)
-    if p_left < UNEXPLAINED and in_part:  # between two shapes of the grid an effect leaves a remainder
-        wide = with_other_shapes(linear, in_part)
-        grid = make_noise_grid(wide, whitened.grid.sigma, setting_rad)
-        beside_shapes = Whitened.of(replace(grid, known=whitened.grid.known), candidates)
-        p_left = _p_left(beside_shapes, beside_shapes.reduce(linear.response[:, None]), naming)
     effects = effects_of(candidates, naming, sized, prepared.limit, linear.moved.angle_rad)
-    if p_left < UNEXPLAINED and not any(not e.in_catalogue for e in effects):
-        effects = (*effects, _unexplained(p_left))
     kept = left_open(linear, candidates, naming, others, fitted, noise)
-    return _Estimated(effects, noise, sized, fitted, in_part, kept, p_left)
+    return _Estimated(effects, noise, sized, fitted, in_part, kept)
 
 
 def _noise(
@@ -260,7 +245,7 @@ def _form(
     named = [one for one in naming.found if one.variant.named]
     patterns = [one for one in naming.found if not one.variant.named and one.variant.term is None]
     tied = [one for one in named if any(is_form(candidates, f) for f in one.ties)]
-    if len(named) == len(naming.found) and not tied and estimated.p_left >= UNEXPLAINED:
+    if len(named) == len(naming.found) and not tied:
         return None
     if not patterns and not tied:
         return describe(linear, candidates, naming, estimated.noise, gap, prepared.repeats)
@@ -287,51 +272,11 @@ def verdict_of(effects: tuple[NamedEffect, ...], findings: tuple[NoiseFinding, .
     return "named" if effects else "agrees"
 
 
-def _p_left(whitened: Whitened, data: Data, naming: Naming) -> float:
-    """Return the probability of what is left beside the scatter of repeats (F test of the lack of fit)."""
-    generic = {
-        i
-        for v in whitened.candidates.variants
-        if v.family in {FREE_BY_ANGLE, FREE_BY_PASS}
-        for i in v.columns
-    }
-    known = naming.columns
-    loose = (*known, *sorted(generic - set(known)))
-    model_search, loose_search = Search.beside(whitened, known), Search.beside(whitened, loose)
-    grid = whitened.grid
-    weight = grid.log_prior + grid.log_det
-    of_model, of_repeats = (
-        model_search.left_over(data).square[:, 0],
-        loose_search.left_over(data).square[:, 0],
-    )
-    ratio = int(np.argmax(weight + grid.log_likelihood(of_model)))
-    taken = _rank(loose_search, whitened, ratio, loose) - len(known)
-    freedom = grid.freedom - len(known) - taken
-    if taken <= 0 or freedom <= 0:
-        return 1.0
-    lack = max(of_model[ratio] - of_repeats[ratio], 0.0) / taken
-    if grid.known:  # readings that are rounded alike repeat themselves: their scatter tells nothing
-        return float(special.chdtrc(taken, lack * taken))
-    return float(special.fdtrc(taken, freedom, lack / (of_repeats[ratio] / freedom)))
-
-
-def _rank(search: Search, whitened: Whitened, ratio: int, columns: tuple[int, ...]) -> int:
-    gram = whitened.among(ratio, columns)
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(gram), 1e-300))
-    return int(np.linalg.matrix_rank(gram * np.outer(scale, scale), tol=1e-6, hermitian=True))
-
-
-FAR_P: Final = 0.01
-"""Largest probability of a far reading, all looks counted, with which the verdict becomes `unknown`."""
 LISTED_FAR: Final = 4
 
 
 def _apart(p: float, words: str) -> NamedEffect:
     return NamedEffect("single_reading", (), (), (), (), (), p, p, None, words)
-
-
-def _unexplained(p: float) -> NamedEffect:
-    return NamedEffect("lack_of_fit", (), (), (), (), (), p, p, None, UNNAMED_WORDS["lack_of_fit"])
 
 
 def effects_of(

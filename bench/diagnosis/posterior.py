@@ -14,6 +14,7 @@ from scipy import special
 from bench.base.arrays import CHANNELS, Floats, Mask
 from bench.diagnosis.candidates import Candidates, Column, Variant, plausible_columns
 from bench.diagnosis.evidence import KNOWN_SIZE, LOG_SIZE_WEIGHTS, SIZES, Data, Search, Whitened
+from bench.diagnosis.levels import NEGLIGIBLE, OFTEN
 from bench.diagnosis.linear import LinearSystem
 from bench.diagnosis.naming import Naming, Scored
 from bench.model.effects import CATALOGUE, AppliedEffect, Effect
@@ -234,8 +235,6 @@ def predicted_error(
 
 ADDED: Final = ("warm_up", "bias_drift", "thermal_bias", "turn_on_shift")
 """Effects that add to the signals independently of the acceleration."""
-EQUAL: Final = 0.05
-"""Three sizes in volts count as equal where the p-value of their differences is above this,"""
 SEEN: Final = 4.0
 """and each exceeds this many standard uncertainties, as three insignificant sizes are always equal."""
 
@@ -254,7 +253,7 @@ def common_volts(naming: Naming, fitted: Posterior, linear: LinearSystem) -> Ite
         between = apart @ volts
         chi2 = float(between @ np.linalg.solve(apart @ covariance @ apart.T, between))
         seen = np.all(np.abs(volts) > SEEN * np.sqrt(np.diag(covariance)))
-        if seen and special.chdtrc(2, chi2) > EQUAL:
+        if seen and special.chdtrc(2, chi2) > OFTEN:
             yield (
                 f"{variant.family} is the same voltage in all three channels within its u: that points at what "
                 "they share (the voltmeters' zero, the supply, the wiring), not at three accelerometers; a shorted "
@@ -422,7 +421,8 @@ def _of(
     # as much in all, however many there are
     part = PART * np.sqrt(_steps(effect, variant.shape) / len(others)) if others else 0.0
     for shape in others:
-        yield from _with_shape(candidates, variant, shape, part * np.abs(amplitudes))
+        of_shape = replace(variant, shape=shape)
+        yield from applied_of(candidates, of_shape, 0.0 * amplitudes, part * np.abs(amplitudes))
     if plausible is not None and any(p.per_channel for p in effect.parameters):
         yield from _in_other_channels(candidates, variant, np.abs(amplitudes), plausible)
     if effect.name == "voltmeter_nonlinearity":
@@ -439,47 +439,17 @@ def _steps(effect: Effect, shape: Shape) -> int:
     return sum(len(grid) + 1 for grid in grids)
 
 
-def _with_shape(
-    candidates: Candidates, variant: Variant, shape: Shape, sizes: Floats
-) -> Iterator[AppliedEffect]:
-    """Yield the effect with another shape in the channels found. `sizes` (plausible sizes) give its u."""
-    kinds = [candidates.kinds[column] for column in variant.columns]
-    for mounts in dict.fromkeys(kind.mounts for kind in kinds):
-        values: dict[str, Floats] = {name: np.asarray(size) for name, size in shape}
-        u: dict[str, Floats] = {}
-        for kind, column, size in zip(kinds, variant.columns, sizes, strict=True):
-            if kind.mounts == mounts:
-                empty = np.zeros(() if kind.channel is None else 3)
-                values.setdefault(kind.parameter, empty)
-                of = u.setdefault(kind.parameter, empty.copy())
-                of[() if kind.channel is None else kind.channel] = size * candidates.scale[column]
-        channels = tuple(CHANNELS[c] for c in variant.channels)
-        yield AppliedEffect(CATALOGUE[variant.family], values, channels, u, mounts)
-
-
 def _in_other_channels(
     candidates: Candidates, variant: Variant, sizes: Floats, plausible: Floats
 ) -> Iterator[AppliedEffect]:
     """Yield the effect with the shape found in other channels, its u weighted by their probability."""
     others = [c for c in range(3) if c not in variant.channels and plausible[c] > HARDLY]
-    kinds = [candidates.kinds[column] for column in variant.columns]
-    for mounts in dict.fromkeys(kind.mounts for kind in kinds):
-        largest: dict[str, float] = {}
-        for kind, column, size in zip(kinds, variant.columns, sizes, strict=True):
-            if kind.mounts == mounts and kind.channel is not None:
-                known = largest.get(kind.parameter, 0.0)
-                largest[kind.parameter] = max(known, float(size * candidates.scale[column]))
-        if not others or not largest:
-            continue
-        share = np.array([np.sqrt(plausible[c]) if c in others else 0.0 for c in range(3)])
-        values: dict[str, Floats] = {name: np.asarray(size) for name, size in variant.shape}
-        yield AppliedEffect(
-            CATALOGUE[variant.family],
-            values | {name: np.zeros(3) for name in largest},
-            tuple(CHANNELS[c] for c in others),
-            {name: size * share for name, size in largest.items()},
-            mounts,
-        )
+    share = np.array([np.sqrt(plausible[c]) if c in others else 0.0 for c in range(3)])
+    for one in applied_of(candidates, variant, 0.0 * sizes, sizes):
+        u = {name: np.max(of) * share for name, of in one.u.items() if np.ndim(of)}
+        if others and u:
+            values = {name: value for name, value in one.values.items() if name in u or name not in one.u}
+            yield replace(one, values=values, channels=tuple(CHANNELS[c] for c in others), u=u)
 
 
 def with_other_shapes(linear: LinearSystem, others: tuple[AppliedEffect, ...]) -> LinearSystem:
@@ -516,7 +486,6 @@ def pieces(linear: LinearSystem, others: tuple[AppliedEffect, ...]) -> Iterator[
 
 SHOWS: Final = 0.3
 """A direction that changes all readings together by less, in units of noise, is left out."""
-ROUNDING: Final = 1e-12
 
 
 def left_open(
@@ -550,7 +519,7 @@ def left_open(
         for direction, size in zip(directions.T, sizes, strict=True):
             change = follows @ direction
             own_part = applied_of(candidates, one.variant, change, np.zeros_like(change))
-            parts = (*(_without_u(a) for a in own_part), *_applied(rest, direction))
+            parts = (*(replace(a, u={}) for a in own_part), *_applied(rest, direction))
             number = 1 + sum(
                 isinstance(a.effect, InPart) and a.effect.of == one.variant.family for a in found
             )
@@ -561,7 +530,7 @@ def left_open(
 def _follows(covariance: Floats, own: Floats, places: Floats) -> Floats:
     """Return the regression of the amplitudes found on the other sizes, shape (own, others)."""
     of_others = covariance[np.ix_(places, places)]
-    return np.asarray(np.linalg.lstsq(of_others, covariance[np.ix_(places, own)], rcond=ROUNDING)[0].T)
+    return np.asarray(np.linalg.lstsq(of_others, covariance[np.ix_(places, own)], rcond=NEGLIGIBLE)[0].T)
 
 
 def _directions(covariance: Floats, shown: Floats) -> Floats:
@@ -588,9 +557,3 @@ def _applied(rest: Sequence[OpenSize], sizes: Floats) -> Iterator[AppliedEffect]
         yield AppliedEffect(
             applied.effect, shape | values, applied.channels, installations=applied.installations
         )
-
-
-def _without_u(applied: AppliedEffect) -> AppliedEffect:
-    return AppliedEffect(
-        applied.effect, applied.values, applied.channels, installations=applied.installations
-    )

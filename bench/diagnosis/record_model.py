@@ -43,7 +43,7 @@ class Record:
 
     `deviation_v` (n, c) is signal less reference in the `channels` read, `reference_v` (n,) the reference,
     `conditions` have the means of times, temperatures and rails. `scale` (n,) is the relative size of the noise,
-    from the scatter of the readings in each mean.
+    from the scatter of the readings in each mean. `used` (m,) are the readings that the means rest on.
     """
 
     source: str
@@ -52,6 +52,7 @@ class Record:
     reference_v: Floats
     scale: Floats
     conditions: Conditions
+    used: Mask
     notes: tuple[str, ...]
 
     def __len__(self) -> int:
@@ -91,14 +92,16 @@ def make_record(readings: Readings) -> Record:
             f"noise; a record needs {LEAST}"
         )
     groups = [np.flatnonzero(of_row == number) for number in used]
-    means, spread, far = _robust_means(readings.signal[:, channels] - reference_v[:, None], groups)
+    means, spread, stay = _robust_means(readings.signal[:, channels] - reference_v[:, None], groups)
     warmth, notes = _meter_c(readings)
     begin = _settled(means)
-    groups = groups[begin:]
+    groups, stay = groups[begin:], stay[begin:]
     if begin:
         minutes = (time_s[groups[0][0]] - time_s[0]) / MINUTE
         notes += (f"the first {minutes:.0f} min are left out: the input had not settled",)
-    if left_out := int(far[begin:].sum()):
+    rows = np.zeros(len(readings), dtype=bool)
+    rows[np.concatenate(groups)] = np.concatenate(stay)
+    if left_out := int(np.sum(~rows[groups[0][0] :])):
         notes += (f"{left_out} of {len(readings)} readings lie far from their neighbours and are left out",)
 
     def mean(values: Floats) -> Floats:
@@ -112,7 +115,7 @@ def make_record(readings: Readings) -> Record:
         meter_c=None if warmth is None else mean(warmth),
     )
     at_inputs, size = mean(reference_v), _relative(spread[begin:])
-    return Record(readings.source, tuple(channels), means[begin:], at_inputs, size, conditions, notes)
+    return Record(readings.source, tuple(channels), means[begin:], at_inputs, size, conditions, rows, notes)
 
 
 def _settled(means: Floats) -> int:
@@ -144,10 +147,10 @@ def _checked(readings: Readings) -> tuple[Floats, Floats, list[int]]:
     return readings.time_s, reference_v, channels
 
 
-def _robust_means(deviation: Floats, groups: Sequence[Ints]) -> tuple[Floats, Floats, Ints]:
-    """Return the means of groups of rows without those far from their median, the scatter, and how many are far.
+def _robust_means(deviation: Floats, groups: Sequence[Ints]) -> tuple[Floats, Floats, list[Mask]]:
+    """Return the means of groups of rows without those far from their median, the scatter, and which rows stay.
 
-    The means and the standard deviations of the rows, by their median deviation, are (n, c), the counts (n,).
+    The means and the standard deviations of the rows, by their median deviation, are (n, c).
     """
     middle = [np.median(deviation[rows], axis=0) for rows in groups]
     off = [np.abs(deviation[rows] - at) for rows, at in zip(groups, middle, strict=True)]
@@ -158,7 +161,7 @@ def _robust_means(deviation: Floats, groups: Sequence[Ints]) -> tuple[Floats, Fl
         deviation[rows][near].mean(axis=0) if near.any() else at
         for rows, near, at in zip(groups, stay, middle, strict=True)
     ]
-    return np.array(means), spread, np.array([np.sum(~near) for near in stay])
+    return np.array(means), spread, stay
 
 
 SMOOTHED: Final = 41
@@ -305,14 +308,16 @@ class Products:
 
     def without(self) -> Floats:
         """Return ln of the likelihood without an effect, summed over the noise, shape (d,)."""
-        return _summed(self._without())
+        return _summed(self.likelihood)
 
-    def _without(self) -> Floats:
+    @property
+    def likelihood(self) -> Floats:
+        """ln of the restricted likelihood of each setting of the noise without an effect, shape (s, d)."""
         return np.asarray(self.log_det[:, None] - 0.5 * self.freedom * np.log(self.left))
 
     def noise(self, settings: Sequence[tuple[int, float]]) -> Noise:
         """Return the likeliest noise for the first target."""
-        best = int(np.argmax(self._without()[:, 0]))
+        best = int(np.argmax(self.likelihood[:, 0]))
         return Noise(*settings[best], float(self.left[best, 0]) / self.freedom)
 
     def with_one(self, plausible: Floats) -> Floats:

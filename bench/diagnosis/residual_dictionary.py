@@ -260,7 +260,7 @@ def _courses(conditions: Conditions) -> Iterator[TimeCourse]:
     yield from _of_passes(conditions)
     if np.ptp(conditions.warmth_k) > 0.0:
         # another lag of an effect of the catalogue is no form of its own; nor is another time constant
-        for lag_s in _shapes("thermal_bias", "lag"):
+        for lag_s in shapes("thermal_bias", "lag"):
             text = "lagged(temperature, lag)" if lag_s else "temperature"
             behind = (_constant("lag", "min", MINUTE, lag_s),) if lag_s else ()
             yield TimeCourse(
@@ -268,7 +268,7 @@ def _courses(conditions: Conditions) -> Iterator[TimeCourse]:
             )
 
 
-def _shapes(effect: str, parameter: str) -> tuple[float, ...]:
+def shapes(effect: str, parameter: str) -> tuple[float, ...]:
     """Return the values, SI, that the search tries for a shape of an effect of the catalogue."""
     return next(p.grid for p in CATALOGUE[effect].parameters if p.name == parameter)
 
@@ -334,7 +334,7 @@ def _of_time(conditions: Conditions) -> Iterator[TimeCourse]:
     yield TimeCourse("the time", ("time / T",), span, long=True)
     for middle in MIDDLES:
         yield TimeCourse("a parabola in time", (f"(time / T - {middle:g})**2",), span, long=True)
-    for tau_s in _shapes("warm_up", "tau"):
+    for tau_s in shapes("warm_up", "tau"):
         tau = (_constant("tau", "min", MINUTE, tau_s),)
         yield TimeCourse("what fades with time", ("exp(-time / tau)",), tau, long=True)
     for minutes in CREEPS_MIN:

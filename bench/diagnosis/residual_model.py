@@ -11,6 +11,7 @@ from scipy import special
 from bench.base.arrays import CHANNELS, Floats
 from bench.diagnosis.candidates import Candidates
 from bench.diagnosis.gap import LEAST_CLOSED, Gap
+from bench.diagnosis.levels import OFTEN
 from bench.diagnosis.linear import LinearSystem
 from bench.diagnosis.naming import FoundEffect, Naming
 from bench.diagnosis.noise_grid import Repeats
@@ -23,11 +24,6 @@ UNNAMED_FORM: Final = "unnamed_form"
 """What stands in `cannot_tell_from` of an effect that an unnamed form describes as well."""
 
 
-BY_CHANCE: Final = 0.05
-"""Probability of the scatter by chance from which on only its upper limit is stated.
-
-The limit has this probability to fail.
-"""
 OF_SETTING: Final = 2
 """Degrees of freedom of the noise in a repeat of a setting: those across the turn of the head."""
 
@@ -56,7 +52,7 @@ class UnexplainedScatter:
             return cls(value, np.inf, np.inf, 1.0)
         lack = max(noise.freedom * all2 - of_repeats * repeats2, 0.0) / beyond / repeats2
         # scatter that chance made small is no proof of less than the repeats can tell
-        largest = max(lack, 1.0) / float(special.fdtri(beyond, of_repeats, BY_CHANCE))
+        largest = max(lack, 1.0) / float(special.fdtri(beyond, of_repeats, OFTEN))
         upper = float(np.sqrt(max(largest - 1.0, 0.0) * repeats2 * beyond / noise.freedom))
         variance = 2 * all2**2 / noise.freedom + 2 * repeats2**2 * (1 / of_repeats - 2 / noise.freedom)
         u = float(np.sqrt(variance)) / (2 * value) if value > 0.0 else float(np.sqrt(np.sqrt(variance)))
@@ -65,7 +61,7 @@ class UnexplainedScatter:
     @property
     def there(self) -> bool:
         """Whether it is more than chance."""
-        return self.p < BY_CHANCE
+        return self.p < OFTEN
 
 
 UNNAMED: Final = "unnamed_"

@@ -20,11 +20,11 @@ from bench.diagnosis import (
     noise_grid,
     noise_kinds,
     visibility,
-    where,
 )
 from bench.diagnosis.candidates import Candidates, in_volts
 from bench.diagnosis.evidence import Data, Whitened
 from bench.diagnosis.gap import Gap, folds_of, thirds_of
+from bench.diagnosis.levels import BY_CHANCE
 from bench.diagnosis.linear import LinearSystem
 from bench.diagnosis.mistakes.search import MistakeSearch
 from bench.diagnosis.naming import FamilyOdds, Naming
@@ -43,7 +43,7 @@ class Registration:
     """The settings registered before scoring; `sha256` covers them, the catalogue and the size weights.
 
     These are the priors, the threshold, the limits of a tie, the folds, and the least fall of the gap.
-    `held_out_else` are the folds where `held_out` measures nothing.
+    `held_out_else` are the folds where `held_out` measures nothing. Pairs have no `pair_margin` of their own.
     """
 
     sha256: str
@@ -58,7 +58,6 @@ class Registration:
     tie_holds: float
     tie_absurd: float
     prior_of_kinds: tuple[float, ...]
-    pair_margin: float
     most_effects: int
     hidden_beyond: float
     significance_where: float
@@ -67,6 +66,7 @@ class Registration:
     gap_by_chance: float
     held_out: tuple[str, ...]
     held_out_else: tuple[str, ...]
+    pair_margin: float | None = None
 
 
 def register(linear: LinearSystem, limit: evidence.Threshold) -> Registration:
@@ -84,13 +84,12 @@ def register(linear: LinearSystem, limit: evidence.Threshold) -> Registration:
         tie_holds=naming.SET,
         tie_absurd=naming.ABSURD,
         prior_of_kinds=candidates.KIND_PRIOR,
-        pair_margin=naming.PAIR_MARGIN,
         most_effects=naming.MOST_EFFECTS,
         hidden_beyond=visibility.BEYOND_BELIEF,
-        significance_where=where.SIGNIFICANT,
+        significance_where=BY_CHANCE,
         gap_least_fall=gap.LEAST_FALL,
         gap_least_closed=gap.LEAST_CLOSED,
-        gap_by_chance=gap.BY_CHANCE,
+        gap_by_chance=BY_CHANCE,
         held_out=tuple(label for label, _ in folds_of(linear)),
         held_out_else=tuple(label for label, _ in thirds_of(linear)),
     )
@@ -117,11 +116,6 @@ UNNAMED_WORDS: Mapping[str, str] = {
     "zeros_by_run": message("the zeros change from run to run; the readings do not say why"),
     "scale_by_run": message("the scale factors change from run to run; the readings do not say why"),
     "unnamed_form": message("something without a name"),
-    "lack_of_fit": (
-        message(
-            "the readings differ from the model by more than their repeats, in no pattern that was looked for"
-        )
-    ),
 }
 
 

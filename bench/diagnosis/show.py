@@ -14,6 +14,7 @@ from bench.calibration import Calibration, LackOfFit, calibrate, gls
 from bench.calibration.calibrate import first_guess, usable_rows
 from bench.calibration.design import FIXED, FreeRows, Problem, make_problem
 from bench.calibration.noise import repeat_groups, whiten
+from bench.diagnosis.levels import NEGLIGIBLE
 from bench.model import STAND_ANGLES, AppliedEffect, Block, ForwardModel
 from bench.model.geometry import COEFFICIENTS
 from bench.readings.table import FREE, VERIFICATION, Readings
@@ -28,7 +29,6 @@ CONTRADICTED: Final = 4.0
 """A stated value this many u from the readings is contradicted by them: chance 6e-5."""
 
 MOST_ROUNDS: Final = 30
-STANDS_STILL_G: Final = 1e-12
 
 
 @dataclass(frozen=True)
@@ -276,7 +276,7 @@ def _points(readings: Readings, problem: Problem, fit: gls.Fit) -> tuple[Modulus
             predicted = model.readings_in_order(block, conditions, stand, force=force, voltage_v=voltage_v)
             step = np.linalg.solve(block.K, (rows.signal - predicted[chosen]).T).T
             force[chosen] += step
-            if np.max(np.abs(step)) < STANDS_STILL_G:
+            if np.max(np.abs(step)) < NEGLIGIBLE:
                 break
         return force[chosen], np.linalg.norm(force[chosen], axis=1)
 

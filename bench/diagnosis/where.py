@@ -13,6 +13,7 @@ from scipy import special
 from bench.base.arrays import CHANNELS, Floats, Ints, Mask
 from bench.base.languages import message
 from bench.diagnosis.evidence import KNOWN_SIZE
+from bench.diagnosis.levels import BY_CHANCE
 from bench.diagnosis.linear import MODULUS, LinearSystem
 from bench.diagnosis.noise_grid import NoiseGrid, make_whitener
 from bench.diagnosis.noise_kinds import TAIL_DOF
@@ -20,7 +21,6 @@ from bench.diagnosis.posterior import NoiseSize
 from bench.model.effects import AppliedEffect
 from bench.model.effects.voltmeter import LOW_RANGE_V
 
-SIGNIFICANT: Final = 0.01
 TOLD: Final = 1e-3
 """A column of which earlier patterns leave at most this fraction is explained by them."""
 MOST_PLACES: Final = 8
@@ -77,7 +77,7 @@ def find_places(
         # where p underflows the size of the statistic still orders
         best = int(np.lexsort((-statistic, p_each))[0])
         p, look = float(p_each[best]), looks[best]
-        if p * len(looks) > SIGNIFICANT:
+        if p * len(looks) > BY_CHANCE:
             break
         q, r = np.linalg.qr(seen[:, first[best] : first[best] + wide[best]])
         amplitude = np.linalg.solve(r, q.T @ left)

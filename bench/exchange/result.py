@@ -15,7 +15,6 @@ from bench.base.result_model import Matrix, ResultModel
 from bench.base.text import one_line
 from bench.calibration.intrinsic import intrinsic, intrinsic_unit
 from bench.calibration.result import Derived, inverse, misalignments
-from bench.exchange.checks import POSITIONS, TOLERANCE, judged, picture
 from bench.model.geometry import COEFFICIENTS, Block
 
 SIMULATED = "SIMULATED: found on simulated instruments, of no real block"
@@ -127,7 +126,6 @@ _JSON_TEST: Final = (
     "n = {k: v[k]['value'] for k in v}; "
     "c = [u + v for u, v in zip(d['check']['raw'], d['check']['corrected'])]",
     "def a(u): return [sum(n['N' + i + j] * (u[k] - n['U0' + j]) for k, j in enumerate('xyz')) for i in 'xyz']",
-    judged(),
 )
 
 
@@ -163,7 +161,9 @@ class BlockResult:
 
     @cached_property
     def check(self) -> tuple[Floats, Floats]:
-        """The check vectors: signals at `POSITIONS` and N (U - U0) in g, (20, 3) each."""
+        """The check vectors: signals at `checks.POSITIONS` and N (U - U0) in g, (20, 3) each."""
+        from bench.exchange.checks import POSITIONS
+
         raw, numbers = self.block.output(POSITIONS), self.inverse.values
         return raw, np.asarray((raw - numbers[9:]) @ numbers[:9].reshape(3, 3).T)
 
@@ -252,6 +252,8 @@ class BlockResult:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the content of `bench coefficients --json`."""
+        from bench.exchange.checks import TOLERANCE, judged, picture
+
         return CoefficientsResult.from_object(
             self,
             unit_under_test={"type": self.block_type, "serial": self.serial} if self.block_name else None,
@@ -267,7 +269,7 @@ class BlockResult:
                 tolerance=TOLERANCE,
                 raw=self.check[0],
                 corrected=self.check[1],
-                python=list(_JSON_TEST),
+                python=[*_JSON_TEST, judged()],
             ),
             intrinsic=_derived(self.intrinsic, self.intrinsic_rows, definition=NINE),
         ).to_dict()

@@ -153,9 +153,9 @@ class CheckRun:
 
     `noise` (12,) is the part of u due to reading noise. `s` is the short-term standard deviation of a reading, with
     `s_dof` degrees of freedom. Runs with the same `design` (plan) have equal covariances, except by chance.
-    `meters` are the identities of the voltmeters; `of_meters` (12, 12) is the covariance due to the voltmeters'
-    limits, which counts if voltmeters were replaced. `lasting` (12, 12) is the covariance of all other errors that
-    do not vary from run to run.
+    `meters` are the identities of the voltmeters; `of_meters` (12, 12) is the covariance due to their limits, which
+    counts if they were replaced. `lasting` (12, 12) is the covariance of all other errors that do not vary from run
+    to run. `names` are those of the values, if they are neither the twelve nor the nine.
     """
 
     name: str
@@ -169,6 +169,7 @@ class CheckRun:
     meters: tuple[str, ...]
     of_meters: Floats
     lasting: Floats
+    names: tuple[str, ...] = ()
 
     def in_nine(self) -> CheckRun:
         """Return the run in the nine intrinsic numbers. Raises `CalibrationError` for a K that describes no
@@ -263,7 +264,10 @@ class ControlChart:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The names of the charted numbers: the nine intrinsic numbers or the twelve coefficients."""
+        """The names of the numbers: the nine intrinsic numbers, the twelve coefficients, or those of a monitor."""
+        own = next((run.names for run in (*self.baseline, *self.later) if run.names), ())
+        if own:
+            return own
         return INTRINSIC if self.centre.dimensions == len(INTRINSIC) else COEFFICIENTS
 
     @property

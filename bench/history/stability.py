@@ -6,12 +6,13 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from bench.base.arrays import Floats
+from bench.base.arrays import CHANNELS, Floats, Mask
 from bench.base.computing import tracked
 from bench.base.numbers import read_number
 from bench.base.text import shortened
@@ -29,12 +30,17 @@ STEADY: Final = 0.01
 
 @dataclass(frozen=True)
 class StaticRecord:
-    """Signals (n, 3) in `unit`, sampled every `interval_s` seconds; `source` names their origin."""
+    """Signals (n, c) of `channels` in `unit`, sampled every `interval_s` seconds; `source` names their origin.
+
+    A sample is NaN where a record at a known input has a gap; `notes` say so.
+    """
 
     source: str
     unit: str
     interval_s: float
     signal: Floats
+    channels: tuple[str, ...] = CHANNELS
+    notes: tuple[str, ...] = ()
 
     @property
     def duration_s(self) -> float:
@@ -43,14 +49,20 @@ class StaticRecord:
 
     @property
     def mean(self) -> Floats:
-        """The means of the three signals, (3,)."""
-        return np.asarray(self.signal.mean(axis=0), dtype=np.float64)
+        """The means of the signals, (c,)."""
+        return np.asarray(self.signal[self.known].mean(axis=0), dtype=np.float64)
+
+    @property
+    def known(self) -> Mask:
+        """Which samples are there, (n,)."""
+        return np.asarray(np.isfinite(self.signal).all(axis=1))
 
     @property
     def drift_per_s(self) -> Floats:
-        """The slope of the regression line of each signal over time, unit/s, (3,)."""
-        time = self.interval_s * (np.arange(len(self.signal)) - (len(self.signal) - 1) / 2)
-        return np.asarray(time @ (self.signal - self.mean) / (time @ time), dtype=np.float64)
+        """The slope of the regression line of each signal over time, unit/s, (c,)."""
+        time = self.interval_s * np.arange(len(self.signal), dtype=np.float64)[self.known]
+        time -= time.mean()
+        return np.asarray(time @ (self.signal[self.known] - self.mean) / (time @ time), dtype=np.float64)
 
 
 def read_static(path: Path) -> StaticRecord:
@@ -124,6 +136,38 @@ def from_columns(source: str, unit: str, time_s: Floats, signal: Floats) -> Stat
             "sample it again at a steady rate"
         )
     return StaticRecord(source, unit, float(steps.mean()), np.asarray(signal, dtype=np.float64))
+
+
+LONGEST_GAPS: Final = 10.0
+"""Greatest duration of a record, as a multiple of the time that its samples cover."""
+
+
+def on_grid(source: str, time_s: Floats, signal: Floats, channels: tuple[str, ...]) -> StaticRecord:
+    """Return a record whose times (n,) jitter or have gaps, in V: each sample (n, c) at the nearest time of a grid.
+
+    Samples at one time of the grid are averaged; where there is none, the record has NaN. Raises `CalibrationError`
+    for too few samples, and for a record that is mostly gaps.
+    """
+    if len(time_s) < LEAST_SAMPLES:
+        raise CalibrationError(
+            f"{source}: {len(time_s)} readings; an Allan deviation needs {LEAST_SAMPLES} or more"
+        )
+    steps = np.diff(time_s)
+    usual = float(np.median(steps[steps > 0.0]))
+    interval_s = float(np.mean(steps[np.abs(steps - usual) <= 0.5 * usual]))
+    place = np.rint((time_s - time_s[0]) / interval_s).astype(np.int64)
+    if place[-1] > LONGEST_GAPS * len(place):
+        raise CalibrationError(
+            f"{source}: readings cover {100.0 * len(place) / place[-1]:.1f} % of the time; cut it at its gaps"
+        )
+    count = np.bincount(place)
+    sums = np.stack([np.bincount(place, column) for column in signal.T], axis=1)
+    filled = np.where(count[:, None] > 0, sums / np.maximum(count, 1)[:, None], np.nan)
+    missing = int(np.sum(count == 0))
+    told = (
+        f"{missing} of {len(count)} times on a grid of {interval_s:.4g} s have no reading; averages omit them"
+    )
+    return StaticRecord(source, "V", interval_s, filled, channels, (told,) * (missing > 0))
 
 
 def _row(
@@ -233,7 +277,7 @@ SEGMENTS: Final = 8
 
 @dataclass(frozen=True)
 class Spectrum:
-    """The one-sided power spectral density of the channels, `density` (m, 3) in unit²/Hz, at frequencies (m,), Hz.
+    """The one-sided power spectral density of the channels, `density` (m, c) in unit²/Hz, at frequencies (m,), Hz.
 
     White noise of the Allan term N has the density 2 N². `segments` is the number of segments averaged.
     """
@@ -243,15 +287,36 @@ class Spectrum:
     segments: int
 
 
+SHORT_GAP: Final = 3
+"""Most missing samples in a row that the spectrum bridges by a straight line; a longer gap parts the record."""
+
+
 def spectrum_of(record: StaticRecord) -> Spectrum:
     """Return the spectrum by Welch's method, Hann windows, a straight line removed from each (IEEE Std 1554)."""
     from scipy.signal import welch  # slow to import
 
+    stretches = _stretches(record)
     n = len(record.signal)
-    length = min(max(n // SEGMENTS, 8), LONGEST_SEGMENT, n)
+    length = min(max(n // SEGMENTS, 8), LONGEST_SEGMENT, max(map(len, stretches)))
     trend: Any = "linear"  # which the stubs of scipy lack
-    frequency, density = welch(record.signal, 1.0 / record.interval_s, nperseg=length, detrend=trend, axis=0)
-    return Spectrum(frequency[1:], density[1:], max(1, (n - length) // (length - length // 2) + 1))
+    found, weights = [], []
+    for one in (stretch for stretch in stretches if len(stretch) >= length):
+        frequency, density = welch(one, 1.0 / record.interval_s, nperseg=length, detrend=trend, axis=0)
+        found.append(density[1:])
+        weights.append(max(1, (len(one) - length) // (length - length // 2) + 1))
+    return Spectrum(frequency[1:], np.average(found, axis=0, weights=weights), sum(weights))
+
+
+def _stretches(record: StaticRecord) -> list[Floats]:
+    """Return the parts (m, c) of a record without longer gaps."""
+    at = np.flatnonzero(record.known)
+    bounds = [0, *(np.flatnonzero(np.diff(at) > SHORT_GAP + 1) + 1).tolist(), len(at)]
+    parts = []
+    for start, end in pairwise(bounds):
+        mine = at[start:end]
+        every = np.arange(mine[0], mine[-1] + 1)
+        parts.append(np.stack([np.interp(every, mine, one[mine]) for one in record.signal.T], axis=1))
+    return parts
 
 
 @dataclass(frozen=True)
@@ -294,8 +359,8 @@ def stability_of(
     `size` is the permitted noise of a reading, in the unit of the signals. If it is None, the averaging time is the
     time beyond which longer averages gain little.
     """
-    channels = tracked(range(3), "Allan deviation of the channels")
-    curves = tuple(allan_curve(record.signal[:, i], record.interval_s) for i in channels)
+    signals = tracked(list(record.signal.T), "Allan deviation of the channels")
+    curves = tuple(allan_curve(one, record.interval_s, gaps=bool(record.notes)) for one in signals)
     terms = tuple(fit_terms(curve) for curve in tracked(curves, "noise terms of the channels"))
     averages = tuple(averaging(c, t, size) for c, t in zip(curves, terms, strict=True))
     found = Stability(record, line_frequency_hz, curves, terms, averages, None)

@@ -25,8 +25,11 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from bench.base.files import from_text, read_regular, to_text, write_whole
 from bench.base.languages import known_language, message, speaking
-from bench.base.text import visible
 from bench.run.events import RecordError
+from bench.services import persons as laboratory
+from bench.services.persons import Persons, checked_name, persons_of
+from bench.services.requests.documents import Right
+from bench.services.validated import laboratory_known
 from drivers.clock import utc_now
 
 STATE: Final = ".panel"
@@ -318,24 +321,44 @@ LONGEST_LINK: Final = timedelta(minutes=30)
 MOST_SESSIONS: Final = 20
 """Largest number of sessions of one person; a new session ends the oldest."""
 MOST_LINKS: Final = 50
-LONGEST_NAME: Final = 60
 
 
 class Access:
-    """The tokens, links and sessions of a panel, stored in a folder that only its owner can enter."""
+    """The tokens, links and sessions of a panel, stored in a folder that only its owner can enter.
 
-    def __init__(self, folder: Path, now: Callable[[], datetime] = utc_now) -> None:
+    Where the laboratory has a register of persons, its persons, rights and tokens count instead of the panel's.
+    """
+
+    def __init__(
+        self, folder: Path, now: Callable[[], datetime] = utc_now, laboratory: Path | None = None
+    ) -> None:
         private_folder(folder)
+        self._laboratory = laboratory_known(laboratory)
         self._tokens = KeptList(folder, TOKENS)
         self._links = KeptList(folder, LINKS)
         self._sessions = KeptList(folder, SESSIONS)
         self._now = now
 
+    @property
+    def persons(self) -> Persons | None:
+        """The laboratory's register of persons; None where none stands. Raises `Refused` if it is damaged."""
+        return persons_of(self._laboratory)
+
+    def _refuse_own_tokens(self, command: str) -> None:
+        if (register := self.persons) is not None:
+            raise RecordError(
+                message(f"persons and tokens are in {register.folder}; use 'bench persons {command}'")
+            )
+
     # --- tokens -------------------------------------------------------------------------------------
 
     def new_token(self, name: str, role: Role) -> str:
-        """Create a token and return it; it is not shown again. Raises `RecordError` if the name has one."""
-        name = checked_person(name)
+        """Create a token and return it; it is not shown again.
+
+        Raises `RecordError` if the name has one, and where the laboratory has a register of persons.
+        """
+        self._refuse_own_tokens("change NAME --token")
+        name = checked_name(name)
         token = secrets.token_urlsafe(32)
         with self._tokens.changed() as rows:
             if any(row["name"] == name for row in rows):
@@ -349,10 +372,20 @@ class Access:
 
     def tokens(self) -> list[dict[str, Any]]:
         """Return `name`, `role` and `made` (time of creation) of each token."""
+        if (register := self.persons) is not None:
+            return [
+                {"name": one.name, "role": role_of(one).value, "made": one.since}
+                for one in register.everyone.values()
+                if one.token and not one.ended
+            ]
         return [{key: row[key] for key in ("name", "role", "made")} for row in self._tokens.rows()]
 
     def revoke(self, name: str) -> None:
-        """Delete a person's token, which ends its sessions. Raises `RecordError` if there is no token."""
+        """Delete a person's token, which ends its sessions.
+
+        Raises `RecordError` if there is no token, and where the laboratory has a register of persons.
+        """
+        self._refuse_own_tokens("end NAME")
         with self._tokens.changed() as rows:
             kept = [row for row in rows if row["name"] != name]
             if len(kept) == len(rows):
@@ -363,7 +396,12 @@ class Access:
     # --- one-time links -----------------------------------------------------------------------------
 
     def new_link(self, name: str) -> str:
-        """Return the secret of a new link, which signs an operator in once within half an hour."""
+        """Return the secret of a new link, which signs an operator in once within half an hour.
+
+        Raises `Refused` for a name of nobody who may operate, where the laboratory has a register of persons.
+        """
+        if (register := self.persons) is not None:
+            register.chosen(name, Right.OPERATE, "a link for")
         link = secrets.token_urlsafe(32)
         with self._links.changed() as rows:
             rows.append({"name": name, "sha256": _hash(link), "made": self._now().isoformat()})
@@ -381,12 +419,16 @@ class Access:
             rows[:] = [row for row in rows if row["sha256"] != digest]
         if not found:
             return None
-        return self._new_session(str(found[0]["name"]), Role.OPERATOR, "")
+        new = self._new_session(str(found[0]["name"]), Role.OPERATOR, "")
+        return self.person(new.secret)
 
     # --- sessions -----------------------------------------------------------------------------------
 
     def sign_in_by_token(self, token: str) -> Person | None:
         """Return the person whom a token signs in; None if the token is unknown."""
+        if (register := self.persons) is not None:
+            found = register.with_token(token)
+            return None if found is None else self._new_session(found.name, role_of(found), found.token)
         digest = _hash(token)
         for row in self._tokens.rows():
             if secrets.compare_digest(str(row["sha256"]), digest):
@@ -421,6 +463,14 @@ class Access:
         return None
 
     def _of_session(self, row: dict[str, Any], secret: str) -> Person | None:
+        if (register := self.persons) is not None:
+            known = register.everyone.get(str(row["name"]))
+            if known is None or known.ended or row["token"] not in {"", known.token}:
+                return None
+            role = role_of(known)
+            return Person(
+                known.name, role if row["token"] else min(role, Role.OPERATOR, key=list(Role).index), secret
+            )
         if not row["token"]:
             return Person(str(row["name"]), Role(row["role"]), secret)
         for token in self._tokens.rows():
@@ -438,12 +488,11 @@ class Access:
         return self._now() - datetime.fromisoformat(str(row["made"])) > than
 
 
-def checked_person(name: str) -> str:
-    """Return a person's name, stripped. Raises `RecordError` if it is empty, too long or not printable."""
-    name = name.strip()
-    if not name or len(name) > LONGEST_NAME or not name.isprintable() or visible(name) != name:
-        raise RecordError(message(f"{visible(name)!r}: give a name of 1 to {LONGEST_NAME} characters"))
-    return name
+def role_of(person: laboratory.Person) -> Role:
+    """Return the role that a person of the laboratory has in the panel, by rights."""
+    if Right.SUPERVISE in person.may:
+        return Role.SUPERVISOR
+    return Role.OPERATOR if Right.OPERATE in person.may else Role.VIEWER
 
 
 def _hash(secret: str) -> str:

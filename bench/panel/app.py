@@ -276,7 +276,11 @@ def serve(settings: Settings, tell: Callable[[str], None]) -> None:
         write_whole(state / SERVER, to_text(told))  # the socket listens already, so early clients wait
         tell(f"panel of the runs in {settings.runs}: {settings.url}")
         if settings.loopback:
-            tell(f"sign in, once, within half an hour: {new_link(settings.runs)}")
+            try:
+                link = new_link(settings.runs, laboratory=settings.laboratory)
+                tell(f"sign in, once, within half an hour: {link}")
+            except Refused as why:
+                tell(f"no link, sign in with your token: {why}")
         elif not settings.address:
             tell(f"look: {OPEN_WIRE}")
         uvicorn.Server(config_of(app)).run(sockets=[listener])
@@ -310,7 +314,7 @@ def check(settings: Settings) -> None:
         raise RecordError(
             f"--address {settings.address}: give the address as typed in a browser, such as https://bench.lab"
         )
-    if not settings.loopback and not Access(settings.runs / STATE).tokens():
+    if not settings.loopback and not Access(settings.runs / STATE, laboratory=settings.laboratory).tokens():
         raise RecordError(
             "access from other computers needs a token, and there is none; make one with "
             "'bench panel token NAME --role operator'"
@@ -360,24 +364,26 @@ def is_serving(runs: Path) -> bool:
         return True
 
 
-def link_of(runs: Path) -> str:
-    """Return a one-time link to the panel that serves a folder. Raises `Refused` if none does."""
+def link_of(runs: Path, name: str = "", laboratory: Path | None = None) -> str:
+    """Return a one-time link for a person to the panel that serves a folder. Raises `Refused` if none does."""
     if not is_serving(runs):
         raise Refused(f"{runs}: no panel serves this folder; 'bench panel' starts one and prints its link")
-    return new_link(runs)
+    return new_link(runs, "/", name, laboratory)
 
 
-def open_panel(runs: Path, after: str = "/") -> str:
+def open_panel(runs: Path, after: str = "/", name: str = "", laboratory: Path | None = None) -> str:
     """Return a one-time link to the page `after` of a folder's panel; start a panel first if none serves it.
+
+    `name` is the person who follows the link, by default the user of this computer.
 
     Raises `RecordError` if no panel starts.
     """
     if not is_serving(runs):
-        begin_panel(runs)
-    return new_link(runs, after)
+        begin_panel(runs, laboratory=laboratory)
+    return new_link(runs, after, name, laboratory)
 
 
-def begin_panel(runs: Path, ports: Sequence[int] = (PORT, 0)) -> Started:
+def begin_panel(runs: Path, ports: Sequence[int] = (PORT, 0), laboratory: Path | None = None) -> Started:
     """Start a panel that outlives this program, at the first of `ports` that is free, and wait until it serves.
 
     Raises `RecordError` if it does not start.
@@ -386,7 +392,8 @@ def begin_panel(runs: Path, ports: Sequence[int] = (PORT, 0)) -> Started:
     trouble = ""
     for port in ports:
         (state / SERVER).unlink(missing_ok=True)
-        started = start_program(["panel", f"--runs={runs.absolute()}", f"--port={port}"], state / OUTPUT)
+        of = [] if laboratory is None else [f"--laboratory={laboratory.absolute()}"]
+        started = start_program(["panel", f"--runs={runs.absolute()}", f"--port={port}", *of], state / OUTPUT)
         try:
             if wait_until((state / SERVER).exists, started):
                 return started
@@ -395,17 +402,17 @@ def begin_panel(runs: Path, ports: Sequence[int] = (PORT, 0)) -> Started:
     raise RecordError(f"{runs}: no panel started there: {trouble or 'it takes too long'}")
 
 
-def new_link(runs: Path, after: str = "/") -> str:
+def new_link(runs: Path, after: str = "/", name: str = "", laboratory: Path | None = None) -> str:
     """Return a one-time link to a folder's panel, which signs an operator in and shows the page `after`.
 
-    Raises `RecordError` if the panel is not on a loopback address.
+    Raises `RecordError` if the panel is not on a loopback address, `Refused` as `Access.new_link`.
     """
     url = url_of(runs)
     if not is_loopback((urlsplit(url).hostname or "").strip("[]")):
         raise RecordError(
             f"links work on the bench's computer only, but this panel is at {url or 'no address'}"
         )
-    secret = Access(runs / STATE).new_link(login_name())
+    secret = Access(runs / STATE, laboratory=laboratory).new_link(name or login_name())
     return f"{url}/sign-in?link={secret}" + (f"&next={quote(after)}" if after != "/" else "")
 
 

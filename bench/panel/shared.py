@@ -44,7 +44,7 @@ class Panel:
         self.followers = Followers(lambda folder: {"control": read_holding(folder).to_json()})
         self.certificates = Certificates(settings.laboratory)
         self.streams: Counter[str] = Counter()
-        self.access = Access(settings.runs / STATE)
+        self.access = Access(settings.runs / STATE, laboratory=settings.laboratory)
         self.queue = DayQueue(settings.runs / STATE)
 
 

@@ -246,6 +246,9 @@ class Follower:
 
 
 LOOK_S: Final = 0.05
+LIVE_LOOK_S: Final = 0.02
+"""Interval (s) between looks at the live value, which neither waits for new events nor for readings compared."""
+
 BEAT_S: Final = 2.0
 LINGER_S: Final = 30.0
 """Time (s) for which a follower without viewers is kept, so that a reloaded page finds it again."""
@@ -297,6 +300,7 @@ class SharedFollower:
         self.watchers = 0
         self._ready = asyncio.Event()
         self._task = asyncio.create_task(self._follow())
+        self._live_task = asyncio.create_task(self._follow_live())
 
     @property
     def prompt(self) -> AskedPrompt | None:
@@ -308,6 +312,11 @@ class SharedFollower:
         """Whether readings are still to be compared with their predictions."""
         return self._follower is not None and self._follower.waiting
 
+    @property
+    def over(self) -> bool:
+        """Whether the following has ended, by an error or with its event loop."""
+        return bool(self.trouble) or self._task.done()
+
     async def ready(self) -> None:
         """Wait until there is a first snapshot or an error."""
         await self._ready.wait()
@@ -315,6 +324,7 @@ class SharedFollower:
     def stop(self) -> None:
         """Stop following the run."""
         self._task.cancel()
+        self._live_task.cancel()
 
     async def wait(self, version: int) -> bool:
         """Wait, at most 2 s (`BEAT_S`), for a version other than `version`; return whether there is one."""
@@ -335,13 +345,25 @@ class SharedFollower:
                     message(f"the panel can no longer follow this run: {error!r}"),
                 )
             if news:
-                self.version += 1
-                told, self._news = self._news, asyncio.Event()
-                told.set()
+                self._wake()
             self._ready.set()
             if self.trouble:
                 return
             await asyncio.sleep(0.0 if self.judging else LOOK_S)
+
+    async def _follow_live(self) -> None:
+        while not self.over:
+            live = b"" if self._follower is None or not self.watchers else self._follower.live()
+            if live != self.live:
+                self.live = live
+                self._wake()
+            await asyncio.sleep(LIVE_LOOK_S)
+
+    def _wake(self) -> None:
+        """Let the viewers send what has changed."""
+        self.version += 1
+        told, self._news = self._news, asyncio.Event()
+        told.set()
 
     def _look(self) -> bool:
         """Read new events; return whether there is an update to send."""
@@ -356,14 +378,13 @@ class SharedFollower:
                     break
         if follower.points_version != before:
             self.points = follower.points()
-        before_live, self.live = self.live, follower.live()
         added = self._add(self._folder)
         if read or added != self._added or not self.state:
             self._added = added
             self.state = {**follower.state(), **added}
             self.sent_state = as_event("state", self.state)
             return True
-        return follower.points_version != before or self.live != before_live
+        return follower.points_version != before
 
 
 class Followers:
@@ -437,7 +458,7 @@ class Followers:
 
     async def _of(self, folder: Path) -> SharedFollower:
         shared = self._shared.get(folder)
-        if shared is None or shared.trouble:
+        if shared is None or shared.over:
             shared = self._shared[folder] = SharedFollower(folder, self._add)
         shared.watchers += 1
         try:

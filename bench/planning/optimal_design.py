@@ -18,9 +18,8 @@ from bench.calibration.design import FIXED, Problem, make_problem
 from bench.calibration.estimators import GLS
 from bench.calibration.noise import LEAST_REPEATS, KnownStand, repeat_groups, whiten
 from bench.calibration.result import CalibrationError, Noise
-from bench.calibration.verification import modulus_slopes
 from bench.model import STAND_ANGLES, Block, Conditions, Distribution, ForwardModel
-from bench.model.geometry import COEFFICIENTS
+from bench.model.geometry import COEFFICIENTS, modulus_slopes
 from bench.planning.requirements import Setting, conditions_of
 
 DIRECTIONS: Final = 128

@@ -271,7 +271,7 @@ REVERSED: Final = tuple(
 
 OPPOSITE_RAD: Final = float(np.pi)
 SLIPS_RAD: Final = {
-    slip.size: float(np.radians(slip.degrees)) for slip in SLIPS if np.radians(slip.degrees) < OPPOSITE_RAD
+    size: float(np.radians(degrees)) for size, degrees, _ in SLIPS if np.radians(degrees) < OPPOSITE_RAD
 }
 """Size of the angle error, rad, of each common mistake in reading the scale, by name; either sign is possible."""
 

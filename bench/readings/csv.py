@@ -36,6 +36,7 @@ from bench.readings.table import (
     CHAMBER_C,
     FREE,
     REFERENCE,
+    REFERENCE_SD_V,
     REFERENCE_V,
     SCAN_ORDER,
     SHORTED,
@@ -58,6 +59,7 @@ AS_TEXT: Final = (
     "range_v",
     SCAN_ORDER,
     REFERENCE_V,
+    REFERENCE_SD_V,
     TEMPERATURE_SOURCE,
     CHAMBER_C,
     METER_C,
@@ -309,6 +311,7 @@ def _row(
         temperature(text, name)
     number(text, SINCE_POWER_ON_S, "a time in seconds, 0 or more", optional=True, least=0.0)
     number(text, REFERENCE_V, "the voltage at the inputs in V", optional=True)
+    number(text, REFERENCE_SD_V, "the scatter of the meters that read it in V", optional=True)
     for name in filter(is_of_a_rail, header):
         number(text, name, "a voltage or a current of a rail in V or A", optional=True)
     for name in signals:

@@ -31,6 +31,7 @@ SCAN_ORDER: Final = "scan_order"
 """The extra column with the order in which the channels were read, such as "xyz"."""
 
 REFERENCE_V: Final = "reference_v"
+REFERENCE_SD_V: Final = "reference_sd_v"
 """The extra column with the voltage at a reference input."""
 
 TEMPERATURE_SOURCE: Final = "temperature_source"

@@ -394,9 +394,9 @@ def sources_table(found: Calibration) -> Table:
         u = u_of(source.covariance)
         if not np.any(u > 0):
             continue
-        j = int(np.argmax(u / found.u))
+        j = int(np.argmax(u / np.maximum(found.u, 1e-300)))
         name = COEFFICIENTS[j]
-        size = scale_for(float(u[j]), "V")
+        size = scale_for(float(u[j]), found.unit)
         cost = f"{uncertainty(float(u[j]) / size.size)} {coefficient_unit(name, size.unit)}"
         origin = f"{source.origin} (prior)" if source.prior else source.origin
         shown.add_row(source.name.replace("_", " "), source.size, origin, cost, name)

@@ -429,9 +429,10 @@ def render_chart(found: CheckBlockChart) -> str:
     word = {"none": "No verdict yet", "passed": "✓ In control", "failed": "✗ Out of control"}[look]
     figures = []
     if last is not None:
+        joint, single = partial(draw_joint, chart, found.unit), partial(draw_single, chart, found.unit)
         figures = [
-            Markup(svg_figure("joint", (7.4, 5.6), partial(_joint, found), "T², EWMA and s of every run")),  # noqa: S704 - our own drawing
-            Markup(svg_figure("single", (7.4, 6.4), partial(_single, found), "each of the nine by run")),  # noqa: S704 - our own drawing
+            Markup(svg_figure("joint", (7.4, 5.6), joint, "T², EWMA and s of every run")),  # noqa: S704 - our own drawing
+            Markup(svg_figure("single", (7.4, 6.4), single, "each of the nine by run")),  # noqa: S704 - our own drawing
         ]
     return page(
         "control_chart.html.j2",
@@ -457,9 +458,8 @@ def render_chart(found: CheckBlockChart) -> str:
     )
 
 
-def _joint(found: CheckBlockChart, figure: Figure) -> None:
+def draw_joint(chart: ControlChart, unit: str, figure: Figure) -> None:
     """Draw panels of T² of each run, T² of the EWMA and, if known, the short-term standard deviation."""
-    chart = found.chart
     shown = slice(-MOST_SHOWN, None)
     panels = figure.subplots(3 if chart.short is not None else 2, sharex=True, squeeze=False)[:, 0]
     along = np.arange(1.0, len(chart.later) + 1)[shown]
@@ -468,7 +468,7 @@ def _joint(found: CheckBlockChart, figure: Figure) -> None:
     _panel(panels[1], along, chart.ewma.t2[shown], np.full(len(along), chart.limit_ewma))
     panels[1].set_ylabel(f"T² of the EWMA (λ = {chart.design.smoothing:g})")
     if chart.short is not None:
-        scale = scale_for(chart.short.pooled, found.unit)
+        scale = scale_for(chart.short.pooled, unit)
         limits = chart.short.limits(chart.design.alpha)[shown] / scale.size
         _panel(panels[2], along, chart.short.s[shown] / scale.size, limits)
         panels[2].axhline(chart.short.pooled / scale.size, color=GREY, linewidth=0.7)
@@ -476,17 +476,16 @@ def _joint(found: CheckBlockChart, figure: Figure) -> None:
     _name_runs(panels[-1], chart, along)
 
 
-def _single(found: CheckBlockChart, figure: Figure) -> None:
+def draw_single(chart: ControlChart, unit: str, figure: Figure) -> None:
     """Draw a panel for each number: its deviation and its EWMA, each with its limits."""
-    chart = found.chart
     shown = slice(-MOST_SHOWN, None)
     along = np.arange(1.0, len(chart.later) + 1)[shown]
     rows = -(-len(chart.names) // 3)
-    grid = figure.subplots(rows, 3, sharex=True)
+    grid = figure.subplots(rows, 3, sharex=True, squeeze=False)
     for k, name in enumerate(chart.names):
         axes = grid.flat[k]
         largest = max(float(np.max(chart.shewhart.u[:, k])), 1e-30) * chart.limit_single
-        size, unit = _scale_of(name, largest, found.unit)
+        size, unit = _scale_of(name, largest, unit)
         _coefficient(axes, chart, k, along, shown, size)
         axes.set_title(f"{symbol(name)} / {unit}")
         axes.xaxis.get_major_locator().set_params(integer=True)

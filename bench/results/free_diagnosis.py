@@ -10,11 +10,11 @@ import numpy as np
 from pydantic import Field
 from rich.console import Console
 
-from bench.base.arrays import CHANNELS, Floats
+from bench.base.arrays import CHANNELS, Floats, rms
 from bench.base.computing import quiet
 from bench.base.numbers import aligned, concise, quantity, rounded, scale_for, typeset
 from bench.base.result_model import Real, ResultModel
-from bench.diagnosis.free_records import OUTLIER, BetweenRecords, FreeDiagnosis
+from bench.diagnosis.free_records import OUTLIER, FreeDiagnosis
 from bench.diagnosis.gap import Gap
 from bench.diagnosis.result import NamedEffect, Verdict
 from bench.model.effects import CATALOGUE
@@ -25,6 +25,7 @@ from bench.results.diagnosis_parts import FoundPart, GapPart, OddsPart, VerdictO
 from bench.results.diagnosis_words import NO_FILES, Files
 from bench.results.parts import BenchPart, CorrectionPart
 from bench.results.plots import BLUE, GREY, PASS_COLOURS, PASS_FILLS, VERMILION, legend_of, svg_figure
+from bench.results.repeats import BetweenRecordsPart, between_part, repeats_between
 from bench.results.tables import Row, page, symbol
 
 if TYPE_CHECKING:
@@ -58,27 +59,6 @@ class FreeNoise(ResultModel):
     unit: Literal["g"]
     stated: Real = Field(description="what the samples imply")
     dof: int
-
-
-class HeldOutByRecord(ResultModel):
-    """The ratio of scatter to stated u of the zeros of held-out records, predicted from the other records."""
-
-    by: Literal["record"]
-    before: Real = Field(description="with zeros that stay")
-    after: Real = Field(description="with zeros of each record")
-
-
-class BetweenRecordsPart(ResultModel):
-    """The changes of the zeros between records, each record fitted by itself."""
-
-    ratio: Real = Field(description="scatter of the zeros over their stated u")
-    scatter_g: list[Real]
-    common_part: list[Real] = Field(
-        description="part of the variance that the sensors share; null for one sensor"
-    )
-    held_out: HeldOutByRecord
-    zeros_g: list[list[list[Real]]] = Field(description="by sensor, record and channel")
-    u_g: list[list[list[Real]]]
 
 
 class FreeCopyPart(ResultModel):
@@ -154,7 +134,7 @@ def free_result(
         noise=FreeNoise(
             reading=found.noise.reading, unit="g", stated=found.stated_g, dof=found.noise.freedom
         ),
-        between_records=None if found.between is None else _between(found.between),
+        between_records=None if found.between is None else between_part(found.between),
         sensors=found.rows.sensors,
         models=list(files.models),
         report=files.report,
@@ -182,17 +162,6 @@ def hidden() -> list[str]:
 def _outlier(text: str) -> FreeFoundPart:
     return FreeFoundPart(
         name=OUTLIER, channels=[], cannot_tell_from=[], parameters={}, p=None, p_all_looks=None, words=text
-    )
-
-
-def _between(found: BetweenRecords) -> BetweenRecordsPart:
-    return BetweenRecordsPart(
-        ratio=found.ratio,
-        scatter_g=found.scatter.tolist(),
-        common_part=found.common.tolist(),
-        held_out=HeldOutByRecord(by="record", before=found.held_before, after=found.held_after),
-        zeros_g=found.zero.tolist(),
-        u_g=found.u.tolist(),
     )
 
 
@@ -260,6 +229,8 @@ def what_to_do(found: FreeDiagnosis, files: Files) -> Iterator[str]:
         source = "each record" if several else found.source
         yield f"Use the model{of}: bench calibrate {source} --model {model}"
         yield f"Test it with new readings{of}: bench confirm NEW --model {model}"
+    if found.between is not None and (line := found.between.in_bench_file()):
+        yield f"{repeats_between(found.between)}. Put it into the bench file, and calibrations hold it in u: {line}"
     names = {one.name for one in found.found}
     if "zeros_by_run" in names or "scale_by_run" in names:
         yield (
@@ -301,6 +272,11 @@ def print_free(found: FreeDiagnosis, files: Files, out: Console) -> None:
         for line in parameter_lines(one):
             out.print(f"  {line}")
         out.print(typeset(f"  {words.p_in_words(one.p_all_looks)} with all looks counted, rho {one.rho:.1f}"))
+    if found.between is not None:
+        told = repeats_between(found.between)
+        out.print(typeset(f"Zeros: {told}"))
+        if line := found.between.in_bench_file():
+            out.print(f"  for u of calibrations, put into the bench file: {line}")
     _print_gap(gap, out)
     for file in files.copies:
         out.print(f"corrected copy of the readings: {file}")
@@ -479,7 +455,7 @@ def modulus_by_record(found: FreeDiagnosis) -> str:
                 (found.after, BLUE, 0.55, "with what was found"),
             ):
                 if fit is found.before or found.found:
-                    sizes = [_rms(fit.left[(rows.record == r) & (rows.sensor == sensor)]) for r in records]
+                    sizes = [rms(fit.left[(rows.record == r) & (rows.sensor == sensor)]) for r in records]
                     axes.bar(
                         at, np.array(sizes) / scale.size, width=0.9 * part * width, color=colour,
                         label=what,
@@ -498,10 +474,6 @@ def modulus_by_record(found: FreeDiagnosis) -> str:
 
     alt = f"Root mean square of the modulus less 1 g in {len(records)} records of {rows.sensors} sensors"
     return svg_figure("free-records", (6.4, 3.0), draw, alt)
-
-
-def _rms(part: Floats) -> float:
-    return float(np.sqrt(np.mean(part**2))) if len(part) else 0.0
 
 
 MOST_DRAWN: Final = 8

@@ -21,7 +21,6 @@ from bench.calibration.intrinsic import (
 )
 from bench.calibration.result import COVERAGE_FACTOR, Calibration
 from bench.results.parts import CoefficientPart
-from bench.results.plots import BLUE, GREY, svg_figure, symbol
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -148,10 +147,9 @@ def joint_in_words(found: Calibration, own: Intrinsic | None) -> str:
 
 
 def ellipses(own: Intrinsic) -> str:
-    """Return a plot of the 95 % ellipsoid of the nine intrinsic numbers, projected onto pairs.
+    """Return a plot of the 95 % ellipsoid of the nine as shadows on pairs; dashed, U of each number (k = 2)."""
+    from bench.results.plots import BLUE, GREY, svg_figure, symbol
 
-    Dashed lines show U of each number (k = 2).
-    """
     joint, turn = joint_of(own.u, own.dof), np.linspace(0.0, 2.0 * np.pi, _POINTS)
     circle = np.stack([np.cos(turn), np.sin(turn)])
 

@@ -21,8 +21,9 @@ from bench.base.arrays import CHANNELS, HOUR, MINUTE, Floats, Mask
 from bench.base.languages import ENGLISH, language, message, translated
 from bench.base.numbers import MINUS, Scale, scale_for
 from bench.base.text import APPROACH
-from bench.calibration import Calibration, Verification
+from bench.calibration import Calibration
 from bench.calibration.budget.propagation import correlation_of
+from bench.calibration.verification import Verification
 from bench.model.conditions import Mounting
 from bench.model.geometry import COEFFICIENTS
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 from pydantic import Field
 from rich.console import Console
 
-from bench.base.arrays import rms
+from bench.base.arrays import Floats, rms
 from bench.base.computing import quiet
 from bench.base.numbers import concise, quantity, scale_for, typeset
 from bench.base.result_model import Real, ResultModel
@@ -249,36 +249,36 @@ def evidence_in_words(found: RecordDiagnosis) -> dict[str, str]:
 # --- page ---------------------------------------------------------------------------------------------
 
 
-def course_figure(found: RecordDiagnosis) -> str:
-    """Return a plot over time of the signal minus the reference, with zero and drift subtracted, before and
-    after.
-    """
-    time_h = found.record.time_h
-    scale = scale_for(max(float(abs(fit.before_v).max()) for fit in found.fits), "V")
+def course_figure(time_h: Floats, courses: Sequence[tuple[str, Floats, Floats]]) -> str:
+    """Return a plot of signal less reference over the time: channel, course before (n,), course after, V."""
+    scale = scale_for(max(float(abs(before).max()) for _, before, _ in courses), "V")
 
     def draw(figure: Figure) -> None:
-        rows = figure.subplots(len(found.fits), 1, sharex=True, squeeze=False)[:, 0]
-        for axes, fit in zip(rows, found.fits, strict=True):
+        rows = figure.subplots(len(courses), 1, sharex=True, squeeze=False)[:, 0]
+        for axes, (channel, before, after) in zip(rows, courses, strict=True):
             for course, colour, label in (
-                (fit.before_v, VERMILION, "zero and drift alone"), (fit.residual_v, BLUE, "with what was found"),
+                (before, VERMILION, "zero and drift alone"), (after, BLUE, "with the effects"),
             ):  # fmt: skip
                 axes.plot(time_h, course / scale.size, color=colour, linewidth=1.0, label=label)
-            axes.set_ylabel(f"{fit.channel} − reference / {scale.unit}")
+            axes.set_ylabel(f"{channel} − reference / {scale.unit}")
         rows[-1].set_xlabel("time / h")
         figure.legend(*legend_of(iter(rows)), loc="outside upper center", ncols=2)
 
-    alt = f"Signal less reference of {len(found.fits)} channels over {time_h[-1]:.1f} h, before and after naming"
-    return svg_figure("record-course", (6.4, 1.2 + 1.8 * len(found.fits)), draw, alt)
+    alt = f"Signal less reference of {len(courses)} channels over {time_h[-1]:.1f} h, without and with the effects"
+    return svg_figure("record-course", (6.4, 1.2 + 1.8 * len(courses)), draw, alt)
 
 
 def render_record(
     found: RecordDiagnosis, files: Files, title: str, provenance: Mapping[str, str], *, simulated: bool
 ) -> str:
     """Return the HTML page; the same content always gives the same text."""
+    course = course_figure(
+        found.record.time_h, [(fit.channel, fit.before_v, fit.residual_v) for fit in found.fits]
+    )
     return page(
-        "record_diagnosis.html.j2",
+        "record.html.j2",
         title=title,
-        found=found,
+        intro="A record at a known input: each channel is the reference, with a zero, a drift, and what is found.",
         simulated=simulated,
         provenance=provenance,
         state=STATES.get(found.verdict, "failed"),
@@ -289,10 +289,17 @@ def render_record(
         effects=[
             (_title(one) if one.in_catalogue else one.name, one, lines_of(one)) for one in found.effects
         ],
-        course=drawn(course_figure(found)),
+        figures=[
+            (
+                drawn(course),
+                "Signal less reference, beside a zero and a drift, and with what was found.",
+            )
+        ],
         held_out=[
             Row(fold.label, (f"{fold.before.reduced:.2f}", f"{fold.after.reduced:.2f}"))
             for fold in found.gap.folds
         ],
-        channels=list(channel_lines(found)),
+        listed=list(channel_lines(found)),
+        notes=found.notes,
+        ending="diagnosis",
     )

@@ -365,6 +365,7 @@ class CommissionedPart(ResultModel):
 class CommissionResult(ResultModel):
     """The result of commissioning the instruments of a bench, check by check."""
 
+    what: str = Field("commissioning", description="commissioning, or morning check")
     bench: str
     bench_file: str
     simulated: bool = Field(description="whether it was the simulated bench")

@@ -9,13 +9,12 @@ from pydantic import Field
 from rich.console import Console
 from rich.table import Table
 
-from bench.base.arrays import CHANNELS
 from bench.base.numbers import MINUS, probability, quantity, scale_for
 from bench.base.result_model import Real, ResultModel, Vector
 from bench.base.tables import print_notes, table
 from bench.history.stability import Stability
 from bench.results.parts import BenchPart
-from bench.results.plots import BLUE, GREEN, GREY, VERMILION, svg_file
+from bench.results.plots import BLUE, GREEN, GREY, VERMILION, svg_figure, svg_file
 from bench.stats.allan import MISFIT_P, TERMS, NoiseTerms
 
 if TYPE_CHECKING:
@@ -82,6 +81,7 @@ class StabilityResult(ResultModel):
     channels: dict[str, ChannelPart] = Field(description="by channel")
     reading: ReadingPart | None
     no_reading: str | None = Field(description="why there is none")
+    notes: list[str] = Field(description="on the times of the samples")
     bench: BenchPart
 
 
@@ -91,7 +91,7 @@ def stability_result(found: Stability, bench: BenchPart) -> StabilityResult:
     return StabilityResult.from_object(
         record,
         samples=len(record.signal),
-        channels={channel: _channel(found, i) for i, channel in enumerate(CHANNELS)},
+        channels={channel: _channel(found, i) for i, channel in enumerate(record.channels)},
         reading=None
         if advice is None
         else ReadingPart(samples=advice.samples, nplc=advice.nplc, averaging_s=advice.tau_s),
@@ -135,8 +135,9 @@ def print_stability(found: Stability, out: Console) -> None:
         f"{record.duration_s:.4g} s, in {record.unit}"
     )
     out.print(_table(found))
-    for channel, average, terms in zip(CHANNELS, found.averages, found.terms, strict=True):
-        out.print(f"channel {channel}: {average.tau_s:.3g} s: {average.why}")
+    lines = zip(averaging_lines(found), record.channels, found.terms, strict=True)
+    for line, channel, terms in lines:
+        out.print(line)
         if terms.p < MISFIT_P:
             misfit = (
                 f"channel {channel}: the five noise terms do not explain this curve "
@@ -154,10 +155,16 @@ def print_stability(found: Stability, out: Console) -> None:
     out.print(found.advice.line())
 
 
+def averaging_lines(found: Stability) -> list[str]:
+    """Return a line on the averaging time of each channel."""
+    pairs = zip(found.record.channels, found.averages, strict=True)
+    return [f"channel {channel}: {average.tau_s:.3g} s: {average.why}" for channel, average in pairs]
+
+
 def _table(found: Stability) -> Table:
     """Return a table with a column for each channel: mean, drift, noise terms (or upper limits), averaging."""
     record, unit = found.record, found.record.unit
-    shown = table("", *(f">{channel}" for channel in CHANNELS))
+    shown = table("", *(f">{channel}" for channel in record.channels))
     shown.add_row("mean", *(f"{mean:.7g} {unit}" for mean in record.mean))
     slopes = (3600.0 * record.drift_per_s).tolist()
     shown.add_row("drift", *(f"{MINUS if s < 0 else ''}{quantity(abs(s), unit)}/h" for s in slopes))
@@ -178,14 +185,19 @@ def _term(terms: NoiseTerms, k: int, unit: str) -> str:
 # --- as a figure --------------------------------------------------------------------------------------
 
 
-def allan_figure(found: Stability) -> str:
-    """Return an SVG file: Allan deviation with 95 % limits and the fitted noise terms, and the spectrum below."""
+def allan_figure(found: Stability, *, inline: bool = False) -> str:
+    """Return an SVG file: Allan deviation with 95 % limits and the fitted noise terms, and the spectrum below.
+
+    With `inline`, it is an element of a page.
+    """
     curves, terms, tau_s = found.curves, found.terms, found.longest_s
     scale = scale_for(min(float(curve.deviation.min()) for curve in curves), found.record.unit)
 
     def draw(figure: Figure) -> None:
         axes, below = figure.subplots(2)
-        look = zip(CHANNELS, (BLUE, VERMILION, GREEN), ("o", "s", "^"), curves, terms, strict=True)
+        look = zip(
+            found.record.channels, (BLUE, VERMILION, GREEN), ("o", "s", "^"), curves, terms, strict=False
+        )
         for i, (channel, colour, marker, curve, term) in enumerate(look):
             low, high = curve.limits(term.freedom)
             reach = np.stack([curve.deviation - low, high - curve.deviation]) / scale.size
@@ -208,4 +220,8 @@ def allan_figure(found: Stability) -> str:
         below.set_ylabel(f"root of the spectral density / ({scale.unit}/√Hz)")
         figure.legend(loc="outside upper center", ncols=3)
 
+    if inline:
+        return svg_figure(
+            "allan", (6.4, 7.2), draw, "Allan deviation over averaging time, spectrum over frequency"
+        )
     return svg_file("allan", (6.4, 7.2), draw)

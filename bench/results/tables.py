@@ -26,9 +26,10 @@ from bench.base.numbers import (
 )
 from bench.base.template_texts import environment_for
 from bench.base.text import shown_path, visible
-from bench.calibration import Calibration, Estimate, Noise, Verification
+from bench.calibration import Calibration, Estimate, Noise
 from bench.calibration.budget.propagation import correlation_of
 from bench.calibration.design import SYMBOLS
+from bench.calibration.verification import Verification
 from bench.model.effects import CATALOGUE
 from bench.model.geometry import COEFFICIENTS
 from bench.results.plots import residual_scale

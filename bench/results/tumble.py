@@ -10,11 +10,11 @@ from rich.console import Console
 from rich.table import Table
 
 from bench.base.arrays import ARCSEC
-from bench.base.numbers import fixed, places
+from bench.base.numbers import fixed, places, probability
 from bench.base.result_model import Matrix, Real, ResultModel
 from bench.base.tables import print_notes, table
 from bench.calibration.budget.whole import OF_BLOCK
-from bench.calibration.tumble import K, TumbleView
+from bench.calibration.tumble import HOMES, K, TumbleView, parameter_of
 from bench.results.parts import BenchPart, CorrectionPart, ExpandedPart, FitPart, UnitPart, fit_in_words
 
 CLOSE: Final = 0.95
@@ -57,6 +57,16 @@ class TumbleNoisePart(ResultModel):
     source: str
 
 
+class AbovePart(ResultModel):
+    """Points above 1 g that joined the fit, and their chi-square against the fit at 1 g."""
+
+    points: int
+    largest_g: float
+    chi2: float
+    dof: int
+    p: float
+
+
 class TumbleResult(ResultModel):
     """The accelerometers of a multi-point tumble by the terms of IEEE Std 1293.
 
@@ -76,6 +86,7 @@ class TumbleResult(ResultModel):
     )
     noise: TumbleNoisePart
     residual: FitPart
+    above_1g: AbovePart | None = Field(description="points of a centrifuge that joined the fit")
     readings: int
     source: str
     bench: BenchPart
@@ -109,6 +120,7 @@ def tumble_result(view: TumbleView, **made_from: Any) -> TumbleResult:
             view.noise, reading_v=view.noise.reading, setting_arcsec=view.noise.setting_rad / ARCSEC
         ),
         residual=view.lack_of_fit,
+        above_1g=view.above,
         readings=len(view.fitted),
         **made_from,
     )
@@ -132,6 +144,12 @@ def print_tumble(view: TumbleView, name: str, on: Console) -> None:
             f"{first} and {second} are correlated (r = {r:.3f}): their sum is known far better than each"
         )
     on.print(fit_in_words(view.lack_of_fit, "THESE TERMS DO NOT FIT the readings"))
+    if view.above is not None:
+        agree = "agree with" if view.above_agrees else "CONTRADICT"
+        on.print(
+            f"{view.above.points} points up to {view.above.largest_g:.3g} g {agree} the readings at 1 g: "
+            f"chi-square {view.above.chi2:.1f} for {view.above.dof} ({probability(view.above.p)})"
+        )
     print_notes(on, list(_left_out(view)))
 
 
@@ -143,18 +161,23 @@ def _table(view: TumbleView) -> Table:
             times, unit = 1.0, q.unit
             if q.unit == "rad":
                 times, unit = 1.0 / ARCSEC, "arcsec"
-            elif q.unit == "g" or q.unit.startswith("g/g^"):
-                times, unit = 1e6, q.unit.replace("g", "µg", 1).replace("^2", "²").replace("^3", "³")
+            elif q.name != "K1" and q.unit.split("/")[0] == "g":
+                times, unit = 1e6, _micro(q.unit)
             digits = places(times * q.u)
             cells = (fixed(times * size, digits) for size in (q.value, q.u, 2 * q.u, q.u_readings))
             shown.add_row(channel, q.words, *cells, unit)
     return shown
 
 
+def _micro(unit: str) -> str:
+    """Return the printed millionth of a unit in g: "g/g^2" -> "µg/g²"."""
+    return unit.replace("g", "µg", 1).replace("^2", "²").replace("^3", "³")
+
+
 def _close(view: TumbleView) -> Iterator[tuple[str, str, float]]:
     """Yield pairs of nonlinear terms of one channel that are hard to separate, with their correlation."""
     for channel, own in view.axes.items():
-        terms = [f"{channel}.{q.name}" for q in own if "g/g^" in q.unit]
+        terms = [f"{channel}.{q.name}" for q in own if q.name in HOMES]
         for n, first in enumerate(terms):
             for second in terms[n + 1 :]:
                 r = view.correlation(first, second)
@@ -168,7 +191,8 @@ def _left_out(view: TumbleView) -> Iterator[str]:
         for term, moved in by_term.items():
             if moved:
                 said = "not fitted, but in u," if view.combined and term in OF_BLOCK else "taken as zero"
-                yield f"{said} in channel {channel}: 1 µg/g² of {term} moves {_moved(moved)}"
+                unit = _micro(parameter_of(term).unit.replace("ug", "g"))
+                yield f"{said} in channel {channel}: 1 {unit} of {term} moves {_moved(moved)}"
 
 
 def _moved(moved: Mapping[str, float]) -> str:

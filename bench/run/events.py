@@ -65,6 +65,14 @@ class CheckedBefore(TypedDict, total=False):
     despite: str
 
 
+class OperatorPerson(TypedDict):
+    """What the laboratory's register of persons said of the operator; `register` is the hash of its last line."""
+
+    role: str
+    may: list[str]
+    register: str
+
+
 class Manifest(TypedDict, total=False):
     """The inputs and settings with which a run was begun (`run.json`), in this order.
 
@@ -85,6 +93,7 @@ class Manifest(TypedDict, total=False):
     seed: int | None
     living: bool
     operator: str
+    operator_person: OperatorPerson
     procedure: str
     bench: str
     bench_why: str

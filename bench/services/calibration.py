@@ -23,7 +23,9 @@ from bench.calibration.mistakes import implausible, refuse_mixed_units, sheet_of
 from bench.calibration.result import COVERAGE_FACTOR, Calibration, CalibrationError
 from bench.calibration.temperature import separate_temperatures
 from bench.config.bench_file.learned import PriorFile, load_prior
+from bench.model.effects import TEMPERATURE_EFFECTS
 from bench.model.geometry import COEFFICIENTS, Block
+from bench.readings.table import is_record
 from bench.results.calibration import (
     PriorPart,
     calibrate_result,
@@ -41,6 +43,7 @@ if TYPE_CHECKING:
     from bench.exchange.result import BlockResult
     from bench.history.prior import Prior
     from bench.services.coefficients import Coefficients
+    from bench.services.record_calibration import RecordCalibrationResult
     from bench.services.requests.evaluation import Calibrate, Verify
     from bench.services.verification import VerdictOptions, VerificationResult
 
@@ -266,8 +269,6 @@ class CalibrationResult:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as `bench calibrate --json` writes it."""
-        from bench.services.coefficients import TEMPERATURE_EFFECTS
-
         source = self.source
         return calibrate_result(
             self.calibration,
@@ -369,8 +370,24 @@ def calibration_of(
     return CalibrationResult(source, *with_prior(signed, source, prior))
 
 
-def calibrated(request: Calibrate, source: Source) -> CalibrationResult:
+def result_of(source: Source) -> CalibrationResult | RecordCalibrationResult:
+    """Return the calibration of a block, or of meters at a known input. Raises as `calibration_of`."""
+    if not is_record(source.readings):
+        return calibration_of(source)
+    from bench.services.record_calibration import record_calibration_of  # takes long to import
+
+    return record_calibration_of(source)
+
+
+def calibrated(request: Calibrate, source: Source) -> CalibrationResult | RecordCalibrationResult:
     """Return the calibration of a source with the options of a request. Raises as `calibration_of`."""
+    if is_record(source.readings):
+        if request.otherwise:
+            raise Refused(
+                f"{source.name}: options on the fit of a block do not apply to a record at a known input; "
+                "leave out --estimator, --prior, --nominal-angles and --join-…"
+            )
+        return result_of(source)
     return calibration_of(
         source,
         request.estimator,
@@ -440,9 +457,21 @@ def verified(request: Verify, source: Source) -> VerificationResult:
 
 
 def report_page(
-    result: CalibrationResult, asked: VerdictOptions | None = None
+    result: CalibrationResult | RecordCalibrationResult, asked: VerdictOptions | None = None
 ) -> tuple[str, VerificationResult | None]:
-    """Return the report of a calibration as HTML, and the verification in it (None without verification points)."""
+    """Return the report of a calibration as HTML, and the verification in it (None without verification points).
+
+    Raises `Refused` where a verdict on |a| was asked for of a record at a known input.
+    """
+    if not isinstance(result, CalibrationResult):
+        from bench.services.verification import NOTHING_ASKED
+
+        if asked not in (None, NOTHING_ASKED):
+            raise Refused(
+                f"{result.source.name}: a record at a known input has no |a| to judge; leave out the options of "
+                "the verdict"
+            )
+        return result.html(), None
     from bench.results.page import ReportContent, render_report  # matplotlib is slow to import
 
     source = result.source

@@ -16,6 +16,7 @@ from bench.base.files import from_text, read_given, write_whole
 from bench.base.numbers import read_number
 from bench.base.text import shortened
 from bench.exchange.result import BlockResult
+from bench.model.effects import TEMPERATURE_EFFECTS
 from bench.model.geometry import COEFFICIENTS, Block
 from bench.readings.table import UNITS
 from bench.services.errors import Refused
@@ -31,9 +32,6 @@ LARGEST: Final = 1e12
 WORST: Final = 1e9
 """Coefficients above `LARGEST`, or a K with a ratio of elements or a condition number above `WORST`, belong to no
 block."""
-
-TEMPERATURE_EFFECTS: Final = ("thermal_bias", "thermal_scale", "thermal_settling", "thermal_emf")
-"""Effects by which a model takes temperature out of the coefficients."""
 
 ROUNDING: Final = 1_000_000 * 2.0**-53
 """Largest rounding error of a correlation that is computed from a million readings."""

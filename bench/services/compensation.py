@@ -12,7 +12,6 @@ import numpy as np
 from bench.base.arrays import Floats
 from bench.base.files import to_text
 from bench.base.text import repeated
-from bench.calibration import Verification, verify
 from bench.calibration.budget.sources import assumed_stand
 from bench.calibration.budget.whole import sign
 from bench.calibration.calibrate import calibrate
@@ -20,17 +19,20 @@ from bench.calibration.result import SourceOfError
 from bench.calibration.temperature import CompensationTable, TemperatureModel, make_table
 from bench.calibration.temperature_fit import temperature_model
 from bench.calibration.tumble import DEFAULT, TumbleView, combine, tumble_view
+from bench.calibration.verification import Verification, verify
 from bench.exchange.compensation import c_header, json_test, table_checks, table_csv
 from bench.exchange.result import BlockResult
 from bench.model.geometry import COEFFICIENTS
+from bench.readings.centrifuge import CentrifugePoints, read_centrifuge
 from bench.results.compensation import CompensateResult, compensate_result
 from bench.results.tumble import TumbleResult, tumble_result
 from bench.run.events import MANIFEST
+from bench.services.arguments import python_call
 from bench.services.calibration import calibration_of
 from bench.services.coefficients import block_result, results_in
 from bench.services.errors import Refused
-from bench.services.requests.evaluation import Compensate
-from bench.services.source import Request, Source, load_sources
+from bench.services.requests.evaluation import Compensate, Tumble
+from bench.services.source import Request, Source, load_sources, reading
 from bench.services.verification import own_judgement
 
 OVER_TEMPERATURE: Final = ("temperature", "thermometer")
@@ -166,22 +168,47 @@ def _checks(source: Source, model: TemperatureModel) -> Iterator[tuple[float, Ve
         )  # fmt: skip
 
 
-def tumble_of(source: Source, terms: Sequence[str] = DEFAULT) -> TumbleView:
-    """Return the IEEE 1293 model of each axis of a source with the nonlinear `terms` (such as "K2").
+def tumble_of(
+    source: Source, terms: Sequence[str] = DEFAULT, above: CentrifugePoints | None = None
+) -> TumbleView:
+    """Return the tumble of each axis of a source with the nonlinear `terms` (such as "K2"), by IEEE 1293.
 
-    Raises `CalibrationError` if the readings do not determine them.
+    Points `above` 1 g join the fit. Raises `CalibrationError` if the readings do not determine them.
     """
     assumed = {name: size.u for name, size in assumed_stand(source.bench).items()}
-    view = tumble_view(source.readings, source.model, source.stand_u, source.g_m_s2, terms, assumed_u=assumed)
+    view = tumble_view(
+        source.readings, source.model, source.stand_u, source.g_m_s2, terms, assumed_u=assumed, above=above
+    )
     return combine(view, source.bench, source.model, terms, source.traced.day)
 
 
-def tumbled(source: Source, terms: Sequence[str]) -> tuple[TumbleView, TumbleResult]:
-    """Return the IEEE 1293 model of each axis of a source, and the result for JSON. Raises as `tumble_of`."""
-    view = tumble_of(source, terms)
+def tumbled(
+    source: Source, terms: Sequence[str], above: CentrifugePoints | None = None
+) -> tuple[TumbleView, TumbleResult]:
+    """Return the tumble of each axis of a source, and the result for JSON. Raises as `tumble_of`."""
+    view = tumble_of(source, terms, above)
     readings = source.readings
     notes = [*view.lack_of_fit.diagnose(source.name), *view.notes, *readings.notes, *readings.skipped]
     return view, tumble_result(view, **source.made_from(), notes=notes)
+
+
+def terms_in(text: str) -> list[str]:
+    """Return the terms of a list such as "K2,K3"."""
+    return [term.strip() for term in text.split(",") if term.strip()]
+
+
+def _tumble(request: Tumble) -> list[TumbleResult]:
+    """Return each source's accelerometers in the terms of IEEE 1293, as `bench tumble` computes them.
+
+    `terms` are nonlinear terms such as "K2,K3"; `centrifuge` is a file of points above 1 g that join the fit. The
+    other parameters are those of `calibrate`.
+    """
+    above = None if request.centrifuge is None else read_centrifuge(Path(request.centrifuge))
+    loaded = load_sources(reading(request, *request.sources))
+    return [tumbled(source, terms_in(request.terms), above)[1] for source in loaded]
+
+
+tumble = python_call(Tumble, _tumble)
 
 
 # --- for a navigation computer ------------------------------------------------------------------------

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -50,7 +49,7 @@ from bench.run.instruments import with_notes
 from bench.run.interrupts import Interrupts
 from bench.run.listening import Asker, ClockWatch, WishListener
 from bench.run.live import LiveSignals
-from bench.run.person import NOBODY_KNOWN, ControlFile, WishAuthor, agree, at_the_shell
+from bench.run.person import NOBODY_KNOWN, ControlFile, WishAuthor, agree
 from bench.run.power import Feeding
 from bench.run.record import History, Record, is_being_written, read_history, resume_point
 from bench.run.resume import PlanProgress
@@ -61,8 +60,9 @@ from bench.run.terminal import ProgressBar, TerminalPerson
 from bench.run.workbench import BenchSetup
 from bench.services.bench_selection import bench_for_record, bench_path, why_taken
 from bench.services.errors import Refused
-from bench.services.fitness import agree_to_expired, refuse_unfit
+from bench.services.fitness import agree_to_expired, is_away, refuse_unfit
 from bench.services.own_effects import effects_for_record, knowing_effects_on_record, simulated_truth
+from bench.services.persons import acting_at, operator_of
 from bench.services.requests.measuring import ResumeRequest, RunRequest
 from bench.services.requests.shared import name_to_type, runs_folder
 from bench.services.traceability import remarks
@@ -100,9 +100,8 @@ def new_run(request: RunRequest) -> NewRun:
 
     Raises `FileMistakes` and `Refused` with all mistakes found.
     """
-    dry_run, unit, operator = request.dry_run, request.unit, request.operator
-    if re.search("[\ud800-\udfff]", operator):
-        raise Refused("--operator: the name is not UTF-8 text; set the terminal to UTF-8 and type it again")
+    dry_run, unit = request.dry_run, request.unit
+    operator, person = operator_of(request.operator, request.laboratory, needed=not dry_run)
     bench = None if request.bench is None else str(request.bench)
     procedure_path, bench_file_path = find_procedure(str(request.procedure)), bench_path(bench)
     verdict = _judged(request, bench_file_path)
@@ -149,6 +148,8 @@ def new_run(request: RunRequest) -> NewRun:
         "unit_under_test": {"type": stated.type, "serial": serial},
         "versions": versions(),
     }
+    if person is not None:
+        manifest["operator_person"] = person
     if request.living:
         manifest["living"] = True
     if foreign := foreign_drivers(file):
@@ -214,11 +215,17 @@ class AnswerChannels:
 
 
 def heard_in(
-    run: Run, record: Record, history: History | None, wishes: WishListener, out: Console, *, away: bool
+    run: Run,
+    record: Record,
+    history: History | None,
+    wishes: WishListener,
+    out: Console,
+    who: WishAuthor | None,
 ) -> AnswerChannels:
     """Return the channels between people and a run, which is new or (with its `history`) resumed.
 
-    With `away`, no questions are asked at the terminal. A resumed dry run asks the person who resumes it.
+    `who` answers at the terminal; with None, no questions are asked there. A resumed dry run asks the person who
+    resumes it.
     """
     if not run.asks_somebody and history is None:
         return AnswerChannels(wishes)
@@ -230,32 +237,9 @@ def heard_in(
             out.print(text, style="bold yellow", highlight=False)
         return event
 
-    terminal = None if away else TerminalPerson(sys.stdin, out, wishes=(), who=at_the_shell(TERMINAL))
+    terminal = None if who is None else TerminalPerson(sys.stdin, out, wishes=(), who=who)
     heard_before = history.progress.answers_heard if history is not None else 0
     return AnswerChannels(wishes, Asker(run.folder, record, tell, terminal=terminal, heard=heard_before))
-
-
-def is_away(answers: str | None, *, panel: bool) -> bool:
-    """Return whether questions are answered in the run's folder only: on request, or with a panel and no terminal.
-
-    Raises `Refused` for an unknown place in `answers`.
-    """
-    if answers not in (None, "terminal", "folder"):
-        raise Refused(f"--answers {answers}: give 'terminal' or 'folder'")
-    return answers == "folder" or (panel and answers is None and not sys.stdin.isatty())
-
-
-def refuse_contradictions(request: RunRequest) -> None:
-    """Raise `Refused` for options that exclude each other, and for a real run without a bench file."""
-    if not (request.bench or os.environ.get("BENCH_FILE") or request.dry_run):
-        raise Refused(
-            "a run on real instruments needs a bench file; give --bench FILE or set BENCH_FILE, or try it "
-            "with --dry-run"
-        )
-    if request.model is not None and not request.dry_run:
-        raise Refused("--model describes the simulated bench; add --dry-run or remove it")
-    if request.follow and is_away(request.answers, panel=request.panel):
-        raise Refused("--follow asks at the terminal before it continues; add --answers terminal")
 
 
 @contextmanager
@@ -268,12 +252,13 @@ def started(
     """
     away = is_away(request.answers, panel=request.panel)
     new = new_run(request)
+    who = None if away else acting_at(TERMINAL, request.operator, request.laboratory)
     announce(new)
     with Interrupts() as interrupts:
         with logged_wire(request.wire_log) as wire, WishListener(ControlFile(new.folder)) as wishes:
             record = new.record(interrupts.shield)
             run = Run(new.folder)
-            heard = heard_in(run, record, None, wishes, out, away=away)
+            heard = heard_in(run, record, None, wishes, out, who)
             agree_to_expired(run, record, heard.asker)
             carry_out(run, record, out, wire=wire, interrupts=interrupts, heard=heard)
         yield Run(new.folder), interrupts
@@ -288,6 +273,7 @@ def resumed(
     `announce` receives the run before it is resumed. A finished run that only lacks results is yielded as it is.
     """
     away = is_away(request.answers, panel=request.panel)
+    who = None if away else acting_at(TERMINAL, request.operator)
     run = unfinished_run(request.name, runs_folder(request.runs), results_too=True)
     refuse_missing_devices(run)
     announce(run)
@@ -301,7 +287,7 @@ def resumed(
             if history.torn and not quiet.get():
                 print("note: the last line of the record was incomplete and was dropped", file=sys.stderr)
             if history.state is not RunState.FINISHED:
-                heard = heard_in(run, record, history, wishes, out, away=away)
+                heard = heard_in(run, record, history, wishes, out, who)
                 accept_changes(run, heard.asker, out)
                 carry_out(run, record, out, history=history, wire=wire, interrupts=interrupts, heard=heard)
         yield Run(run.folder), interrupts

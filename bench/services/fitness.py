@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import os
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -41,6 +42,29 @@ def reminders(bench: BenchFile, day: datetime.date | None = None) -> Iterator[st
                 f"{one.instrument}: its {one.certificate.words}, expires on {until}, in {left} "
                 f"day{'' if left == 1 else 's'}; have it calibrated"
             )
+
+
+def is_away(answers: str | None, *, panel: bool) -> bool:
+    """Return whether questions are answered in the run's folder only: on request, or with a panel and no terminal.
+
+    Raises `Refused` for an unknown place in `answers`.
+    """
+    if answers not in (None, "terminal", "folder"):
+        raise Refused(f"--answers {answers}: give 'terminal' or 'folder'")
+    return answers == "folder" or (panel and answers is None and not sys.stdin.isatty())
+
+
+def refuse_contradictions(request: RunRequest) -> None:
+    """Raise `Refused` for options that do not go together, and for a real run without a bench file."""
+    if not (request.bench or os.environ.get("BENCH_FILE") or request.dry_run):
+        raise Refused(
+            "a run on real instruments needs a bench file; give --bench FILE or set BENCH_FILE, or try it "
+            "with --dry-run"
+        )
+    if request.model is not None and not request.dry_run:
+        raise Refused("--model describes the simulated bench; add --dry-run or remove it")
+    if request.follow and is_away(request.answers, panel=request.panel):
+        raise Refused("--follow asks at the terminal before it continues; add --answers terminal")
 
 
 def refuse_unfit(bench: BenchFile, path: Path, request: RunRequest, *, away: bool) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import datetime
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -21,10 +20,8 @@ from bench.calibration.budget.sources import assumed_stand
 from bench.calibration.intrinsic import least_dof
 from bench.calibration.noise import METERS_DRIFT
 from bench.calibration.result import CalibrationError
-from bench.config.bench_file.file import BenchFile
 from bench.config.bench_file.learned import arcsec, learned_for, write_learned
 from bench.config.model_file import load_model
-from bench.config.procedure.plan import Read
 from bench.history.comparison import Comparison, Snapshot
 from bench.history.comparison import compare as compare_snapshots
 from bench.history.learned import (
@@ -38,22 +35,18 @@ from bench.history.learned import (
 )
 from bench.history.learning import learn as learn_from
 from bench.history.run_sums import run_fit
-from bench.history.stability import Stability, StaticRecord, from_columns, read_static, stability_of
 from bench.model import CATALOGUE, AppliedEffect, ForwardModel
 from bench.model.effects import Subsystem
 from bench.results.compare import BenchOfSource, CompareResult, compare_result, history_figure, print_compare
 from bench.results.learning import LearnResult, RecordPart, learn_result, print_learned
-from bench.results.stability import StabilityResult, allan_figure, print_stability, stability_result
 from bench.run.events import MANIFEST
-from bench.run.folder import BENCH, Run, find_run
 from bench.services.arguments import python_call
-from bench.services.bench_selection import BenchTaken, OriginBeside, bench_of, origin_beside
+from bench.services.bench_selection import BenchTaken
 from bench.services.calibration import calibration_of
 from bench.services.coefficients import date_of, snapshots_in
 from bench.services.errors import Refused
 from bench.services.requests import history as asked
 from bench.services.requests.history import Learn
-from bench.services.requests.shared import Bench, runs_folder
 from bench.services.source import Source, data_sha256, load_sources, reading
 from bench.services.traceability import voltmeter_names
 from drivers.clock import utc_now
@@ -475,96 +468,3 @@ def _dated(snapshots: list[Snapshot], dates: Sequence[str]) -> list[Snapshot]:
             f"--date: {len(dates)} given for {len(snapshots)} calibrations; give one for each, in order"
         )
     return [replace(s, when=date_of(date, "--date")) for s, date in zip(snapshots, dates, strict=True)]
-
-
-# --- a record at rest ---------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class RecordAtRest:
-    """The noise and drift of a static record, with the bench file used, notes on the choice of that file, and the
-    run, if any.
-    """
-
-    found: Stability
-    taken: BenchTaken
-    notes: tuple[str, ...]
-    run: Run | None
-
-    @cached_property
-    def result(self) -> StabilityResult:
-        """The result as `bench stability --json` writes it."""
-        return stability_result(self.found, self.taken.part())
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the result as `bench stability --json` writes it."""
-        return self.result.to_dict()
-
-    def __repr__(self) -> str:
-        """Return the output of `bench stability`."""
-        return as_text(lambda out: print_stability(self.found, out))
-
-    def files(self, out: Path | None) -> Files:
-        """Yield the files to write into `out`, or beside the record."""
-        path = Path(self.found.record.source)
-        if self.run is None:
-            stem = (out or path.parent / "stability") / path.stem
-        else:
-            stem = out / f"{self.run.name}-stability" if out else self.run.folder / "stability"
-        yield "result", stem.with_name(f"{stem.name}.json"), to_text(self.result.to_dict())
-        yield "figure", stem.with_name(f"{stem.name}.svg"), allan_figure(self.found)
-
-
-def at_rest(request: asked.Stability) -> RecordAtRest:
-    """Return noise and drift of a static record, and the averaging that a reading needs.
-
-    Raises `Refused` for an invalid size or integration time, and for a run in which the block was turned;
-    `ReadingsError` and `CalibrationError` as the reader of a record does.
-    """
-    size, runs = request.size, runs_folder(request.runs)
-    if size is not None and not (math.isfinite(size) and size > 0):
-        raise Refused(f"--size {size}: give a positive number in the unit of the signals")
-    taken, notes = _bench_of(request.record, runs, request.bench)
-    bench = taken.file
-    record, run, recorded_s = _record_at_rest(request.record, runs, bench)
-    integration_s = request.integration or recorded_s or record.interval_s
-    if not 0 < integration_s <= record.interval_s:
-        raise Refused(
-            f"--integration {integration_s:g}: give at most the {record.interval_s:.4g} s between samples"
-        )
-    found = stability_of(
-        record, integration_s, size, bench.line_frequency, bench.nplc_supported, bench.most_samples
-    )
-    return RecordAtRest(found, taken, notes, run)
-
-
-stability = python_call(asked.Stability, at_rest, "stability")
-
-
-def _bench_of(record: str, runs: Path, bench: Bench) -> tuple[BenchTaken, tuple[str, ...]]:
-    """Return the bench file with its source, and notes on the choice.
-
-    It is the bench file `bench` of the request, else that of the run or of the origin file, else the default.
-    """
-    given = str(bench) if isinstance(bench, Path) else bench
-    if Path(record).is_file():
-        return bench_of(record, None, origin_beside(Path(record)), given)
-    run = next((Run(folder) for folder in (runs / record, Path(record)) if (folder / BENCH).is_file()), None)
-    return bench_of(record, run, OriginBeside(), given)
-
-
-def _record_at_rest(name: str, runs: Path, bench: BenchFile) -> tuple[StaticRecord, Run | None, float | None]:
-    """Return the record; if it is a run, also the run and the integration time of a sample, s (else None, None)."""
-    path = Path(name)
-    if path.is_file():
-        return read_static(path), None, None
-    if path.suffix.lower() in {".csv", ".txt"}:
-        raise Refused(f"{name}: no such file; check the name")
-    run = find_run(name, runs)
-    readings = run.readings()
-    settings = set(zip(readings.installation, readings.series, readings.target_rad, strict=True))
-    if len(settings) > 1:
-        raise Refused(f"{name}: the block was turned in this run; record one setting (procedure 'stability')")
-    integrated = {step.samples * step.nplc for step in run.plan.steps if isinstance(step, Read)}
-    integration_s = min(integrated) / bench.line_frequency if integrated else None
-    return from_columns(name, readings.unit, readings.time_s, readings.signal), run, integration_s

@@ -246,7 +246,7 @@ class CommissioningPlan:
     """The options of a commissioning: the bench, the person and the folder of the page.
 
     Without a `person`, the bench is simulated and a script answers; `seed` is the seed of its random numbers.
-    `tell` shows a line to the person.
+    `tell` shows a line to the person. `course` carries out the checks; `what` names them on the page.
     """
 
     file: BenchFile
@@ -255,11 +255,13 @@ class CommissioningPlan:
     person: Person | None
     seed: int = 1
     tell: Callable[[str], None] = lambda line: None
+    course: Callable[[CommissioningSession], None] = go_through
+    what: str = "commissioning"
 
 
-def free_folder(now: datetime) -> Path:
-    """Return the default folder of a commissioning."""
-    return Path(f"commissioning-{now.astimezone():%Y%m%d-%H%M%S}")
+def free_folder(now: datetime, what: str = "commissioning") -> Path:
+    """Return the default folder of a commissioning, or of another course of checks."""
+    return Path(f"{what}-{now.astimezone():%Y%m%d-%H%M%S}")
 
 
 def commission(setting: CommissioningPlan) -> dict[str, Any]:
@@ -280,7 +282,7 @@ def commission(setting: CommissioningPlan) -> dict[str, Any]:
         with entered as evening:
             evening.tell = setting.tell
             begun_s = evening.clock.now_s()
-            ended = _gone_through(evening, interrupts)
+            ended = _gone_through(setting.course, evening, interrupts)
             took_s = evening.clock.now_s() - begun_s
             to_do = leave_safe(evening.instruments, None)
         result = _result(setting, evening, began, took_s, ended, to_do)
@@ -308,14 +310,16 @@ def _take(folder: Path) -> None:
         ) from error
 
 
-def _gone_through(evening: CommissioningSession, interrupts: Interrupts) -> str:
+def _gone_through(
+    course: Callable[[CommissioningSession], None], evening: CommissioningSession, interrupts: Interrupts
+) -> str:
     """Carry out the session; return why it stopped early, "" where it was completed.
 
     After the session no signal raises an exception, so that the bench is left safe and the page is written.
     """
     try:
         try:
-            go_through(evening)
+            course(evening)
         finally:
             interrupts.hold()
     except SessionEnded as why:
@@ -342,6 +346,7 @@ def _result(
         shown = None if identity is None else str(identity)
         instruments.append(CommissionedPart(name=section.name, address=address, identity=shown))
     result = CommissionResult(
+        what=setting.what,
         bench=setting.file.name,
         bench_file=str(setting.path),
         simulated=setting.person is None,

@@ -334,6 +334,8 @@ def look_ahead(request: Check) -> Findings:
     Raises `Refused` with the mistakes of both files, and for goals that cannot be reached.
     """
     bench = None if request.bench is None else str(request.bench)
+    if request.procedure is None:
+        raise Refused("name a procedure to check, or give --morning to check the bench")
     plan, file = _load(request.procedure, bench)
     found = findings_of(plan, file, runs_folder(request.runs))
     if not request.until:

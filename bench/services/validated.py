@@ -66,7 +66,7 @@ def packages() -> Iterator[metadata.Distribution]:
 
 def _needed(one: metadata.Distribution, *, of_program: bool) -> list[str]:
     """Return the requirements of a distribution: for the program with the extras for use, for others without."""
-    ours = re.compile(r"extra == ['\"](?:test|browser|docs|mutation|dev)['\"]")
+    ours = re.compile(r"extra == ['\"](?:test|browser|docs|mutation|release|dev)['\"]")
     other = ours if of_program else re.compile(r"extra\s*==")
     return [text for text in one.requires or () if not other.search(text)]
 

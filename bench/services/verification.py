@@ -12,12 +12,13 @@ from rich.console import Console
 
 from bench.base.arrays import Floats
 from bench.base.tables import as_html, as_text
-from bench.calibration import Calibration, CalibrationError, LackOfFit, Verification
-from bench.calibration import verify as check
+from bench.calibration import Calibration, CalibrationError, LackOfFit
 from bench.calibration.budget.sources import hidden_sources
 from bench.calibration.budget.whole import delta_g_contributions, delta_g_elsewhere
 from bench.calibration.conformity import SIMPLE, DecisionRule, Population
 from bench.calibration.noise import drifted
+from bench.calibration.verification import Verification
+from bench.calibration.verification import verify as check
 from bench.config.bench_file.file import BenchFile
 from bench.results.verification import (
     VerifyResult,

@@ -50,18 +50,22 @@ class AllanCurve:
         return np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64)
 
 
-def allan_curve(signal: Floats, interval_s: float, multiples: Sequence[int] | None = None) -> AllanCurve:
+def allan_curve(
+    signal: Floats, interval_s: float, multiples: Sequence[int] | None = None, *, gaps: bool = False
+) -> AllanCurve:
     """Return the overlapping Allan deviation of samples (n,), one every `interval_s`.
 
     The averages are over 1, 2, 4, … samples up to a quarter of the record, or over those `multiples` of which the
-    record has two differences. Raises `CalibrationError` if the record is too short, the signal never changes, or a
-    sample is not a number.
+    record has two differences. With `gaps`, samples may be NaN, and
+    an average needs half of its samples. Raises `CalibrationError` if the record is too short, the signal never
+    changes, or a sample is not a number.
     """
-    if not np.all(np.isfinite(signal)):
+    known = np.isfinite(signal)
+    if not (gaps or np.all(known)):
         raise CalibrationError(
             "a sample is not a number; an Allan deviation needs a record without gaps; cut it there"
         )
-    if np.ptp(signal) == 0.0:
+    if np.ptp(signal[known]) == 0.0:
         raise CalibrationError(
             "a signal is the same in every sample; check its cable and the digits of the record"
         )
@@ -73,10 +77,23 @@ def allan_curve(signal: Floats, interval_s: float, multiples: Sequence[int] | No
             f"{len(signal)} samples are too few for two differences of such averages; average fewer"
         )
     # without the mean: in running sums a large mean would swallow the last digits of the noise
-    sums = np.concatenate([[0.0], np.cumsum(signal - signal.mean())])
-    deviation = [_deviation(sums, m) for m in found.tolist()]
-    tau_s = found.astype(np.float64) * interval_s
-    return AllanCurve(tau_s, np.array(deviation, dtype=np.float64), found, len(signal))
+    sums = np.concatenate([[0.0], np.cumsum(np.where(known, signal - signal[known].mean(), 0.0))])
+    counts = np.concatenate([[0], np.cumsum(known)])
+    whole = bool(known.all())
+    each = [_deviation(sums, m) if whole else _of_known(sums, counts, m) for m in found.tolist()]
+    deviation = np.array(each, dtype=np.float64)
+    shown = np.isfinite(deviation)
+    found = found[shown]
+    return AllanCurve(found.astype(np.float64) * interval_s, deviation[shown], found, int(known.sum()))
+
+
+def _of_known(sums: Floats, counts: Ints, m: int) -> float:
+    """Return the deviation at m samples from running sums and counts (n + 1,) of the samples that are there."""
+    count = counts[m:] - counts[:-m]
+    mean = (sums[m:] - sums[:-m]) / np.maximum(count, 1)
+    enough = 2 * count >= m
+    pairs = enough[m:] & enough[:-m]
+    return float(np.sqrt(np.mean((mean[m:] - mean[:-m])[pairs] ** 2) / 2.0)) if pairs.any() else float("nan")
 
 
 def _deviation(sums: Floats, m: int) -> float:

@@ -8,7 +8,6 @@ from pydantic import ValidationError
 
 from bench.base.files import read_regular
 from bench.certificate.laboratory import Person, load_laboratory
-from bench.certificate.life import authorised
 from bench.results.validation import RegisteredValidation, ValidationRegisterResult, ValidationResult
 from bench.run.events import sha256
 from bench.run.seal import read_seal
@@ -125,7 +124,7 @@ def _authority(request: Validate) -> tuple[Path, Person, str]:
     ]
     if lacking or request.by is None or request.reason is None:
         raise Refused(f"an entry of the register needs {' and '.join(lacking)}")
-    return laboratory, authorised(load_laboratory(laboratory), request.by, "--by"), request.reason
+    return laboratory, load_laboratory(laboratory).authorised_person(request.by, "--by"), request.reason
 
 
 def _sealed(folder: Path) -> tuple[bytes, ValidationResult]:

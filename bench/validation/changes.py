@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import base64
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
+from bench.base.files import read_given, read_json
 from bench.base.yaml_files import sha256_of_file
+from bench.run.seal import is_signed, read_public_key
 from bench.services.validated import fingerprint
 from bench.validation.machine import description
 from bench.validation.registry import Context, Finding
@@ -72,3 +76,22 @@ def machine(context: Context) -> Finding:
         # summer time is no change
         one["time zone"] = one.get("time zone", "").partition(" (")[0]
     return compared(now, before)
+
+
+@check("release", "7.11.2", "as released", change=False)
+def release(context: Context) -> Iterator[Finding]:
+    """Compare the program and its packages with the manifest of a release, and verify its signature."""
+    if context.release is None:
+        yield Finding(True, "no manifest was given")
+        return
+    content = read_given(context.release)
+    if context.release_key is not None:
+        signature = base64.b64decode(read_given(context.release.with_name(context.release.name + ".sig")))
+        good = is_signed(read_public_key(context.release_key), signature, content)
+        said = "signed with the given key" if good else "not signed with the given key, or changed since"
+        yield Finding(good, said, of="signature", where=str(context.release))
+    manifest, here = read_json(content), fingerprint()
+    yield replace(compared(here.files, manifest["program"]), of="program files")
+    versions = {name: one.version for name, one in here.packages.items()}
+    stated = {name: version for name, version in manifest["packages"].items() if name in versions}
+    yield replace(compared(versions, stated), of="packages")

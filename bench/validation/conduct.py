@@ -70,7 +70,8 @@ def validated(request: Validate, passphrase: Callable[[], bytes]) -> ValidationR
     places = [runs_folder(request.runs), folder]
     places += [] if laboratory is None else [register_beside(laboratory)]
     with tempfile.TemporaryDirectory(prefix="bench-validation-") as scratch:
-        context = Context(bench, Path(scratch), request.quick, accepted, tuple(places))
+        released = request.release, request.release_key
+        context = Context(bench, Path(scratch), request.quick, accepted, tuple(places), *released)
         checks = carry_out(context, every())
         name = _bench_name(context)
     part: AgainstPart | None = None

@@ -9,14 +9,14 @@ from typing import Any, ClassVar, Final
 
 from bench.base.text import visible
 from bench.certificate.laboratory import load_laboratory
-from bench.certificate.life import authorised
 from bench.results.failures import Failure, FailuresResult, NotedRemedy
 from bench.run.events import EventType, RecordError
 from bench.run.folder import Run, all_runs
 from bench.run.sentences import sentence
 from bench.services.chain import Chain, Entry, first_head, opened
 from bench.services.errors import Refused
-from bench.services.requests.documents import Failures, FailureState
+from bench.services.persons import persons_of
+from bench.services.requests.documents import Failures, FailureState, Right
 from bench.services.requests.shared import runs_folder
 from bench.services.validated import laboratory_known
 from drivers.clock import utc_now
@@ -134,7 +134,9 @@ def _note(register: FailureRegister, request: Failures, laboratory: Path) -> Non
         latest = ", ".join(list(register.seen)[-3:]) or "none"
         raise Refused(f"--number {number}: no failure of that number; the latest are: {latest}")
     if request.state == FailureState.CLOSED:
-        authorised(load_laboratory(laboratory), by, "--by")
+        load_laboratory(laboratory).authorised_person(by, "--by")
+    elif (persons := persons_of(laboratory)) is not None:
+        persons.chosen(by, Right.OPERATE, "--by")
     told = {"state": str(request.state), "remedy": request.remedy}
     register.append(Entry(NOTED, number, _moment(), by, told))
 

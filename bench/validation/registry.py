@@ -49,7 +49,8 @@ class Finding:
 class Context:
     """The context of checks: the bench file, a scratch folder, and the folders that the installation writes.
 
-    `accepted` is the result of the last accepted validation as JSON, None if there is none.
+    `accepted` is the result of the last accepted validation as JSON, None if there is none. `release` is the
+    manifest of a release, None if none was given, and `release_key` the public key of who signed it.
     """
 
     bench_path: Path
@@ -57,6 +58,8 @@ class Context:
     quick: bool = False
     accepted: dict[str, Any] | None = None
     folders: tuple[Path, ...] = ()
+    release: Path | None = None
+    release_key: Path | None = None
     shared: dict[str, Any] = field(default_factory=dict)
 
     @property

@@ -30,7 +30,7 @@ FALSE_ALARM: Final = 1e-5
 def errors(count: int) -> tuple[Floats, Floats, Floats]:
     """Return errors and u of the coefficients, (count, 12) each, and p of lack of fit (count,), of simulated files.
 
-    Stand angles and noise are drawn anew for each file, from [SEED, number].
+    Stand angles and noise are drawn again for each file, from [SEED, number].
     """
     error, u, p = [], [], []
     for number in range(count):

@@ -193,6 +193,23 @@ def _cross_quadratic(rng: np.random.Generator, run: Run) -> Truth:
     return Truth("cross_quadratic", "block", act, channels=channels, parameters=_named("mix", mix))
 
 
+def _thermal(name: str, size: float, *forms: Form) -> Draw:
+    """Return the draw of an effect that grows with the temperature, its forms in any mixture."""
+
+    def draw(rng: np.random.Generator, run: Run) -> Truth:
+        weights, channels = channel_weights(rng)
+        mix = rng.normal(size=len(forms))
+        mix /= np.linalg.norm(mix)
+
+        def act(r: Run, force: Floats, x: float) -> Floats:
+            form = sum(part * one(r, force) for part, one in zip(mix, forms, strict=True))
+            return np.asarray(x * size * weights * form * r.temperature(0.0)[:, None])
+
+        return Truth(name, "block", act, channels=channels, parameters=_named("mix", mix))
+
+    return draw
+
+
 def _named(name: str, values: Floats) -> dict[str, float]:
     return {f"{name}[{i}]": float(value) for i, value in enumerate(values)}
 
@@ -303,6 +320,14 @@ BLOCK: Final[dict[str, Draw]] = {
     "bias_drift": _per_channel("bias_drift", 30 * MICRO, lambda run, _: _time_h(run)),
     "scale_drift": _per_channel("scale_drift", 20 * MICRO, lambda run, a: _time_h(run) * a),
     "turn_on_shift": _turn_on_shift,
+    # a spring that leaves zero within a few milli-g, not a step
+    "bias_asymmetry": _per_channel("bias_asymmetry", 10 * MICRO, lambda _, a: a / np.sqrt(a**2 + 0.004**2)),
+    "thermal_nonlinearity": _thermal(
+        "thermal_nonlinearity", 0.3 * MICRO, lambda _, a: a * a, lambda _, a: a * a * a
+    ),
+    "thermal_misalignment": _thermal(
+        "thermal_misalignment", MICRO, lambda _, a: _others(a)[0], lambda _, a: _others(a)[1]
+    ),
 }
 
 
@@ -446,7 +471,7 @@ CATALOGUE: Final[dict[str, Draw]] = {
 
 CLASSES: Final[dict[str, tuple[str, ...]]] = {
     "even": ("quadratic_nonlinearity", "cross_quadratic", "scale_asymmetry", "voltmeter_nonlinearity"),
-    "odd": ("cubic_nonlinearity", "odd_quadratic_nonlinearity", "head_ellipticity"),
+    "odd": ("cubic_nonlinearity", "odd_quadratic_nonlinearity", "bias_asymmetry", "head_ellipticity"),
     "product": ("cross_coupling", "axis_wobble"),
     "time": (
         "warm_up",
@@ -465,7 +490,7 @@ CLASSES: Final[dict[str, tuple[str, ...]]] = {
         "hysteresis",
         "foundation_tilt",
     ),
-    "scale": ("scale_drift", "thermal_scale"),
+    "scale": ("scale_drift", "thermal_scale", "thermal_nonlinearity", "thermal_misalignment"),
     "head": ("head_eccentricity", "head_graduation"),
     "range": ("range_offset",),
     "memory": ("channel_crosstalk",),

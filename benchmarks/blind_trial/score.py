@@ -105,7 +105,9 @@ def coefficients_at(temperature_c: float, seed: int, row: Row, index: int) -> Fl
 CanTell = Callable[[Case, Answer], bool]
 
 _DIRECTION_TIES: Final = frozenset({"backlash", "zero_offset"})
-_SHAPE_TIES: Final = frozenset({"quadratic_nonlinearity", "scale_asymmetry", "odd_quadratic_nonlinearity"})
+_SHAPE_TIES: Final = frozenset(
+    {"quadratic_nonlinearity", "scale_asymmetry", "odd_quadratic_nonlinearity", "bias_asymmetry"}
+)
 _TIED: Final = frozenset(
     {
         "cross_quadratic",

@@ -101,7 +101,10 @@ class Weather:
 
 @dataclass(frozen=True)
 class Sweep:
-    """One pass over the angles (deg, in rising order) in one direction, and the scan order of the channels."""
+    """One pass over the angles (deg, in rising order) in one direction, and the scan order of the channels.
+
+    `warmer_k` is what a chamber adds to the temperature.
+    """
 
     label: str
     number: int
@@ -109,6 +112,7 @@ class Sweep:
     direction: int = 1
     scan: str = "xyz"
     series: int = 1
+    warmer_k: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -133,6 +137,12 @@ def _both_ways(label: str) -> tuple[Sweep, ...]:
 
 def _scan_reversed(label: str) -> tuple[Sweep, ...]:
     return (Sweep(label, 1), Sweep(label, 2, direction=-1, scan="zyx"))
+
+
+def _in_oven(label: str) -> tuple[Sweep, ...]:
+    return tuple(
+        Sweep(label, number, TWELFTHS, warmer_k=k) for number, k in ((1, 0.0), (2, 20.0), (3, -20.0))
+    )
 
 
 DESIGNS: Final[dict[str, Design]] = {
@@ -166,6 +176,7 @@ DESIGNS: Final[dict[str, Design]] = {
         )
     ),
     "unverified": Design((_rising("1"), _rising("2"))),
+    "oven": Design((_in_oven("1"), _in_oven("2"), _verification())),
 }
 """`reordered`: both directions, scan order reversed once, S and R each pass, a third pass turned by 180°."""
 
@@ -188,6 +199,7 @@ class Run:
     direction: NDArray[np.int64]
     time_s: Floats
     scan: NDArray[np.str_]
+    warmer_k: Floats
     input_v: Floats
     weather: Weather
 
@@ -213,7 +225,7 @@ class Run:
 
     def temperature(self, lag_s: float = 0.0) -> Floats:
         """Temperature less the reference in K (n,), seen with a lag."""
-        return self.weather.at(self.time_s, lag_s)
+        return self.weather.at(self.time_s, lag_s) + self.warmer_k
 
     def with_weather(self, weather: Weather) -> Run:
         return replace(self, weather=weather)
@@ -232,15 +244,15 @@ def make_run(name: str) -> Run:
                 checks += 1
                 for label, volts in (("S", 0.0), ("R", REFERENCE_V)):
                     clock += INPUT_CHECK_S
-                    rows.append((label, 1, checks, 1, mount, np.nan, 0, clock, sweep.scan, volts))
+                    rows.append((label, 1, checks, 1, mount, np.nan, 0, clock, sweep.scan, 0.0, volts))
             stops = list(enumerate(sweep.angles, start=1))
             for point, degrees in stops[:: sweep.direction]:
                 clock += POINT_S
                 place = (sweep.label, sweep.series, sweep.number, point, mount, np.radians(degrees))
-                rows.append((*place, sweep.direction, clock, sweep.scan, np.nan))
+                rows.append((*place, sweep.direction, clock, sweep.scan, sweep.warmer_k, np.nan))
     names = ("labels", "series", "pass_number", "point", "mount", "angle", "direction", "time_s", "scan")
     columns = [np.array(column) for column in zip(*rows, strict=True)]
-    return Run(name, **dict(zip((*names, "input_v"), columns, strict=True)), weather=Weather())
+    return Run(name, **dict(zip((*names, "warmer_k", "input_v"), columns, strict=True)), weather=Weather())
 
 
 @lru_cache

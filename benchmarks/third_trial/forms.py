@@ -76,6 +76,7 @@ def _families() -> Iterator[tuple[str, Stage, list[Shape]]]:
     yield "cubic_nonlinearity", "block", each(lambda _, a: a**3)
     yield "odd_quadratic_nonlinearity", "block", each(lambda _, a: a * np.abs(a))
     yield "scale_asymmetry", "block", each(lambda _, a: np.abs(a))
+    yield "bias_asymmetry", "block", each(lambda _, a: np.clip(a / 0.005, -1.0, 1.0))
     yield (
         "cross_coupling",
         "block",

@@ -46,10 +46,16 @@ _SETTINGS: Final = (
     ("eot_enable", "1"),
     ("read_tmo_ms", str(READ_TIMEOUT_MS)),
 )
-_VERSION: Final = re.compile(rb"[\x20-\x7e]*GPIB[\x20-\x7e]*", re.IGNORECASE)
+_VERSION: Final = re.compile(rb"[\x20-\x7e]*(?:GPIB|AR488|Prologix)[\x20-\x7e]*", re.IGNORECASE)
+_SAVES_EVERY_SETTING: Final = re.compile(rb"(?!.*AR488).*Prologix.*", re.IGNORECASE)
+"""A Prologix itself; an AR488 may also be named after it."""
+_ATTEMPTS: Final = 4
+"""An adapter built on an Arduino restarts when its port is opened, and loses what it is sent meanwhile."""
 _ESCAPED: Final = re.compile(rb"([\r\n\x1b+])")
 _SERIAL: Final = SerialSettings(baud_rate=115200, stop_bits=1, flow="none")
 _MOST_BYTES: Final = 1 << 20
+_NUL: Final = b"\0"
+"""Some adapters send a NUL after a reply's LF; no instrument here sends one in a reply."""
 
 
 class AdapterConnection:
@@ -200,9 +206,8 @@ class _Adapter:
         """Return a new link, after the adapter has reported its version and its settings are verified."""
         link = Connection.open(self.resource, timeout_s=self.timeout_s, read_termination="\n", serial=_SERIAL)
         try:
-            link.send(b"++ver\n", self.timeout_s)
-            self._version = self._line(link, _VERSION)
-            if b"prologix" in self._version.lower():
+            self._version = self._first_version(link)
+            if _SAVES_EVERY_SETTING.fullmatch(self._version):
                 # A Prologix would save each setting in an EEPROM that wears out. Not sent to other adapters,
                 # for which "++savecfg" means to save.
                 link.send(b"++savecfg 0\n", self.timeout_s)
@@ -219,6 +224,14 @@ class _Adapter:
             raise
         return link
 
+    def _first_version(self, link: Connection) -> bytes:
+        """Return the adapter's version, asked for several times until it answers or the timeout passes."""
+        for _ in range(_ATTEMPTS if link.by_bytes else 1):
+            link.send(b"++ver\n", self.timeout_s)
+            if link.by_bytes and link.wait(self.timeout_s / _ATTEMPTS):
+                break
+        return self._line(link, _VERSION)
+
     def _line(self, link: Connection, pattern: re.Pattern[bytes]) -> bytes:
         """Return the next line that matches; lines before it are late replies over an earlier link."""
         deadline_s = self._clock.now_s() + self.timeout_s
@@ -234,7 +247,7 @@ class _Adapter:
     def _more(self, link: Connection, deadline_s: float) -> bytes:
         remaining_s = max(0.0, deadline_s - self._clock.now_s())
         if not link.by_bytes:  # a serial port of Windows
-            return link.take_message(remaining_s)
+            return link.take_message(remaining_s).replace(_NUL, b"")
         if not link.wait(remaining_s):
             raise WireError(
                 "did not answer as a GPIB adapter", "check the adapter's power, its address and the cable"
@@ -242,7 +255,7 @@ class _Adapter:
         chunk = link.take_all()
         if not chunk:
             raise WireError("broke the connection", "check that the adapter is on, then repeat this step")
-        return chunk
+        return chunk.replace(_NUL, b"")
 
     def _drop(self) -> None:
         link, self._link = self._link, None
@@ -264,8 +277,12 @@ def _join(link_resource: str, timeout_s: float) -> _Adapter:
 
 
 def _is_quiet(link: Connection) -> bool:
-    """Return whether nothing waits to be read; else, between transactions, the link broke or is used elsewhere."""
-    return not (link.by_bytes and link.wait(0.0))
+    """Return whether nothing but NUL waits to be read; else the link broke, or another program uses the adapter."""
+    while link.by_bytes and link.wait(0.0):
+        chunk = link.take_all()
+        if not chunk or chunk.strip(_NUL):
+            return False
+    return True
 
 
 def parse(resource: str) -> tuple[str, int]:

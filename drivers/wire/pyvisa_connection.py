@@ -201,6 +201,10 @@ class SerialSettings:
         return bits / self.baud_rate
 
 
+_PSEUDO_TERMINALS: Final = ("/dev/pts/", "/dev/ttys")
+"""Where pseudo-terminals stand on Linux and on macOS."""
+
+
 class Connection:
     """An open VISA resource. `by_bytes` tells whether it delivers single bytes (True) or whole messages.
 
@@ -333,6 +337,10 @@ class Connection:
             self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             self._socket.setblocking(False)
 
+    def _on_pseudo_terminal(self) -> bool:
+        """Return whether the port is a pseudo-terminal: it carries whole bytes, and refuses any other framing."""
+        return self.by_bytes and os.ttyname(self._interface.fileno()).startswith(_PSEUDO_TERMINALS)
+
     def _set_up(self, timeout_s: float, read_termination: str, serial: SerialSettings) -> None:
         visa = self._visa
         visa.timeout = timeout_s * 1000.0
@@ -347,6 +355,8 @@ class Connection:
                 "stop_bits": constants.StopBits["one" if serial.stop_bits == 1 else "two"],
                 "flow_control": _FLOW[serial.flow],
             }
+            if self._on_pseudo_terminal():
+                del wanted["data_bits"], wanted["parity"]
             for attribute, value in wanted.items():
                 if getattr(visa, attribute) != value:  # a pseudo-terminal refuses even to set the same value
                     setattr(visa, attribute, value)

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final, TypeVar
 
 from sim.scpi import ScpiInstrument, never
-from sim.wires.session import PlainDialect
+from sim.wires.session import LineEnds, PlainDialect
 from sim.world.clock import VirtualClock, wait_until
 
 if TYPE_CHECKING:
@@ -148,6 +148,10 @@ _Instrument = TypeVar("_Instrument", bound=ScpiInstrument)
 class GpibAdapter(PlainDialect):
     """The adapter; `clock` is the bench's. `attach` puts instruments on its bus.
 
+    With `nul` it sends a NUL after the LF of each reply (a GPIB-USB: pymeasure issue 954). An AR488 calls itself
+    "AR488 version 6.102" or "Prologix AR488 HRK version 6.101" (Twilight-Logic/AR488 issues 22 and 50), and its
+    ++savecfg saves at once.
+
     `settings` are those at switch-on. `writes_to_memory` counts how often settings were saved (savecfg 1), because
     each write wears the adapter's memory.
     """
@@ -155,8 +159,14 @@ class GpibAdapter(PlainDialect):
     model = "GPIB adapter"
 
     def __init__(
-        self, clock: Clock, *, version: str = VERSION, settings: AdapterSettings | None = None
+        self,
+        clock: Clock,
+        *,
+        version: str = VERSION,
+        nul: bool = False,
+        settings: AdapterSettings | None = None,
     ) -> None:
+        self._nul = nul
         self.settings = settings or AdapterSettings()
         self.writes_to_memory = 0
         self._saved = replace(self.settings)
@@ -210,6 +220,11 @@ class GpibAdapter(PlainDialect):
         self._half = b""
 
     # --- called by the wire -------------------------------------------------------------------------
+
+    @property
+    def line_ends(self) -> LineEnds:
+        """The line ends: the reply's own, then a stray NUL if the adapter sends one."""
+        return LineEnds(reply=b"\n\0") if self._nul else LineEnds()
 
     def handle(self, message: bytes, interrupted: Callable[[], bool] = never) -> bytes | None:
         """Process one line, a command to the adapter (++) or data for the bus; return the reply or None."""
@@ -290,6 +305,10 @@ class GpibAdapter(PlainDialect):
     def _command(self, name: str, arguments: list[str]) -> bytes | None:
         if name in self._commands:
             return self._commands[name](arguments)
+        if name == "savecfg" and "AR488" in self._version:
+            self._saved = replace(self.settings)
+            self.writes_to_memory += 1
+            return None
         if name not in _RANGES:
             return UNRECOGNIZED
         if not arguments:
@@ -298,7 +317,7 @@ class GpibAdapter(PlainDialect):
         if not arguments[0].isdecimal() or not low <= int(arguments[0]) <= high:
             return UNRECOGNIZED
         setattr(self.settings, name, int(arguments[0]))
-        if self.settings.savecfg and name != "addr":
+        if self.settings.savecfg and name != "addr" and "AR488" not in self._version:
             self._saved = replace(self.settings)
             self.writes_to_memory += 1
         return None

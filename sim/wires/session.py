@@ -98,6 +98,8 @@ DEVICE_CLEAR: Final = b"\x03"
 TERMINATOR: Final = b"\n"
 
 _INPUT_BUFFER: Final = 65536
+_WITHIN_HOLD_OFF: Final = 10
+"""The characters that an instrument still accepts after it has set its hold-off."""
 _LATE_SLICE_S: Final = 0.02
 _LOOK_S: Final = 0.05
 LEAVING_S: Final = 2.0
@@ -110,13 +112,17 @@ class LineEnds:
 
     If `reply` is None, the wire's own terminator is appended. A CR before an LF that ends a message is dropped;
     other ends leave the surrounding bytes unchanged. `frame`, if given, replaces `reply`: it converts a reply to
-    the bytes that are sent. `clears` is False if ETX is an ordinary character and not a device clear.
+    the bytes that are sent. `clears` is False if ETX is an ordinary character and not a device clear. A longer
+    message than `buffer` overflows. With `loses_early` the instrument loses what is sent after a query and before
+    its reply is out, apart from the first characters, as one whose hold-off the sender ignores.
     """
 
     messages: tuple[bytes, ...] = (TERMINATOR,)
     reply: bytes | None = None
     frame: Callable[[bytes], bytes] | None = None
     clears: bool = True
+    buffer: int = _INPUT_BUFFER
+    loses_early: bool = False
 
 
 class Dialect(Protocol):
@@ -247,8 +253,11 @@ class Overflow:
 class Framer:
     """Splits input at any of `ends` and drops a CR before LF. A device clear discards all input before it."""
 
-    def __init__(self, ends: tuple[bytes, ...] = (TERMINATOR,), *, clears: bool = True) -> None:
+    def __init__(
+        self, ends: tuple[bytes, ...] = (TERMINATOR,), *, clears: bool = True, buffer: int = _INPUT_BUFFER
+    ) -> None:
         self._clears = clears
+        self._longest = buffer
         longest_first = sorted(ends, key=len, reverse=True)
         self._end = re.compile(b"|".join(map(re.escape, longest_first)))
         self._buffer = bytearray()
@@ -257,6 +266,12 @@ class Framer:
     def feed(self, data: bytes) -> None:
         """Append bytes from the wire."""
         self._buffer += data
+
+    def lose(self) -> bool:
+        """Lose the input but for its first characters, a device clear too; return whether anything was lost."""
+        lost = len(self._buffer) > _WITHIN_HOLD_OFF or DEVICE_CLEAR in self._buffer
+        self._buffer = self._buffer[:_WITHIN_HOLD_OFF].replace(DEVICE_CLEAR, b"")
+        return lost
 
     @property
     def device_clear_pending(self) -> bool:
@@ -272,12 +287,12 @@ class Framer:
             return DEVICE_CLEAR
         end = self._end.search(self._buffer)
         if end is None:
-            if len(self._buffer) > _INPUT_BUFFER:
+            if len(self._buffer) > self._longest:
                 self._buffer.clear()
                 self._too_long = True
             return None
         line, self._buffer = self._buffer[: end.start()], self._buffer[end.end() :]
-        if self._too_long or len(line) > _INPUT_BUFFER:
+        if self._too_long or len(line) > self._longest:
             self._too_long = False
             return Overflow()
         return bytes(line.removesuffix(b"\r") if end[0] == TERMINATOR else line)
@@ -369,7 +384,8 @@ class Session:
         self._silent_since_s: float | None = None
         self._left = False
         ends = line_ends_of(instrument.dialect)
-        self._framer = Framer(ends.messages, clears=ends.clears)
+        self._framer = Framer(ends.messages, clears=ends.clears, buffer=ends.buffer)
+        self._loses_early = ends.loses_early
         terminator = transport.terminator if ends.reply is None else ends.reply
         self._framed = ends.frame or (lambda reply: reply + terminator)
 
@@ -430,7 +446,7 @@ class Session:
             self._silent_since_s = self._clock.now_s()
         if self._silent_since_s is not None and self._clock.now_s() - self._silent_since_s >= LEAVING_S:
             self._left = True
-        return self._left or self._framer.device_clear_pending
+        return self._left or (self._framer.device_clear_pending and not self._loses_early)
 
     def _answer_all(self) -> bool:
         """Carry out all complete messages; return False if the connection is to be closed."""
@@ -444,6 +460,11 @@ class Session:
         return True
 
     def _answer(self, reply: bytes | None, fault: WireFault | None) -> bool:
+        if self._loses_early and reply is not None:
+            if self._transport.has_input():
+                self._receive()
+            if self._framer.lose():
+                self._instrument.input_overflow(self)
         if fault is None:
             if reply is not None:
                 self._transport.send(self._framed(reply), self._interrupted)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cmath
 import itertools
 import math
 import threading
@@ -43,31 +44,32 @@ _LEAST_SPREAD: Final = 1e-6
 
 @dataclass(frozen=True)
 class _Stretch:
-    """A period from `since_s` in which the air is base + slope·s + excess·exp(-s/lag), s the time elapsed.
+    """A period from `since_s` in which the air is base + slope·s + Re(excess·exp(-s/lag)), s the time elapsed.
 
-    `block_c` is the block's temperature at the beginning.
+    A complex lag is an air that rings. `block_c` is the block's temperature at the beginning.
     """
 
     since_s: float
     base_c: float
     slope_c_s: float
-    excess_c: float
-    lag_s: float
+    excess_c: complex
+    lag_s: complex
     block_c: float
 
     def air_c(self, time_s: float) -> float:
         elapsed_s = max(0.0, time_s - self.since_s)
-        return self.base_c + self.slope_c_s * elapsed_s + self.excess_c * math.exp(-elapsed_s / self.lag_s)
+        excess_c = self.excess_c * cmath.exp(-elapsed_s / self.lag_s)
+        return self.base_c + self.slope_c_s * elapsed_s + excess_c.real
 
     def block_c_at(self, time_s: float, block_lag_s: float) -> float:
         """Return the solution of block' = (air - block) / block_lag for the air of this period, °C."""
         elapsed_s = max(0.0, time_s - self.since_s)
         carried_c = self.excess_c * self.lag_s / (self.lag_s - block_lag_s) if self.excess_c else 0.0
-        left_c = self.block_c - (self.base_c - self.slope_c_s * block_lag_s + carried_c)
+        left_c = self.block_c - (self.base_c - self.slope_c_s * block_lag_s + carried_c.real)
         return (
             self.base_c
             + self.slope_c_s * (elapsed_s - block_lag_s)
-            + carried_c * math.exp(-elapsed_s / self.lag_s)
+            + (carried_c * cmath.exp(-elapsed_s / self.lag_s)).real
             + left_c * math.exp(-elapsed_s / block_lag_s)
         )
 
@@ -98,17 +100,32 @@ class Heat:
         """Let the air relax to `target_c` with a time constant, as in a chamber that is switched off."""
         self._go_on(now_s, target_c, 0.0, self.air_c(now_s) - target_c, lag_s)
 
-    def ramp_air(self, now_s: float, target_c: float, rate_c_s: float, lag_s: float) -> None:
-        """Ramp the demand from the present air to `target_c` at `rate_c_s`; the air follows with its lag."""
+    def ramp_air(
+        self, now_s: float, target_c: float, rate_c_s: float, lag_s: float, ringing_s: float = 0.0
+    ) -> None:
+        """Ramp the demand from the present air to `target_c` at `rate_c_s`; the air follows with its lag.
+
+        With a period `ringing_s` it overshoots the target, rings with this period and decays with the lag.
+        """
         start_c = self.air_c(now_s)
         slope_c_s = math.copysign(rate_c_s, target_c - start_c)
         end_s = now_s + abs(target_c - start_c) / rate_c_s
         self._go_on(now_s, start_c - slope_c_s * lag_s, slope_c_s, slope_c_s * lag_s, lag_s)
-        self._go_on(end_s, target_c, 0.0, self.air_c(end_s) - target_c, lag_s)
+        excess_c: complex = self.air_c(end_s) - target_c
+        after_s: complex = lag_s
+        if ringing_s and end_s > now_s:
+            rate = 2.0 * math.pi / ringing_s
+            rising_c_s = slope_c_s * (1.0 - math.exp(-(end_s - now_s) / lag_s))
+            # The imaginary part makes the air's rate continuous at the end of the ramp.
+            excess_c += 1j * (rising_c_s + excess_c.real / lag_s) / rate
+            after_s = 1.0 / complex(1.0 / lag_s, rate)
+        self._go_on(end_s, target_c, 0.0, excess_c, after_s)
 
-    def _go_on(self, since_s: float, base_c: float, slope_c_s: float, excess_c: float, lag_s: float) -> None:
+    def _go_on(
+        self, since_s: float, base_c: float, slope_c_s: float, excess_c: complex, lag_s: complex
+    ) -> None:
         """Begin a new period at `since_s`; discard periods that were scheduled after it."""
-        if math.isclose(lag_s, self._block_lag_s, rel_tol=_LEAST_SPREAD):
+        if cmath.isclose(lag_s, self._block_lag_s, rel_tol=_LEAST_SPREAD):
             lag_s = self._block_lag_s * (1.0 + _LEAST_SPREAD)
         block_c = self.block_c(since_s)
         kept = [stretch for stretch in self._stretches if stretch.since_s <= since_s]
@@ -170,8 +187,10 @@ class WorldSettings:
     each mounting), "setting_error" alpha4 (rad, drawn at each turn of the head) and "voltmeter_error" (V, drawn
     for each reading of each channel); an omitted error is zero. `ambient_c` is the room temperature;
     `block_time_constant_s` is the lag of the block behind the chamber air. A controlled chamber ramps its demand
-    at `chamber_rate_c_s`, and its air follows with the lag `chamber_lag_s`; switched off, it relaxes to the room
-    temperature with `chamber_off_lag_s`. A block without rails in `power` always has power.
+    at `chamber_rate_c_s`, and its air follows with the lag `chamber_lag_s`; with a period `chamber_ringing_s` it
+    overshoots and rings. Switched off, it relaxes to the room temperature with `chamber_off_lag_s`. The platform
+    conducts heat: the block settles at the air plus `room_share` of what separates the room from it. A block
+    without rails in `power` always has power.
     """
 
     block: Block
@@ -183,6 +202,8 @@ class WorldSettings:
     chamber_rate_c_s: float = 4.0 / 60.0
     chamber_lag_s: float = 120.0
     chamber_off_lag_s: float = 3600.0
+    chamber_ringing_s: float = 0.0
+    room_share: float = 0.0
     level: LevelSettings = field(default_factory=LevelSettings)
     power: PowerSettings = field(default_factory=PowerSettings)
 
@@ -352,6 +373,7 @@ class World(KeyedNumbers):
                 target_c + self._chamber_offset_c,
                 self.settings.chamber_rate_c_s,
                 self.settings.chamber_lag_s,
+                self.settings.chamber_ringing_s,
             )
 
     def switch_chamber_off(self) -> None:
@@ -474,7 +496,8 @@ class World(KeyedNumbers):
     def block_c_at(self, time_s: float) -> float:
         """Return the temperature of the block at a time of the clock, °C (first-order lag, closed form)."""
         with self._lock:
-            return self._heat.block_c(time_s)
+            in_air_c = self._heat.block_c(time_s)
+        return in_air_c + self.settings.room_share * (self.settings.ambient_c - in_air_c)
 
     def level_shows_rad(self, axis: LevelAxis) -> float:
         """Return the present reading of the level on the platform, rad, with its zero error and new noise."""

@@ -103,3 +103,43 @@ def test_an_angle_is_checked_as_it_is_typed_and_nothing_jumps(visit, panel, begi
     assert run.of_type("answered")[-1]["answer"] == "0 0 5"
     assert page.evaluate("document.activeElement.id") == "typed"
     assert page.input_value("#typed") == ""
+
+
+SLOW = """(() => { const add = EventSource.prototype.addEventListener;
+  EventSource.prototype.addEventListener = function (kind, hear) {
+    add.call(this, kind, (event) => {
+      const told = kind === "state" ? JSON.parse(event.data) : {};
+      if (kind !== "state" || told.prompt || told.ended) hear(event); }); }; })()"""
+"""A page that misses every moment without a question, as one on a busy machine may."""
+
+SAME_ANGLE = """\
+procedure: same
+reading: {samples: 1, nplc: 1, settle: 1 s}
+steps:
+  - installation:
+      label: 1
+      steps: [{repeat: {directions: [rising, falling], steps: [{turn: {angles: [0 deg]}}]}}]
+"""
+
+
+def test_a_question_for_the_same_angle_begins_with_an_empty_field(visit, panel, begin, tmp_path):
+    (tmp_path / "same.yaml").write_text(SAME_ANGLE, "utf-8")
+    run = begin("same", str(tmp_path / "same.yaml"), "folder", more=("--dry-run", "--bench", "bench-lan"))
+    run.wait_for_events()
+    page = visit("/")
+    page.add_init_script(SLOW)
+    page.goto(f"{panel.url}/runs/same/")
+    page.click("text=Take control")
+    asked_id = prompt_of(page, "")
+    answer_on(page, "yes")
+    for typed in ('+3"', "+12'", '+5"'):  # the second is refused: typing again replaces it
+        asked_id = asked_id if typed == '+5"' else prompt_of(page, asked_id)
+        page.wait_for_function(
+            "() => document.activeElement.id === 'typed' && !document.activeElement.readOnly"
+        )
+        page.keyboard.type(typed)
+        page.keyboard.press("Enter")
+        if typed == "+12'":
+            page.wait_for_function("() => document.getElementById('message').className.includes('bad')")
+    assert run.ended()[0] in {0, 1}
+    assert [event["answer"] for event in run.of_type("answered")] == ["yes", '+3"', '+5"']

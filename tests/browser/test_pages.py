@@ -6,23 +6,52 @@ from urllib.parse import quote
 
 import pytest
 
+from bench.catalogue.store import open_catalogue
+from bench.catalogue.sync import sync
 from bench.panel.access import STATE, Role, private_folder
+from bench.panel.app import ROUTES
 from bench.panel.queue import DayQueue, new_item
 from bench.run.events import EVENTS, MANIFEST
 from bench.run.record import Record
 from drivers.clock import utc_now
 from tests.browser.conftest import RECORDS
 from tests.support.plotted_runs import make_plotted
+from tests.support.served_panel import served
 
 RULES = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa", "best-practice"]
 SCRIPT = "<script>document.title='caught'</script>"
 HOSTILE = f"{SCRIPT}<img src=x onerror=document.title='caught'>\x1b[31m\u202egnp.exe ünïcode 日本"
-PAGES = (
-    "/", "/start", "/check", "/runs/done/", "/runs/asked/", "/runs/mounting/", "/runs/done/verdict",
-    "/runs/done/view/report", "/runs/none/", "/runs/done/plots", "/runs/later/plots", "/runs/later/verdict",
-    "/bench", "/bench/form?start=bench-lan&name=two", "/bench/form?start=bench-multiplexer",
-    "/queue", "/procedures", "/procedures/form?start=temperature", "/runs/broken/",
-)  # fmt: skip
+VIEWED = {
+    "/": ["/"],
+    "/start": ["/start", "/start?after=later", "/start?like=done"],
+    "/queue": ["/queue"],
+    "/procedures": ["/procedures"],
+    "/procedures/form": ["/procedures/form?start=temperature"],
+    "/bench": ["/bench"],
+    "/bench/form": ["/bench/form?start=bench-lan&name=two", "/bench/form?start=bench-multiplexer"],
+    "/catalogue": ["/catalogue", "/catalogue?ask=metre=1"],
+    "/catalogue/unit/{unit:path}": ["/catalogue/unit/0001"],
+    "/check": ["/check"],
+    "/runs/{name}/": [f"/runs/{name}/" for name in ("done", "later", "asked", "mounting", "none", "broken")],
+    "/runs/{name}/verdict": ["/runs/done/verdict", "/runs/later/verdict"],
+    "/runs/{name}/view/{what}": ["/runs/later/view/report", "/runs/later/view/diagnosis"],
+    "/runs/{name}/report": ["/runs/later/report"],
+    "/runs/{name}/diagnosis": ["/runs/later/diagnosis"],
+    "/runs/{name}/plots": ["/runs/done/plots", "/runs/later/plots"],
+}
+"""The pages by their routes, with runs in every state."""
+ELSEWHERE = {"/sign-in", "/start/{wish}"}
+"""Pages that the test comes to by a button."""
+APART = ("/runs/later/report", "/runs/later/diagnosis")
+"""Pages in a sandbox without scripts: what is sent is judged outside of it."""
+NO_PAGES = {
+    "/language/{name}", "/static/{hash}/{name}", "/bench/search", "/catalogue/figure/{unit:path}", "/check/chart",
+    "/runs/{name}/outcome", "/runs/{name}/figures/{figure}", "/runs/{name}/plots/data",
+    "/runs/{name}/plots/previous", "/runs/{name}/plots/{table}.{form}", "/runs/{name}/certificate/{file}",
+    "/runs/{name}/state", "/runs/{name}/stream", "/runs/{name}/check-answer",
+}  # fmt: skip
+"""What is sent to scripts, pictures, and files to save; the outcome is a part of the live page."""
+PAGES = tuple(page for pages in VIEWED.values() for page in pages)
 
 
 def hold_at(runs, name, lines, asked):
@@ -50,6 +79,16 @@ MOUNT = {
     "text": "Mount the block in installation 2, clamp it",
     "action": {"do": "mount", "installation": "2", "series": 1},
 }
+
+
+@pytest.fixture
+def panel(tmp_path, plotted):
+    """A panel over a finished run, with a catalogue of the plotted ones."""
+    shutil.copytree(RECORDS / "finished", tmp_path / "runs" / "done")
+    with open_catalogue(tmp_path / "catalogue.sqlite") as catalogue:
+        sync(catalogue, [plotted])
+    with served(tmp_path / "runs", str(tmp_path / "catalogue.sqlite")) as found:
+        yield found
 
 
 @pytest.fixture
@@ -88,14 +127,27 @@ def plots(panel, plotted):
         shutil.copytree(plotted / name, panel.runs / name)
 
 
+def test_every_page_is_looked_at():
+    shown = {route.path for route in ROUTES if "GET" in route.methods}
+    assert shown == VIEWED.keys() | ELSEWHERE | NO_PAGES
+
+
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_no_page_keeps_people_out_or_scrolls_sideways(visit, panel, asked, plots, queued, scheme):
     from axe_playwright_python.sync_playwright import Axe
 
     page = visit("/", color_scheme=scheme, viewport={"width": 1280, "height": 900})
+    page.goto(panel.url + "/start")
+    page.check("[name=procedure][value=quick]")
+    page.click("text=Check and try it")
+    page.wait_for_selector("text=completed on simulated instruments")
     found, wide = {}, {}
-    for path in PAGES:
-        page.goto(panel.url + path)
+    for path in (*PAGES, page.url.removeprefix(panel.url)):
+        if path in APART:
+            page.goto("about:blank")
+            page.set_content(page.request.get(panel.url + path).text())
+        else:
+            page.goto(panel.url + path)
         if path in {"/runs/done/", "/runs/asked/", "/runs/mounting/"}:
             page.wait_for_selector("#plots[data-newest]")
         if path == "/runs/later/plots":
@@ -111,6 +163,7 @@ def test_no_page_keeps_people_out_or_scrolls_sideways(visit, panel, asked, plots
             page.set_viewport_size({"width": width, "height": 900})
             wide[path, width] = page.evaluate("document.documentElement.scrollWidth") - width
         page.set_viewport_size({"width": 1280, "height": 900})
+    page.goto(panel.url)
     page.click("text=Sign out")
     page.wait_for_selector("#token")
     found["/sign-in"] = (

@@ -13,13 +13,17 @@ from bench.calibration.budget.whole import sign
 from bench.calibration.result import misalignments
 from bench.calibration.tumble import DEFAULT, HOMES, LINEAR, columns, combine, separable, tumble_view
 from bench.config.bench_file.file import load_bench
-from bench.config.shipped import find_bench
-from bench.model import ForwardModel
+from bench.config.procedure.load import load_procedure
+from bench.config.procedure.steps import Turn
+from bench.config.shipped import find_bench, find_procedure
+from bench.model import Block, ForwardModel
 from bench.model.conditions import Conditions
+from bench.readings.centrifuge import EXAMPLE, CentrifugePoints, read_centrifuge
+from bench.readings.csv import ReadingsError
 from bench.readings.table import make_readings
 from tests.support.honest_runs import MODEL
 from tests.support.paper_bench import ARCSEC, SETTING_U_RAD, STAND_U, U0, K, specific_force
-from tests.support.tumble_bench import Terms, design, truth, tumble
+from tests.support.tumble_bench import Terms, centrifuge, design, truth, tumble
 from tests.support.whole_truth import GAIN, LINEARITY_V, OFFSET_V
 
 # --- which terms orientations tell apart ----------------------------------------------------------
@@ -50,6 +54,7 @@ def test_the_columns_are_the_standards_terms():
     for channel in range(3):
         i, j, k = (np.roll(force, -channel, axis=1)[:, m] for m in range(3))
         expected = [i, j, k, 1 + 0 * i, i**2, i**3, i * abs(i), i * j, i * k, j * k, j**2, k**2]
+        expected += [np.tanh(100 * i) / 2, abs(i) / 2]
         found = columns(force, channel, tuple(HOMES), conditions)
         assert found == pytest.approx(np.stack(expected, axis=1), abs=1e-15)
 
@@ -92,6 +97,22 @@ def test_the_product_of_the_cross_axes_needs_a_third_installation(points):
         assert judged(points, channel, (hidden,)).inseparable == {hidden: {}}
         assert "shows in no reading" in judged(points, channel, (hidden,)).sentence()
         assert judged(points, channel, (hidden,), third=True).rank == 5
+
+
+def test_the_third_installation_shows_every_product(stand):
+    """Its forces come from the shipped procedure and bench; without 1T90 each channel lacks one product."""
+    steps = load_procedure(find_procedure("third-installation")).expand().steps
+    turns = [step for step in steps if isinstance(step, Turn)]
+    for labels, rank in ((("1", "2"), 7), (("1", "2", "1T90"), 8)):
+        placed = [step for step in turns if step.installation in labels]
+        conditions = Conditions.of(
+            [step.installation for step in placed], [step.target_rad for step in placed]
+        )
+        force = ForwardModel(stand.installation_models()).specific_force(
+            conditions, np.zeros((len(labels), 5)), Block(np.eye(3), np.zeros(3))
+        )
+        for channel in range(3):
+            assert separable(force, channel, ("K2", "Kip", "Kio", "Kpo"), conditions).rank == rank
 
 
 def test_the_last_square_is_a_bias_less_the_others():
@@ -187,6 +208,94 @@ def test_what_a_term_that_was_left_out_moves_is_what_it_moves():
             for q in plain.axes[channel]:
                 by = moved[f"{channel}.{q.name}"] / (K[at, at] if q.name == "K1" else 1.0)
                 assert by == pytest.approx(told.get(q.name, 0.0), abs=0.011), (channel, q.name, term)
+
+
+def test_asymmetries_are_estimated_as_the_standard_defines_them():
+    there = Terms(K0p=np.array([30, -20, 10]) * 1e-6, K1p=np.array([-8, 12, 40]) * 1e-6)
+    view = tumble_view(tumble(None, 0.0, there), MODEL, STAND_U, G, ("K0p", "K1p"))
+    known = truth(there)
+    for channel, own in view.axes.items():
+        found = {q.name: (q.value, q.unit) for q in own}
+        assert found["K0p"] == (pytest.approx(known[f"{channel}.K0p"], abs=2e-9), "g")
+        assert found["K1p"] == (pytest.approx(known[f"{channel}.K1p"], abs=2e-9), "g/g")
+
+
+# --- points above 1 g -----------------------------------------------------------------------------
+
+
+def test_points_above_1_g_separate_what_eight_points_cannot():
+    readings, noise = tumble(None, 0.0, KNOWN, points=8), Noise(1e-6, 1e-9, np.inf, "given")
+    view = tumble_view(readings, MODEL, STAND_U, G, noise=noise, above=centrifuge(None, KNOWN))
+    assert [own.rank for own in view.judged] == [7, 7, 7]
+    assert values(view) == pytest.approx(expected(view, KNOWN), abs=5e-9)
+    assert (view.above.points, view.above.dof) == (18, 15)
+    assert view.above.largest_g == pytest.approx(10.0)
+
+
+def test_the_joint_fit_is_that_of_all_rows_at_once():
+    """One channel by dense least squares: turn and centrifuge, the shared radius in the covariance."""
+    rng, noise_v = np.random.default_rng(8), 2e-5
+    terms = replace(KNOWN, Koq=np.zeros(3))
+    readings, points = tumble(None, 0.0, terms), centrifuge(rng, terms, noise_v)
+    kept = np.isfinite(points.signal[:, 0])
+    points = CentrifugePoints(
+        "x alone", points.force_ms2[kept], points.u_ms2[kept], points.u_relative[kept], points.signal[kept]
+    )
+    readings = replace(readings, signal=readings.signal + rng.normal(0.0, noise_v, readings.signal.shape))
+    noise = Noise(noise_v, 1e-12, np.inf, "given")
+    view = tumble_view(readings, MODEL, {}, G, ("K2", "K3"), noise, above=points)
+    a = specific_force([str(label) for label in readings.installation], readings.angle_rad)
+    more = points.force_ms2 / G
+    force = np.concatenate([a, more])
+    x, y, z = force.T
+    columns_ = np.column_stack([np.ones(len(x)), x, y, z, x**2, x**3])
+    signal = np.concatenate([readings.signal[:, 0], points.signal[:, 0]])
+    slope = K[0, 0] * more[:, 0]
+    V = noise_v**2 * np.eye(len(x))
+    V[len(a) :, len(a) :] += np.diag((K[0, 0] * points.u_ms2 / G) ** 2)
+    V[len(a) :, len(a) :] += 1e-12 * np.outer(slope, slope)
+    weight = np.linalg.inv(V)
+    covariance = np.linalg.inv(columns_.T @ weight @ columns_)
+    best = covariance @ columns_.T @ weight @ signal
+    found = {q.name: q for q in view.axes["x"]}
+    assert found["K1"].value == pytest.approx(best[1], abs=2e-9)
+    assert found["K1"].u == pytest.approx(covariance[1, 1] ** 0.5, rel=1e-3)
+    for name, at in (("K2", 4), ("K3", 5)):
+        assert found[name].value == pytest.approx(best[at] / best[1], abs=0.01 * found[name].u)
+        assert found[name].u == pytest.approx(covariance[at, at] ** 0.5 / abs(best[1]), rel=2e-3)
+
+
+@pytest.mark.slow
+def test_estimates_with_points_above_1_g_scatter_by_their_uncertainties():
+    """Seed 22, 30 runs; the chi-square of the points has its mean."""
+    z, chi2 = [], []
+    for rng in np.random.default_rng(22).spawn(30):
+        terms = Terms.drawn(rng)
+        readings, above = tumble(rng, 1e-4, terms, points=8), centrifuge(rng, terms, 1e-4, 1e-3, 1e-4)
+        view = tumble_view(readings, MODEL, STAND_U, G, above=above)
+        z.append((values(view) - expected(view, terms)) / view.u)
+        chi2.append(view.above.chi2)
+    assert np.sqrt(np.mean(np.square(z))) == pytest.approx(1.0, abs=0.12)
+    assert np.abs(z).max() < 5.0
+    assert np.mean(chi2) == pytest.approx(15, abs=4 * np.sqrt(30 / 30))
+
+
+def test_points_that_contradict_the_readings_are_told():
+    wrong = replace(centrifuge(None, KNOWN), force_ms2=centrifuge(None, KNOWN).force_ms2 * 1.001)
+    noise = Noise(1e-5, 1e-9, np.inf, "given")
+    view = tumble_view(tumble(None, 0.0, KNOWN), MODEL, STAND_U, G, noise=noise, above=wrong)
+    assert not view.above_agrees
+
+
+def test_a_file_of_points_is_read_or_refused_with_its_lines(tmp_path):
+    file = tmp_path / "points.csv"
+    file.write_text(EXAMPLE + "\n98.1,0,0,1e-4,2e-6,-21.7,,\n")
+    points = read_centrifuge(file)
+    assert points.force_ms2.tolist() == [[98.1, 0.0, 0.0]]
+    assert np.isnan(points.signal).tolist() == [[False, True, True]]
+    file.write_text(EXAMPLE + "\n98.1,0,0,1e-4,2e-6,,,\n98.1,0,0,-1,2e-6,1,,\n")
+    with pytest.raises(ReadingsError, match=r"(?s)line 2: no signal.*line 3, column u_ms2"):
+        read_centrifuge(file)
 
 
 @pytest.mark.parametrize("terms", [("K4",), ("K2", "K2")])

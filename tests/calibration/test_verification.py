@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bench.calibration import CalibrationError, calibrate, verify
+from bench.calibration import CalibrationError, calibrate
 from bench.calibration.conformity import Population, global_risk
+from bench.calibration.verification import verify
 from bench.model import Block
 from bench.readings.table import make_readings
 from bench.results.verification import advice, global_risk_in_words, verdict_line

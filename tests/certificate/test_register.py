@@ -268,8 +268,9 @@ def test_the_shipped_files_are_read():
     order = load_order(shipped_folder(CERTIFICATE) / "order.yaml")
     assert laboratory.language == ("en",)
     assert laboratory.register_folder == shipped_folder(CERTIFICATE).absolute() / "register"
-    assert laboratory.person("A. Example").role == "head of the laboratory"
-    assert laboratory.person("Somebody else") is None
+    assert laboratory.authorised_person("A. Example").role == "head of the laboratory"
+    with pytest.raises(Refused, match="the laboratory file names A"):
+        laboratory.authorised_person("Somebody else")
     assert order.unit("any").state == "as found"
 
 

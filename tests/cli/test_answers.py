@@ -122,7 +122,7 @@ def test_a_place_that_is_none_is_refused(bench, points):
 
 def test_a_run_with_a_panel_prints_the_link_to_its_page_and_is_answered_there(points, monkeypatch):
     monkeypatch.setattr(
-        "bench.panel.app.open_panel", lambda runs, after: f"http://127.0.0.1:1/{runs.name}{after}"
+        "bench.panel.app.open_panel", lambda runs, after, *_: f"http://127.0.0.1:1/{runs.name}{after}"
     )
     run, (status, out, _) = points("one", *RUN, "--name", "one", "--panel")
     assert status == 0

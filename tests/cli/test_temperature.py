@@ -6,13 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bench import tumble as tumble_in_python
 from bench.model.geometry import COEFFICIENTS
+from bench.readings.centrifuge import EXAMPLE
 from bench.readings.csv import write_csv
 from tests.support.commands import printed, refused
 from tests.support.paper_bench import TRUTH
 from tests.support.schemas import keeps_to
 from tests.support.thermal_bench import coefficients, simulate, truth
-from tests.support.tumble_bench import Terms, tumble
+from tests.support.tumble_bench import Terms, centrifuge, tumble
 
 SEED = 5
 
@@ -133,6 +135,21 @@ def test_terms_that_are_left_out_show_as_lack_of_fit(bench, turns):
     # a prior of K2 is in the uncertainty, one of Kpp is not
     assert "not fitted, but in u, in channel x: 1 µg/g² of K2 moves" in out
     assert "taken as zero in channel x: 1 µg/g² of Kpp moves" in out
+
+
+def test_points_of_a_centrifuge_join_and_python_gives_the_same(bench, turns):
+    points = centrifuge(np.random.default_rng(SEED_OF_TURNS), TERMS, 1e-4, 1e-3)
+    table = np.column_stack([points.force_ms2, points.u_ms2, points.u_relative, points.signal])
+    rows = [",".join("" if np.isnan(cell) else repr(float(cell)) for cell in row) for row in table]
+    Path("points.csv").write_text("\n".join([EXAMPLE, *rows]) + "\n")
+    out = bench("tumble", "turn-8.csv", "--centrifuge", "points.csv", "--json", "r.json")[1]
+    result = json.loads(Path("r.json").read_text(encoding="utf-8"))
+    keeps_to("tumble", result)
+    assert "18 points up to 10 g agree with the readings at 1 g: chi-square" in out
+    assert [axis["rank"] for axis in result["axes"].values()] == [7, 7, 7]
+    assert result["axes"]["x"]["quantities"]["K2"]["u_readings"] < 5e-6
+    (python,) = tumble_in_python(["turn-8.csv"], bench="paper-stand", centrifuge="points.csv")
+    assert python.above_1g.chi2 == pytest.approx(result["above_1g"]["chi2"])
 
 
 def test_a_mistake_is_one_line(bench, turns):

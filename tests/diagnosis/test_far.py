@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bench.diagnosis import Threshold, ThresholdCache, diagnose
-from bench.diagnosis.pipeline import FAR_P
+from bench.diagnosis.levels import BY_CHANCE
 from bench.diagnosis.posterior import NoiseSize
 from bench.diagnosis.where import FAR, far_readings
 from bench.results.diagnosis_words import verdict_in_words, warnings_in_words
@@ -95,7 +95,7 @@ def test_a_verification_point_that_is_off_is_never_silent_and_no_name_alone(time
     """Four moduli tell little: effects of their mounting may explain it, and the readings held out deny them."""
     found = diagnose(off_in_the_headline(times), MODEL, STAND, np.diag(K), OneThreshold())
     # the heavy tails that the readings may have give a small one anywhere: it is told, and decides from 1 % on
-    likely = all(far.p >= FAR_P for far in found.far)
+    likely = all(far.p >= BY_CHANCE for far in found.far)
     assert found.verdict in {"confounded", "unknown", "mistake", *(["agrees"] if likely else [])}
     assert [far for far in found.far if (far.installation, far.point) == ("V", 2)]
     assert "installation V, pass 1, point 2" in verdict_in_words(found)

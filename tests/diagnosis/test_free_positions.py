@@ -83,17 +83,22 @@ def test_zeros_of_each_record_are_found_and_their_ratio_held_out_by_record():
     found = diagnose_free(records, one_sensor=True)
     assert found.verdict == "unknown"
     assert found.found[0].name == "zeros_by_run"
-    assert found.between.ratio > 10
-    assert found.between.held_before > 10
-    assert found.between.held_after < 3
+    assert found.between.repeats.scatter > 10
+    assert found.between.repeats.held_before.value > 10
+    assert found.between.repeats.held_after.value < 3
     assert "the cause is not determined" in found.found[0].words
+    assert found.between.repeats.term.name == "restart"
+    # 2 mg, widened for five degrees of freedom
+    sizes = found.between.repeats.term.size / 1.31
+    assert np.all((sizes > 1e-3) & (sizes < 4e-3))
+    assert found.between.in_bench_file().startswith("uncertainty: {zero_repeats: {restart: [")
 
 
 def test_zeros_that_stay_are_not_said_to_change():
     found = diagnose_free([positions(seed, 25) for seed in range(6)])
     assert found.verdict == "agrees"
     # 18 numbers of 16 degrees of freedom each: about 1
-    assert 0.6 < found.between.ratio < 1.6
+    assert 0.6 < found.between.repeats.scatter < 1.6
 
 
 def test_tables_with_the_same_times_are_sensors_side_by_side():
@@ -112,10 +117,11 @@ def test_the_zeros_of_a_real_board_change_between_records_alike_in_all_sensors()
     assert found.found[0].name == "zeros_by_run"
     assert found.verdict == "unknown"
     between = found.between
-    assert 18 < between.ratio < 30
+    assert 18 < between.repeats.scatter < 30
     assert between.common[2] > 0.8
-    assert between.held_before > 10
-    assert between.held_after < 2
+    assert between.repeats.held_before.value > 10
+    assert between.repeats.held_after.value < 2
+    assert between.repeats.held_after.low < 1.0 < between.repeats.held_after.high
     words = found.found[0].words
     assert "common to the sensors" in words
     assert "cause is not determined" in words

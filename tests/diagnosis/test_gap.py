@@ -84,7 +84,7 @@ def test_where_names_channel_installation_and_harmonic():
     """K2 of y in installation 2, where y turns in the plane: its square goes twice a turn."""
     one = set_up(paper_run(np.random.default_rng(45), K2=(0.0, 150e-6, 0.0)))
     repeats = noise_of_repeats(one.linear, 0.0)
-    places = find_places(one.linear, one.whitened.grid, 3, repeats.sigma, 3 * repeats.freedom)
+    places = find_places(one.linear, one.grid, 3, repeats.sigma, 3 * repeats.freedom)
     first = places[0]
     assert (first.channel, first.installation, first.pattern) == ("y", "2", "twice per turn")
     assert first.p < 1e-6
@@ -100,7 +100,7 @@ def test_where_is_silent_on_nulls():
     for _ in range(20):
         one = set_up(paper_run(rng))
         repeats = noise_of_repeats(one.linear, 0.0)
-        alarms += bool(find_places(one.linear, one.whitened.grid, 3, repeats.sigma, 3 * repeats.freedom))
+        alarms += bool(find_places(one.linear, one.grid, 3, repeats.sigma, 3 * repeats.freedom))
     assert alarms <= 3
 
 

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from bench.base.files import cache_folder
-from bench.calibration import calibrate, verify
+from bench.calibration import calibrate
+from bench.calibration.verification import verify
 from bench.diagnosis import ThresholdCache, diagnose
 from bench.diagnosis.pipeline import rivals
 from bench.diagnosis.show import label, show

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections import defaultdict
-from functools import cache
 from itertools import pairwise
 
 import pytest
@@ -18,7 +17,6 @@ QUOTED = [
     line[1:-1] for line, after in pairwise(PAGE.read_text(encoding="utf-8").splitlines())
     if line.startswith("`") and after.startswith(": ")
 ]  # fmt: skip
-ALL = cache(messages)
 
 
 def pattern(quoted):
@@ -28,7 +26,7 @@ def pattern(quoted):
 
 
 def is_of_the_program(quoted):
-    return any(pattern(quoted).search(one.text) for one in ALL())
+    return any(pattern(quoted).search(one.text) for one in messages())
 
 
 @pytest.mark.parametrize("quoted", QUOTED)
@@ -93,7 +91,7 @@ LITERAL = re.compile(r"(?<![\w\"'])f?\"((?:[^\"\\\n]|\\.)*)\"")
 def test_every_text_that_an_exception_is_raised_with_is_in_the_list():
     """Found here by lines and quotation marks, not by the syntax tree."""
     listed = defaultdict(str)
-    for one in ALL():
+    for one in messages():
         listed[one.path] += f"{one.text}\n"
     seen = 0
     for path in (path for top in PACKAGES for path in (ROOT / top).rglob("*.py")):
@@ -123,4 +121,4 @@ def test_every_text_that_an_exception_is_raised_with_is_in_the_list():
 )
 def test_what_a_command_prints_when_it_refuses_is_in_the_list(bench, words):
     line = refused(bench(*words))
-    assert any(pattern(one.text).search(line) for one in ALL() if len(one.text) > 20), line
+    assert any(pattern(one.text).search(line) for one in messages() if len(one.text) > 20), line

@@ -12,6 +12,7 @@ from bench.config.model_file import load_model
 from bench.config.procedure.file import VERBS, ProcedureFile
 from bench.model.effects import CATALOGUE
 from bench.readings import csv
+from docs import generators
 from docs.generators import PAGES, write_pages
 from docs.generators.commands import commands
 from docs.generators.forms import anchor, reachable
@@ -92,7 +93,8 @@ def test_links_lead_to_pages_and_headings_that_are_there(made):
     assert followed > 100
 
 
-def test_pages_are_written_and_stale_ones_go(tmp_path):
+def test_pages_are_written_and_stale_ones_go(made, tmp_path, monkeypatch):
+    monkeypatch.setattr(generators, "PAGES", {name: lambda text=text: text for name, text in made.items()})
     (tmp_path / "old.md").write_text("of a version before")
     write_pages(tmp_path)
     assert {path.name for path in tmp_path.iterdir()} == PAGES.keys()
@@ -101,8 +103,8 @@ def test_pages_are_written_and_stale_ones_go(tmp_path):
     assert before == {path: path.stat().st_mtime_ns for path in tmp_path.iterdir()}
 
 
-def test_the_constants_of_the_method_are_those_of_the_code():
-    text = (DOCS / "diagnosis-method.md").read_text(encoding="utf-8") + PAGES["_constants.md"]()
+def test_the_constants_of_the_method_are_those_of_the_code(made):
+    text = (DOCS / "diagnosis-method.md").read_text(encoding="utf-8") + made["_constants.md"]
     for module, name in re.findall(r"`([a-z_.]+)\.([A-Z_\d]+)`", text):
         assert hasattr(importlib.import_module(f"bench.diagnosis.{module}"), name), f"{module}.{name}"
     rows = re.findall(r"^\| `([a-z_.]+)\.([A-Z_\d]+)` \| (ln of )?([\d., ]+) \|", text, flags=re.M)

@@ -15,7 +15,8 @@ from tests.support.effect_bench import BLOCK, effect
 
 PROMISED = [
     "quadratic_nonlinearity", "cubic_nonlinearity", "odd_quadratic_nonlinearity", "scale_asymmetry",
-    "cross_coupling", "cross_quadratic", "hysteresis", "thermal_bias", "thermal_scale", "warm_up",
+    "cross_coupling", "cross_quadratic", "bias_asymmetry", "hysteresis", "thermal_bias", "thermal_scale",
+    "thermal_nonlinearity", "thermal_misalignment", "warm_up",
     "bias_drift", "scale_drift", "turn_on_shift", "scale_step", "thermal_settling", "supply_sensitivity",
     "axis_tilt", "zero_offset", "mounting_error", "mounting_offset", "mounting_roll", "head_eccentricity",
     "head_ellipticity", "head_graduation", "backlash", "axis_wobble", "bracket_tilt", "foundation_tilt",

@@ -63,6 +63,17 @@ CASES = {
             KII[2] * (30e-6 * AX**2 + 4e-6 * AY**2),
         ),
     ),
+    "bias_asymmetry": ({"K0p": C}, KII * C / 2 * (1 - 2 / (1 + np.exp(200 * A)))),
+    "thermal_nonlinearity": ({"K2_T": C, "K3_T": D}, KII * (C * A * A + D * A * A * A) * KELVIN),
+    "thermal_misalignment": (
+        {"m_j": C, "m_k": D},
+        columns(
+            KII[0] * (10e-6 * AY - 7e-6 * AZ),
+            KII[1] * (-20e-6 * AZ + 9e-6 * AX),
+            KII[2] * (30e-6 * AX + 4e-6 * AY),
+        )
+        * KELVIN,
+    ),
     "thermal_bias": ({"b_T": C}, KII * C * KELVIN),
     "thermal_scale": ({"k_T": C}, KII * A * C * KELVIN),
     "warm_up": ({"A": C, "tau": 1800.0}, KII * C * np.exp(-HOURS / 0.5)),

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from bench.calibration import CalibrationError
-from bench.calibration.verification import modulus_slopes
 from bench.model import Mounting
+from bench.model.geometry import modulus_slopes
 from bench.planning.optimal_design import (
     Goal,
     Stand,

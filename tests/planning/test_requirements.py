@@ -11,11 +11,11 @@ from bench.calibration import CalibrationError
 from bench.calibration.budget.coefficients import make_budget, make_setup
 from bench.calibration.budget.sources import bench_sources, stand_source
 from bench.calibration.closed_form import closed_form_gain
-from bench.calibration.verification import modulus_slopes
 from bench.config.bench_file.file import load_bench
 from bench.config.procedure.load import load_procedure
 from bench.config.shipped import find_bench, find_procedure
 from bench.model import Block, Distribution, ForwardModel, Installation
+from bench.model.geometry import modulus_slopes
 from bench.planning.requirements import BEYOND, Requirement, of_acceleration, of_coefficient, of_delta_g
 from tests.support.paper_bench import ARCSEC, U0, K, simulate, specific_force
 

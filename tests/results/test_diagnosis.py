@@ -52,6 +52,7 @@ def text_of(page):
     return " ".join(html.unescape(plain).split())
 
 
+@pytest.mark.figures
 def test_the_story_stands_in_order(named):
     _, page = named
     order = [
@@ -64,6 +65,7 @@ def test_the_story_stands_in_order(named):
     assert places == sorted(places)
 
 
+@pytest.mark.figures
 def test_the_figures_are_those_of_the_result(named):
     full, page = named
     text = text_of(page)
@@ -77,6 +79,7 @@ def test_the_figures_are_those_of_the_result(named):
         assert fold.label in text
 
 
+@pytest.mark.figures
 def test_the_first_screen_has_verdict_gap_and_what_to_do(named):
     full, page = named
     first = text_of(page[: page.index("Measured and simulated")])
@@ -86,6 +89,7 @@ def test_the_first_screen_has_verdict_gap_and_what_to_do(named):
     assert f"bench confirm NEW --model {full.files.model}" in first
 
 
+@pytest.mark.figures
 def test_measured_and_simulated_signals_stand_in_one_figure(named):
     _, page = named
     figure = page[page.index("diagnosis-overlay-0") :].partition("</svg>")[0]
@@ -93,6 +97,7 @@ def test_measured_and_simulated_signals_stand_in_one_figure(named):
     assert len(set(re.findall(r'id="(diagnosis-overlay-0-overlay-0-[xyz]-\d+)"', figure))) == 9
 
 
+@pytest.mark.figures
 def test_the_page_needs_nothing_but_itself(named):
     _, page = named
     assert re.findall(r'(?:src|href)="(?!#)[^"]*"', page) == []

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from bench.base.numbers import concise, fixed, rounded, scale_for
-from bench.calibration import calibrate, verify
+from bench.calibration import calibrate
+from bench.calibration.verification import verify
 from bench.model import ForwardModel
 from bench.model.geometry import COEFFICIENTS, INSTALLATION_1, INSTALLATION_2
 from bench.readings.table import make_readings
@@ -46,14 +47,6 @@ def calibration():
     return calibrate(simulate(np.random.default_rng([5, 1]), 1e-4), MODEL, STAND_U, 9.81)
 
 
-@pytest.fixture
-def undrawn(monkeypatch):
-    """The page without its drawings, which take most of a second: enough for a test of its words."""
-    for name in ("residuals_by_angle", "residuals_in_order", "correlations", "verification_points"):
-        monkeypatch.setattr(plots, name, lambda *what: "<svg></svg>")
-    monkeypatch.setattr(plots, "compared_coefficients", lambda *what: "<svg></svg>")
-
-
 def verification_of(calibration, delta_g=0.0, missing=0, limit=3e-4, rule=None):
     angle = np.radians([45.0, 135.0, 225.0, 315.0])
     turned = np.stack([np.sin(angle) / np.sqrt(2), -np.sin(angle) / np.sqrt(2), np.cos(angle)], axis=1)
@@ -64,7 +57,6 @@ def verification_of(calibration, delta_g=0.0, missing=0, limit=3e-4, rule=None):
     return verify(rows, *known, limit, rule=rule)
 
 
-@pytest.mark.usefixtures("undrawn")
 def test_coefficients_stand_there_rounded_to_two_digits_of_u(calibration):
     text = Text(render_report(ReportContent("T", calibration))).text
     for name, value, u in zip(COEFFICIENTS, calibration.block.vector, calibration.u, strict=True):
@@ -74,7 +66,6 @@ def test_coefficients_stand_there_rounded_to_two_digits_of_u(calibration):
         assert expected in text, name
 
 
-@pytest.mark.usefixtures("undrawn")
 def test_the_verdict_is_said_first_and_in_words(calibration):
     passed = render_report(ReportContent("T", calibration, verification_of(calibration, 1e-4)))
     failed = render_report(ReportContent("T", calibration, verification_of(calibration, 5e-4)))
@@ -87,7 +78,6 @@ def test_the_verdict_is_said_first_and_in_words(calibration):
     assert "2 verification points are missing" in missing
 
 
-@pytest.mark.usefixtures("undrawn")
 def test_a_verdict_that_is_not_sure_says_so_in_words(calibration):
     result = verification_of(calibration, 2.8e-4, rule="simple")
     page = Text(render_report(ReportContent("T", calibration, result))).text
@@ -105,14 +95,12 @@ def test_a_verdict_that_is_not_sure_says_so_in_words(calibration):
     assert "larger than the limit of 50 µg, so conformity cannot be decided" in page
 
 
-@pytest.mark.usefixtures("undrawn")
 def test_without_verification_points_nothing_is_claimed(calibration):
     text = Text(render_report(ReportContent("T", calibration))).text
     assert "Not verified" in text
     assert "neither passed nor failed" in text
 
 
-@pytest.mark.usefixtures("undrawn")
 def test_what_a_user_wrote_cannot_become_markup(calibration):
     content = ReportContent("<b>T</b>", calibration, provenance={"operator": "<script>alert(1)</script>"})
     page = render_report(content)
@@ -122,6 +110,7 @@ def test_what_a_user_wrote_cannot_become_markup(calibration):
 
 
 @pytest.mark.slow
+@pytest.mark.figures
 def test_the_page_stands_alone_and_draws_every_reading_and_the_same_each_time(calibration):
     """54 readings of three channels, each drawn once against the angle: a marker is a <use> in the drawing."""
     content = ReportContent("T", calibration, verification_of(calibration), compared=None, simulated=True)
@@ -135,14 +124,12 @@ def test_the_page_stands_alone_and_draws_every_reading_and_the_same_each_time(ca
     assert len(page) < 1_000_000
 
 
-@pytest.mark.usefixtures("undrawn")
 def test_a_simulated_run_is_marked(calibration):
     content = ReportContent("T", calibration, simulated=True)
     assert "SIMULATED" in render_report(content)
     assert "SIMULATED" not in render_report(replace(content, simulated=False))
 
 
-@pytest.mark.usefixtures("undrawn")
 def test_what_the_data_do_not_tell_is_marked(calibration):
     text = Text(render_report(ReportContent("T", calibration))).text
     assert "no better known than before" in text  # alpha2: held by its limits alone
@@ -150,7 +137,6 @@ def test_what_the_data_do_not_tell_is_marked(calibration):
     assert "−10.4 µV/g" in text
 
 
-@pytest.mark.usefixtures("undrawn")
 def test_other_units_and_notes(calibration):
     content = ReportContent(
         "T", replace(calibration, unit="counts"), notes=("run unfinished",), skipped=("line 4",)
@@ -161,7 +147,6 @@ def test_other_units_and_notes(calibration):
     assert "line 4" in text
 
 
-@pytest.mark.usefixtures("undrawn")
 def test_the_comparison_with_another_estimator_is_shown(calibration):
     other = calibrate(calibration.fitted, MODEL, STAND_U, 9.81, "closed-form")
     page = render_report(ReportContent("T", calibration, compared=other))
@@ -171,7 +156,6 @@ def test_the_comparison_with_another_estimator_is_shown(calibration):
     )
 
 
-@pytest.mark.usefixtures("undrawn")
 def test_letters_of_any_language_stand_in_it(calibration):
     assert "Блок 17" in render_report(ReportContent("Блок 17", calibration))
 

@@ -25,8 +25,8 @@ SHORT, PATIENT = "0.3 s", "3 s"
 """A reply that a busy machine delays is one fault more in a campaign; beside a single fault there is none."""
 NEVER_S = 120.0
 """No trial is judged by its time here: a machine that is busy is not a fault."""
-BENCHES = ("paper-stand", "bench-rs232", "bench-prologix", "bench-motorised")
-"""GPIB boards, serial ports, an adapter; a head and a chamber with wires of their own."""
+BENCHES = ("paper-stand", "bench-rs232", "bench-prologix", "bench-motorised", "bench-harsh")
+"""GPIB boards, serial ports, an adapter; head and chamber with wires of their own; a bench as bad as real ones."""
 
 
 @pytest.fixture(scope="module")

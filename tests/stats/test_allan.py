@@ -122,3 +122,16 @@ def test_a_bench_finds_the_deviation_without_the_tools_of_tests(monkeypatch):
         monkeypatch.setitem(sys.modules, name, None)
     anew = importlib.import_module("bench.stats.allan")
     assert anew.fit_terms(anew.allan_curve(np.random.default_rng(33).normal(size=500), 1.0)).shown[1]
+
+
+def test_gaps_hardly_change_the_deviation():
+    whole = noise(WHITE, 4000)
+    holes = whole.copy()
+    holes[np.random.default_rng(36).random(4000) < 0.05] = np.nan
+    holes[1000:1300] = np.nan
+    a, b = allan_curve(whole, 1.0), allan_curve(holes, 1.0, gaps=True)
+    near = a.multiples <= 64
+    assert b.deviation[near] == pytest.approx(a.deviation[near], rel=0.15)
+    assert b.samples == np.isfinite(holes).sum()
+    # without a gap both ways of computing agree
+    assert allan_curve(whole, 1.0, gaps=True).deviation == pytest.approx(a.deviation, rel=1e-12)

@@ -3,7 +3,7 @@
 The readings come from `paper_bench`, whose geometry is not the application's.
 """
 
-from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from bench.diagnosis import Threshold, ThresholdCache
 from bench.diagnosis.candidates import Candidates, make_candidates
 from bench.diagnosis.evidence import Whitened
 from bench.diagnosis.linear import LinearSystem, make_linear
-from bench.diagnosis.noise_grid import make_noise_grid
+from bench.diagnosis.noise_grid import NoiseGrid, make_noise_grid
 from bench.model import ForwardModel, Installation
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
 from bench.readings.table import Readings, make_readings
@@ -89,17 +89,28 @@ class OneThreshold(ThresholdCache):
         return Threshold(1.2, 0.006, -0.3, 0.05, 0.7, 2000)
 
 
-@dataclass(frozen=True)
 class Set:
-    """Readings made ready for the search."""
+    """Readings made ready for the search; what takes long is made when it is asked for."""
 
-    linear: LinearSystem
-    candidates: Candidates
-    whitened: Whitened
+    def __init__(self, linear: LinearSystem, sigma: float) -> None:
+        self.linear, self.sigma = linear, sigma
+
+    @cached_property
+    def grid(self) -> NoiseGrid:
+        """The noise ratios with their maps to white noise."""
+        return make_noise_grid(self.linear, self.sigma, SETTING_U_RAD)
+
+    @cached_property
+    def candidates(self) -> Candidates:
+        """All candidates."""
+        return make_candidates(self.linear, self.sigma)
+
+    @cached_property
+    def whitened(self) -> Whitened:
+        """The candidates in units of the noise."""
+        return Whitened.of(self.grid, self.candidates)
 
 
 def set_up(readings: Readings, model: ForwardModel = MODEL, sigma: float = NOISE_V) -> Set:
     """Make readings linear, with all candidates, in units of the noise."""
-    linear = make_linear(readings, model, STAND_U)
-    candidates = make_candidates(linear, sigma)
-    return Set(linear, candidates, Whitened.of(make_noise_grid(linear, sigma, SETTING_U_RAD), candidates))
+    return Set(make_linear(readings, model, STAND_U), sigma)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from bench.calibration import Calibration, Verification
+from bench.calibration import Calibration
+from bench.calibration.verification import Verification
 from bench.results.calibration import calibrate_result
 from bench.results.verification import VerdictPart, verdict_members
 

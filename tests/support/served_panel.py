@@ -41,7 +41,7 @@ class ServedPanel:
 
 
 @contextlib.contextmanager
-def served(runs: Path) -> Iterator[ServedPanel]:
+def served(runs: Path, catalogue: str = "") -> Iterator[ServedPanel]:
     """Serve a panel on a free port of the loopback."""
     import uvicorn
 
@@ -49,7 +49,7 @@ def served(runs: Path) -> Iterator[ServedPanel]:
         listener.bind(("127.0.0.1", 0))
         listener.listen(64)
         port = listener.getsockname()[1]
-        server = uvicorn.Server(config_of(make_app(Settings(runs, port=port))))
+        server = uvicorn.Server(config_of(make_app(Settings(runs, port=port, catalogue=catalogue))))
         thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]}, daemon=True)
         thread.start()
         while not server.started:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from bench.base.arrays import Floats
+from bench.readings.centrifuge import CentrifugePoints
 from bench.readings.table import Readings, make_readings
 from tests.support.paper_bench import SETTING_U_RAD, STAND_U, U0, K, specific_force
 
@@ -21,6 +22,8 @@ class Terms:
     Kip: Floats = field(default_factory=lambda: np.zeros(3))
     Kpp: Floats = field(default_factory=lambda: np.zeros(3))
     Koo: Floats = field(default_factory=lambda: np.zeros(3))
+    K0p: Floats = field(default_factory=lambda: np.zeros(3))
+    K1p: Floats = field(default_factory=lambda: np.zeros(3))
 
     @classmethod
     def drawn(cls, rng: np.random.Generator) -> Terms:
@@ -38,6 +41,8 @@ class Terms:
             + self.Kip * a * nxt
             + self.Kpp * nxt * nxt
             + self.Koo * then * then
+            + self.K0p / 2 * np.clip(a / 0.005, -1, 1)
+            + self.K1p / 2 * np.abs(a)
         )
 
 
@@ -71,6 +76,28 @@ def tumble(
     return make_readings(installation, pass_number, point, phi, signal)
 
 
+def centrifuge(
+    rng: np.random.Generator | None,
+    terms: Terms,
+    noise_v: float = 0.0,
+    u_ms2: float = 1e-5,
+    u_radius: float = 1e-6,
+) -> CentrifugePoints:
+    """Points at 2, 5 and 10 g, up and down along each axis, which is the only one that is read."""
+    force = (
+        np.concatenate([size * np.eye(3)[[k]] for k in range(3) for size in (-10, -5, -2, 2, 5, 10)]) * 9.81
+    )
+    acting, noise = force / 9.81, np.zeros_like(force)
+    if rng is not None:
+        along = np.sign(acting) * rng.normal(0.0, u_ms2, (len(force), 1)) / 9.81
+        acting = acting * (1 + rng.normal(0.0, u_radius)) + along
+        noise = rng.normal(0.0, noise_v, force.shape)
+    signal = acting @ K.T + U0 + np.diag(K) * terms.output(acting) + noise
+    own = np.where(force != 0.0, signal, np.nan)
+    n = len(force)
+    return CentrifugePoints("points", force, np.full(n, u_ms2), np.full(n, u_radius), own)
+
+
 def truth(terms: Terms) -> dict[str, float]:
     """The quantities of the view by name ("x.K0"), each by itself: nothing contained of another."""
     found: dict[str, float] = {}
@@ -82,6 +109,6 @@ def truth(terms: Terms) -> dict[str, float]:
         found[f"{channel}.K1"] = own
         found[f"{channel}.alpha_{nxt}{channel}"] = K[i, "xyz".index(nxt)] / own
         found[f"{channel}.alpha_{then}{channel}"] = -K[i, "xyz".index(then)] / own
-        for name in ("K2", "K3", "Koq"):
+        for name in ("K2", "K3", "Koq", "K0p", "K1p"):
             found[f"{channel}.{name}"] = getattr(terms, name)[i]
     return found

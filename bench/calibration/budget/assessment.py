@@ -39,11 +39,10 @@ from bench.calibration.conformity import SIMPLE, DecisionRule, MeasuredValues, P
 from bench.calibration.design import coefficient_columns
 from bench.calibration.noise import KnownStand
 from bench.calibration.result import CalibrationError
-from bench.calibration.verification import modulus_slopes
 from bench.model.conditions import Conditions
 from bench.model.effects import Stage
 from bench.model.effects.base import Seen
-from bench.model.geometry import COEFFICIENTS, STAND_ANGLES
+from bench.model.geometry import COEFFICIENTS, STAND_ANGLES, modulus_slopes
 
 DIRECTIONS: Final = 1000
 MAGNITUDES_G: Final = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)

@@ -24,6 +24,7 @@ from bench.calibration.result import CalibrationError, Noise
 from bench.config.bench_file.file import STAND_ERRORS, BenchFile
 from bench.config.procedure.plan import Plan, Read, SetTemperature
 from bench.model.conditions import Conditions
+from bench.model.effects.base import lagged
 from bench.model.forward import ForwardModel
 from bench.model.geometry import STAND_ANGLES, Block
 from bench.readings.table import UNORIENTED, VERIFICATION, Readings, make_readings
@@ -340,6 +341,18 @@ def _temperature(source: ErrorSource, seen: AnyReadings) -> _Patterns:
     return _off_and_known(source, seen, seen.conditions.warmth_k)
 
 
+def _room(source: ErrorSource, seen: AnyReadings) -> _Patterns:
+    """Return the patterns of gains that follow the meters' temperature late: as recorded, or any course of it."""
+    conditions = seen.conditions
+    if conditions.meter_c is not None and source.u > 0:
+        behind = lagged(conditions.meter_warmth_k, conditions.elapsed_s, source.correlation_s)
+        courses = [(behind - behind.mean()) / source.u]
+    else:
+        courses = list(_unknown(conditions.elapsed_s, source.correlation_s).T)
+    gain, meters = (source.factors or {})["scale"] * seen.signal * source.on_channels, np.array(seen.meters)
+    return [(gain * course[:, None], meters[None, :]) for course in courses]
+
+
 def _supply(source: ErrorSource, seen: AnyReadings) -> _Patterns:
     rail, above_v = int((source.factors or {})["rail"]) - 1, seen.conditions.above_nominal_v
     return _off_and_known(
@@ -415,6 +428,7 @@ _PATTERNS: Final[Mapping[str, Callable[[ErrorSource, AnyReadings], _Patterns]]] 
     "voltmeter_linearity": _linearity,
     "gravity": lambda _, s: [(s.force @ s.block.K.T, _EVERYTHING)],
     "temperature": _temperature,
+    "room_temperature": _room,
     "thermometer": lambda own, s: _warmed(own, s, np.ones(len(s.signal))),
     "supply_voltage": _supply,
     "turn_on": _turn_on,

@@ -32,6 +32,8 @@ CHAMBER: Final = Distribution(0.5, "rectangular")
 BIAS_PER_K: Final = Distribution(30e-6, "rectangular")
 SCALE_PER_K: Final = Distribution(180e-6, "rectangular")
 """Priors of the block's temperature coefficients, g/K and 1/K: limits of a quartz-flexure accelerometer."""
+GAIN_PER_K: Final = Distribution(1e-6)
+"""Gain of a voltmeter per kelvin: a 34420A in an air bath follows by 0.75 ppm/K."""
 BIAS_PER_V: Final = Distribution(20e-6)
 SCALE_PER_V: Final = Distribution(20e-6)
 """Priors of a block's sensitivity to its supply, g/V and 1/V: the catalogue's plausible sizes, 1 sigma."""
@@ -89,6 +91,7 @@ def hidden_sources(
     """
     return (
         *_voltmeter_sources(bench, day, meters),
+        *_room_source(bench, model),
         *_head_table_source(bench),
         *_gravity_source(bench),
         _temperature_source(bench),
@@ -175,6 +178,25 @@ def _voltmeter_sources(
         for meter, one in zip(meters, sizes, strict=True):
             called = f"{name}[{''.join(meter.channels)}]"
             yield replace(_of_size(called, symbol, unit, common, one), channels=meter.channels)
+
+
+def _room_source(bench: BenchFile, model: ForwardModel) -> Iterator[ErrorSource]:
+    """Yield the gain of voltmeters that follow the room late, if the changes of the room are stated.
+
+    It acts on the channels whose model has no such effect.
+    """
+    room, stated = bench.uncertainty.room_temperature, bench.uncertainty.voltmeter_temperature_coefficient
+    known = {c for a in model.effects if a.effect.name == "voltmeter_thermal_gain" for c in a.channels}
+    left = tuple(channel for channel in CHANNELS if channel not in known)
+    if room is None or not left:
+        return
+    coefficient = (GAIN_PER_K if stated is None else stated.to_distribution()).u
+    size = Size.stated(room)
+    origin = message(f"{size.origin}; {coefficient * 1e6:.3g} ppm/K (1σ), {exact_duration(room.lag)} late")
+    source = _of_size("room_temperature", "T room", "K", "time", replace(size, origin=origin))
+    yield replace(
+        source, prior=stated is None, factors={"scale": coefficient}, channels=left, correlation_s=room.lag
+    )
 
 
 def _of_size(name: str, symbol: str, unit: str, common: Common, size: Size) -> ErrorSource:

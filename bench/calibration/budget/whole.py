@@ -6,6 +6,7 @@ budget and the calibration of its readings agree if their noise does. Source: JC
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from datetime import date
 from functools import cached_property
@@ -23,10 +24,9 @@ from bench.calibration.budget.propagation import effective_dof
 from bench.calibration.budget.sources import ROLL_ORIGIN, assumed_stand, hidden_sources
 from bench.calibration.components import walk_since
 from bench.calibration.result import Calibration, SourceOfError
-from bench.calibration.verification import modulus_slopes
 from bench.config.bench_file.file import BenchFile
 from bench.model import Block, Conditions, ForwardModel
-from bench.model.geometry import COEFFICIENTS
+from bench.model.geometry import COEFFICIENTS, modulus_slopes
 from bench.readings.table import UNORIENTED, VERIFICATION, Readings
 
 GRAVITY: Final = "gravity"
@@ -90,10 +90,14 @@ def sign(
     which no reading shows.
 
     `readings` is the whole table of the calibration, `day` its date, `meters` the learned errors of the voltmeters.
-    For readings in another unit than volts only a note is added, since the meters' errors are in volts.
+    For readings in another unit than volts, whose meters' errors are unknown, only the scatter of the zeros from
+    repeat to repeat is added, and a note.
     """
+    repeats = tuple(_zero_repeats(calibration, bench))
     if readings.unit != VOLTS:
-        return replace(calibration, notes=(*calibration.notes, _NO_VOLTS.format(unit=readings.unit)))
+        whole = calibration.covariance + sum((s.covariance for s in repeats), np.zeros((12, 12)))
+        note = _NO_VOLTS.format(unit=readings.unit)
+        return replace(calibration, covariance=whole, sources=repeats, notes=(*calibration.notes, note))
     taken = _taken(calibration, readings, bench)
     of_bench = _acting(calibration, bench, model, day, meters)
     own = tuple(_source(error, taken, calibration.gain) for error in of_bench if error.name != GRAVITY)
@@ -107,6 +111,7 @@ def sign(
         own = (
             SourceOfError(NAME, "α1, α2", moving.shown, moving.origin, moving.prior, moving.dof, tilts), *own,
         )  # fmt: skip
+    own += repeats
     if np.any(np.diag(roll) > 0):
         own = (_roll(bench, roll), *own)
     covariance = calibration.covariance_readings + sum((s.covariance for s in own), np.zeros((12, 12)))
@@ -131,6 +136,22 @@ def dof_through(calibration: Calibration, jacobian: Floats, known: float | Float
     variances.append(np.broadcast_to(np.asarray(known, dtype=np.float64), len(jacobian)))
     dof = [calibration.noise.reading_dof, *(s.dof for s in calibration.sources), np.inf]
     return effective_dof(np.stack(variances, axis=1), dof)
+
+
+def _zero_repeats(calibration: Calibration, bench: BenchFile) -> Iterator[SourceOfError]:
+    """Yield the scatter of the zeros from repeat to repeat, if the bench file states it."""
+    stated = bench.uncertainty.zero_repeats
+    if stated is None:
+        return
+    own = np.zeros((12, 12))
+    if stated.scale is not None:
+        own[9:, 9:] = np.diag(np.array(stated.scale) ** 2 * np.diag(calibration.covariance_readings)[9:])
+        shown = ", ".join(f"{one:.3g} u" for one in stated.scale)
+    else:
+        sizes = np.array(stated.restart or stated.drift)
+        own[9:, 9:] = calibration.block.K @ np.diag(sizes**2) @ calibration.block.K.T
+        shown = ", ".join(f"{1e3 * one:.3g} mg" for one in sizes.tolist())
+    yield SourceOfError("zero_repeats", "U0", shown, message("stated in the bench file"), False, np.inf, own)
 
 
 def _foundation(readings: Readings, bench: BenchFile) -> TiltRate | None:

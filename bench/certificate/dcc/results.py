@@ -13,10 +13,10 @@ import numpy as np
 from lxml import etree
 
 from bench.base.arrays import Floats
-from bench.calibration import Verification
 from bench.calibration.budget.whole import dof_through
 from bench.calibration.conformity import Statement
 from bench.calibration.intrinsic import joint_factor
+from bench.calibration.verification import Verification
 from bench.certificate.content import (
     Certificate,
     Condition,

@@ -182,6 +182,13 @@ class FaultSection(FileModel):
         return self.model_dump(exclude_none=True)
 
 
+class AdapterTruth(FileModel):
+    """The simulated GPIB adapter: the version that it answers, and whether it sends a NUL after each reply."""
+
+    version: str = Field("Prologix GPIB-ETHERNET Controller version 01.06.06.00", pattern=r"^[\x20-\x7e]+$")
+    nul: bool = False
+
+
 class SimulationSection(WithEffects):
     """The true state of the simulated bench; without `block`, the block has nominal scale factors only.
 
@@ -192,6 +199,7 @@ class SimulationSection(WithEffects):
     block: BlockTruth | None = None
     operator: OperatorTruth = OperatorTruth()
     voltmeter: VoltmeterTruth = VoltmeterTruth()
+    adapter: AdapterTruth = AdapterTruth()
     head: HeadTruth = HeadTruth()
     chamber: ChamberTruth = ChamberTruth()
     level: LevelTruth = LevelTruth()

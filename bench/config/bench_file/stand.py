@@ -417,6 +417,16 @@ class TemperatureError(ErrorSize):
     ) = None
 
 
+class RoomError(ErrorSize):
+    """The limit of the changes of the room's temperature, K, which voltmeters follow a `lag` late.
+
+    The lag is 100 min by default, as a published record of a 34420A in an air bath shows.
+    """
+
+    limit: SizeK
+    lag: Annotated[SpanS, above_zero("state a lag above 0 min")] = 6000.0
+
+
 class BiasPerKelvin(ErrorSize):
     """A temperature coefficient of the bias, g/K."""
 
@@ -459,6 +469,28 @@ class CubicError(ErrorSize):
     limit: Annotated[float, not_negative(CUBIC)]
 
 
+_ZeroG = Annotated[float, not_negative(BIAS)]
+_Factor = Annotated[float, Field(ge=0.0)]
+
+
+class ZeroRepeats(FileModel):
+    """How the zeros of x, y, z scatter from repeat to repeat, as `bench diagnose --together` finds it.
+
+    `restart` and `drift` are standard deviations in g, of each repeat or from one repeat to the next; `scale` are
+    factors of the u of the readings. One of them is stated.
+    """
+
+    restart: tuple[_ZeroG, _ZeroG, _ZeroG] | None = None
+    drift: tuple[_ZeroG, _ZeroG, _ZeroG] | None = None
+    scale: tuple[_Factor, _Factor, _Factor] | None = None
+
+    @model_validator(mode="after")
+    def _one_of_them(self) -> Self:
+        if sum(one is not None for one in (self.restart, self.drift, self.scale)) != 1:
+            raise ValueError("state one of restart, drift and scale, with a size for each channel")
+        return self
+
+
 class UncertaintySection(FileModel):
     """The limits of errors that the readings do not reveal; omitted limits have defaults.
 
@@ -471,11 +503,14 @@ class UncertaintySection(FileModel):
     voltmeter_linearity: VoltageError | None = None
     gravity: GravityError | None = None
     temperature: TemperatureError | None = None
+    room_temperature: RoomError | None = None
+    voltmeter_temperature_coefficient: ScalePerKelvin | None = None
     bias_temperature_coefficient: BiasPerKelvin | None = None
     scale_temperature_coefficient: ScalePerKelvin | None = None
     supply_voltage: VoltageError | None = None
     bias_supply_coefficient: BiasPerVolt | None = None
     scale_supply_coefficient: ScalePerVolt | None = None
     turn_on_repeatability: BiasError | None = None
+    zero_repeats: ZeroRepeats | None = None
     K2: QuadraticError | None = None
     K3: CubicError | None = None

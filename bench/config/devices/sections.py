@@ -18,6 +18,7 @@ from bench.base.units import (
     Ratio,
     SizeA,
     SizeRad,
+    SizeV,
     SpanS,
     TemperatureC,
     VoltageV,
@@ -101,11 +102,33 @@ CERTIFICATE: Final = "certificate"
 class VoltmeterTruth(FileModel):
     """The errors of the simulated voltmeters: whether they have noise, and whether they have errors.
 
-    `accuracy` chooses random errors within the maker's 90-day limits, or the errors in the certificates.
+    `accuracy` chooses random errors within the 90-day limits of the maker, or the errors in the certificates. The
+    further keys make an input as real ones are: a source of `source_ohm` is loaded by 10 MΩ unless the high
+    impedance is on; `mains` is the amplitude of the mains on the signal, which whole power-line cycles cancel;
+    `zero_drift` is the drift of the zero per hour with autozero off; `flicker` is the standard deviation of 1/f
+    noise per decade of frequency. `firmware` names the versions of the meters in turn; "3-1-1" prints a comma after
+    the last reading. `errors_at_start` stand in the error queue at switch-on. With `real_port` an RS-232 meter
+    loses what is sent between a query and its reply, and is silent after ten idle minutes.
     """
 
     noise: bool = True
     accuracy: Literal["90 days", "certificate"] | None = None
+    source_ohm: Annotated[float, Field(ge=0.0)] = 0.0
+    mains: SizeV = 0.0
+    zero_drift: SizeV = 0.0
+    flicker: SizeV = 0.0
+    firmware: tuple[Annotated[str, Field(pattern=r"^\d+(-\d+){2}$")], ...] = ()
+    errors_at_start: tuple[Annotated[int, Field(ge=-499, le=-100)], ...] = ()
+    real_port: bool = False
+
+    def flaws(self) -> dict[str, float]:
+        """Return the flaws of an input: source resistance (Ω), mains, 1/f noise (V), zero drift (V/s)."""
+        return {
+            "source_ohm": self.source_ohm,
+            "mains_v": self.mains,
+            "zero_drift_v_s": self.zero_drift / 3600.0,
+            "flicker_v": self.flicker,
+        }
 
 
 class SerialSection(FileModel):
@@ -359,7 +382,7 @@ TEMPERATURE_RATE: Final = QuantityKind("a rate of temperature", "4 K/min", "K/s"
 SizeK = Annotated[float, not_negative(DIFFERENCE)]
 RateKS = Annotated[float, not_negative(TEMPERATURE_RATE)]
 
-OF_THE_AIR: Final = ("rate", "lag", "off_lag")
+OF_THE_AIR: Final = ("rate", "lag", "off_lag", "ringing", "room_share")
 """Keys of the simulation section that affect any simulated chamber."""
 
 
@@ -371,13 +394,16 @@ class ChamberTruth(FileModel):
 
     The set point of the air moves at `rate`, and the air follows with the time constant `lag`. When the chamber is
     off, the air returns to ambient with the time constant `off_lag`. `sensor_noise` is the standard deviation of
-    its readings.
+    its readings. With a period `ringing` the air overshoots the set point and rings. The block settles at the air
+    plus `room_share` of the difference between the room and the air, as the platform conducts heat.
     """
 
     rate: Annotated[RateKS, above_zero(_NO_CHAMBER)] = 4.0 / 60.0
     lag: Annotated[SpanS, above_zero(_NO_CHAMBER)] = 120.0
     off_lag: Annotated[SpanS, above_zero(_NO_CHAMBER)] = 3600.0
     sensor_noise: SizeK = 0.0
+    ringing: Annotated[SpanS, Field(ge=0.0)] = 0.0
+    room_share: Annotated[Ratio, Field(ge=0.0, lt=1.0)] = 0.0
 
 
 class TemperatureRange(FileModel):

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Final, Literal
 
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
+from bench.base.arrays import CHANNELS
 from bench.base.units import DurationS
 from bench.config.devices.device import (
     Device,
@@ -39,6 +40,25 @@ class Agilent34401ASection(OneChannelForm, SerialPortForm):
 
     driver: Literal["agilent-34401a"]
 
+    def simulation_options(self, truth: VoltmeterTruth) -> dict[str, Any]:
+        """Return the options of every simulated voltmeter, the flaws of input and port, and the firmware."""
+        options = super().simulation_options(truth) | {
+            "errors_at_start": truth.errors_at_start,
+            "real_port": truth.real_port,
+        }
+        if truth.firmware:
+            options["firmware"] = truth.firmware[CHANNELS.index(self.channels[0]) % len(truth.firmware)]
+        return options | _flaws(truth)
+
+
+def _flaws(truth: VoltmeterTruth) -> dict[str, Any]:
+    """Return the option `flaws` of a simulated input, or none for an ideal one."""
+    flaws = truth.flaws()
+    return {"flaws": flaws} if any(flaws.values()) else {}
+
+
+_OF_THE_INPUT: Final = ("noise", "accuracy", "source_ohm", "mains", "zero_drift", "flicker")
+
 
 _AGILENT_34401A = Device(
     "agilent-34401a",
@@ -46,7 +66,7 @@ _AGILENT_34401A = Device(
     driver="drivers.instruments.agilent_34401a:Agilent34401A",
     simulation="sim.agilent_34401a:Agilent34401A",
     example={"channels": ["x"], "resource": "GPIB0::22::INSTR", "interface": "gpib"},
-    simulated=("noise", "accuracy"),
+    simulated=(*_OF_THE_INPUT, "firmware", "errors_at_start", "real_port"),
 )
 
 
@@ -58,6 +78,10 @@ class Keysight34461ASection(OneChannelForm):
     driver: Literal["keysight-34461a"]
     interface: Literal["lan", "gpib"] = "lan"
 
+    def simulation_options(self, truth: VoltmeterTruth) -> dict[str, Any]:
+        """Return the options of every simulated voltmeter, and the flaws of its input."""
+        return super().simulation_options(truth) | _flaws(truth)
+
 
 _KEYSIGHT_34461A = Device(
     "keysight-34461a",
@@ -65,7 +89,7 @@ _KEYSIGHT_34461A = Device(
     driver="drivers.instruments.keysight_34461a:Keysight34461A",
     simulation="sim.keysight_34461a:Keysight34461A",
     example={"channels": ["x"], "resource": "TCPIP0::192.0.2.22::5025::SOCKET"},
-    simulated=("noise", "accuracy"),
+    simulated=_OF_THE_INPUT,
 )
 
 

@@ -115,13 +115,6 @@ LEAST_FALL: Final = 150.0
 """Least decrease of the cost by a mistake; a wrong sign of a scale factor costs 400."""
 FITS: Final = 4.0
 """Readings fit if the misfit is at most `LEAST_FALL` plus this per signal, the sheet's part `LEAST_FALL`."""
-LARGE_FALL: Final = 0.8
-"""Least relative decrease of the cost by a mistake if neither one nor two mistakes make the readings fit.
-
-A smaller decrease suffices for a mistake that brings the block nearer to its data sheet, if only that
-disagrees.
-"""
-
 LEAST_OF_TWO: Final = 0.25
 """Least misfit of two mistakes, g^2 over all readings; positions tilted by a degree give a tenth of it."""
 RAISED: Final = 2.0
@@ -184,45 +177,39 @@ class GrossSearch:
         """Standard deviation, in g, of the error of a reading without a mistake."""
         return max(GROSS_G, self.stand_rad)
 
-    def find(self, table: OrientedRows) -> tuple[GrossMistake | None, int]:
-        """Return the most probable mistake, or None, and the number of looks.
+    def find(self, table: OrientedRows) -> GrossMistake | None:
+        """Return the most probable mistake; None if its odds do not exceed `ODDS` for each look.
 
-        If only two mistakes together explain the readings, it is the first of them. Its odds must exceed `ODDS`
-        whatever the bench's limits are; if those of the mistake with the lowest cost do not, the mistake with
-        the best odds is returned among those that lower the cost by `LEAST_FALL`.
+        The best supposition of each name is compared if it lowers the cost by `LEAST_FALL`. If only two mistakes
+        together explain the readings, the first of them is among these.
         """
+        if float(self.score(table, [nothing(table)]).cost[0]) < LEAST_COST:
+            return None
         supposed = suppositions(table, units=self.nominal is not None)
         looks = len(supposed)
-        if float(self.score(table, [nothing(table)]).cost[0]) < LEAST_COST:
-            return None, looks
         scores = self.score(table, supposed)
-        if float(np.max(scores.cost[0] - scores.cost)) < LEAST_FALL:
-            return None, looks
-        best, two = int(np.argmin(scores.cost)), 0
-        if not bool(_fits(scores, len(table))[best]):
-            two, with_both, more = self._first_of_two(table, supposed, scores.cost)
-            looks += more
-            best = best if two or _better(scores, best, len(table)) else 0
-        odds = np.full(len(supposed), -np.inf)
+        cost = scores.cost
+        likely = list(_best_of_each(supposed, cost))
+        if not likely:
+            return None
         as_recorded = self._log_evidence(table, table)
-
-        def look(h: int) -> float:
-            right = self._log_evidence(put_right(table, supposed[h]), table)
-            return right + supposed[h].log_jacobian - as_recorded
-
-        for h in {best, *_best_of_each(supposed, scores.cost)} if best else {best}:
-            odds[h] = look(h)
-        if two:
-            odds[two] = max(look(two), self._log_evidence(with_both, table) - as_recorded)
-        if odds.max() - np.log(looks) <= np.log(ODDS):
-            for h in np.flatnonzero(scores.cost[0] - scores.cost >= LEAST_FALL).tolist():
-                odds[h] = look(h)
-        best = int(np.argmax(odds))
+        odds = {
+            h: self._log_evidence(put_right(table, supposed[h]), table)
+            + supposed[h].log_jacobian
+            - as_recorded
+            for h in likely
+        }
+        if not _fits(scores, len(table))[int(np.argmin(cost))]:
+            two, with_both, more = self._first_of_two(table, supposed, cost)
+            looks += more
+            if two:
+                odds[two] = max(odds.get(two, -np.inf), self._log_evidence(with_both, table) - as_recorded)
+        best = max(odds, key=lambda h: odds[h])
         if odds[best] - np.log(looks) <= np.log(ODDS):
-            return None, looks
-        cost = np.where(scores.cost < scores.cost[best], np.inf, scores.cost)
+            return None
+        cost = np.where(cost < cost[best], np.inf, cost)
         p = max(looks * float(np.exp(-odds[best])), LEAST_P)
-        return self._with_equals(table, supposed, cost, best, p), looks
+        return self._with_equals(table, supposed, cost, best, p)
 
     def p_of_units(
         self, recorded: OrientedRows, right: OrientedRows, log_scaling: float, log_looks: float
@@ -362,13 +349,6 @@ def _sheet_u() -> Floats:
 def _fits(scores: SuppositionScores, n: int) -> NDArray[np.bool_]:
     """Return whether the `n` readings fit with each supposition, shape (H,)."""
     return np.asarray((scores.sheet <= LEAST_FALL) & (scores.misfit <= LEAST_FALL + FITS * 3 * n))
-
-
-def _better(scores: SuppositionScores, best: int, n: int) -> bool:
-    """Whether a supposition that does not make the readings fit is the first step of more than two to it."""
-    falls = scores.cost[best] <= (1 - LARGE_FALL) * scores.cost[0]
-    against_sheet_alone = scores.misfit[best] - scores.sheet[best] <= FITS * 3 * n
-    return bool(falls or (against_sheet_alone and scores.sheet[0] - scores.sheet[best] >= LEAST_FALL))
 
 
 def _fit(

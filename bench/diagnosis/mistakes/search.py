@@ -14,32 +14,25 @@ from typing import Final
 
 import numpy as np
 
-from bench.base.arrays import CHANNELS, Floats, Mask
+from bench.base.arrays import CHANNELS, Floats, Ints, Mask
 from bench.calibration.calibrate import usable_rows
 from bench.calibration.design import Problem, make_problem
 from bench.calibration.gls import noise_floor
 from bench.calibration.mistakes import PREFIX, PREFIXES, WrongUnit, sheet_of, wrong_unit
 from bench.calibration.result import CalibrationError
-from bench.diagnosis.mistakes.describing import (
-    Description,
-    Situation,
-    descriptions,
-    examine,
-    situation,
-    weigh,
-)
+from bench.diagnosis.levels import HARDLY_EVER
 from bench.diagnosis.mistakes.gross import GrossMistake, GrossSearch
+from bench.diagnosis.mistakes.hypotheses import Table
 from bench.diagnosis.mistakes.reinterpretation import OrientedRows
 from bench.diagnosis.mistakes.single_readings import SingleMistake, find_single
 from bench.diagnosis.mistakes.whole_pass import PassMistake, find_in_pass
+from bench.diagnosis.noise_grid import RATIOS
 from bench.model import STAND_ANGLES, Block, ForwardModel
 from bench.readings.corrected import MistakeName
 from bench.readings.table import Readings
 
-FALSE_MISTAKE: Final = 1e-4
-"""Probability of reporting any single reading of a table as wrong if none is."""
 MOST: Final = 5
-"""Most mistakes of each of the two kinds that are corrected one after another."""
+"""Most gross mistakes that are corrected one after another, and half the most searches of passes and readings."""
 
 
 @dataclass(frozen=True)
@@ -74,14 +67,13 @@ class Mistake:
 
 @dataclass(frozen=True)
 class MistakeSearch:
-    """The mistakes in the order of their correction, the corrected copy, and the number of looks.
+    """The mistakes in the order of their correction, and the corrected copy.
 
     The copy omits each reading with an outlier and lists it in `skipped`.
     """
 
     mistakes: tuple[Mistake, ...]
     corrected: Readings
-    looks: int
 
 
 class MistakesLeaveTooLittle(CalibrationError):
@@ -101,7 +93,7 @@ def find_mistakes(
     model: ForwardModel,
     stand_u: Mapping[str, float],
     nominal_scale_factors: Floats | None,
-    significance: float = FALSE_MISTAKE,
+    significance: float = HARDLY_EVER,
 ) -> MistakeSearch:
     """Look for mistakes in a table of readings.
 
@@ -117,38 +109,30 @@ def find_mistakes(
     stage = _Stage(model, stand_u, GrossSearch(model.installations, nominal, float(np.linalg.norm(limits))))
     found: list[Mistake] = []
     copies = [readings]
-    looks = 1
     unit = wrong_unit(readings, model, sheet_of(readings.unit, ())) if nominal is None else None
     if unit is not None:  # no data sheet says how large signals are: they are compared with each other
         copies.append(unit.corrected(readings))
         found.append(_unit_mistake(unit, _p_of_unit(stage.gross, unit, *copies)))
     for _ in range(MOST):
         table = OrientedRows.of(copies[-1])
-        gross, more = stage.gross.find(table)
-        looks += more
+        gross = stage.gross.find(table)
         if gross is None:
             break
         found.append(_gross_mistake(gross))
         copies.append(gross.supposition.correct(copies[-1], table))
-    for _ in range(MOST):
-        view = stage.view(copies[-1])
-        of_pass, more = find_in_pass(
-            view.problem, view.table.signal, view.floor, partial(stage.fit, view.table)
+    for _ in range(2 * MOST):
+        before, view = copies[-1], stage.view(copies[-1])
+        of_pass = find_in_pass(view.problem, view.table.signal, view.floor, partial(stage.fit, view.table))
+        wrong = (
+            [_of_pass(view, of_pass)]
+            if of_pass
+            else [_of_reading(view, single) for single in find_single(view.rows, significance)]
         )
-        looks += more
-        if of_pass is None:
+        if not wrong:
             break
-        found.append(_pass_mistake(view, of_pass))
-        copies.append(_pass_put_right(copies[-1], view, of_pass))
-    for _ in range(MOST):
-        view = stage.view(copies[-1])
-        singles, looks = find_single(view.problem, view.block, view.situation, looks, significance)
-        if not singles:
-            break
-        found += [_single_mistake(view, single) for single in singles]
-        before = copies[-1]
-        copies += [_put_right(before, view, singles[: k + 1]) for k in range(len(singles))]
-    return MistakeSearch(_with_evidence(stage, found, copies), copies[-1], looks)
+        found += [one.mistake for one in wrong]
+        copies += [_put_right(before, wrong[: k + 1]) for k in range(len(wrong))]
+    return MistakeSearch(_with_evidence(stage, found, copies), copies[-1])
 
 
 @dataclass(frozen=True)
@@ -163,12 +147,9 @@ class _FirstGuess:
     unit: str
 
     @property
-    def situation(self) -> Situation:
-        return situation(self.problem, self.block, self.table.signal, self.floor)
-
-    @property
-    def model(self) -> Description:
-        return descriptions(self.problem, self.block).ladder[0]
+    def rows(self) -> Table:
+        """The table of hypotheses."""
+        return Table.of(self.problem, self.block, self.table.signal, self.floor)
 
 
 @dataclass(frozen=True)
@@ -192,7 +173,16 @@ class _Stage:
         return _FirstGuess(table, problem, block, floor, sheet, readings.unit)
 
 
-def _pass_mistake(view: _FirstGuess, of_pass: PassMistake) -> Mistake:
+@dataclass(frozen=True)
+class _Wrong:
+    """A mistake in some `rows` of the readings: their angles are off by `off_rad`, or they are left out if None."""
+
+    mistake: Mistake
+    rows: Ints
+    off_rad: float | None
+
+
+def _of_pass(view: _FirstGuess, of_pass: PassMistake) -> _Wrong:
     conditions = view.problem.conditions
     row = int(np.argmax(of_pass.rows))
     mount, number = str(conditions.mounts[conditions.mount[row]]), int(conditions.pass_number[row])
@@ -215,19 +205,8 @@ def _pass_mistake(view: _FirstGuess, of_pass: PassMistake) -> Mistake:
     words = f"installation {mount}, pass {number}: {said}"
     if of_pass.ties:
         words += f" ({', '.join(of_pass.ties)} would look the same)"
-    return Mistake(name, channels, (mount,), number, None, words, of_pass.p, of_pass.ties)
-
-
-def _pass_put_right(readings: Readings, view: _FirstGuess, of_pass: PassMistake) -> Readings:
-    """Return a copy with the angles of a pass corrected, or without the pass."""
-    rows = view.table.rows[of_pass.rows]
-    if of_pass.off_rad is None:
-        said = _pass_mistake(view, of_pass).words.split(":")
-        kept = ~np.isin(np.arange(len(readings)), rows)
-        return replace(readings, skipped=(*readings.skipped, ":".join(said[:2]))).select(kept)
-    angle = readings.angle_rad.copy()
-    angle[rows] += of_pass.off_rad
-    return replace(readings, angle_rad=angle)
+    mistake = Mistake(name, channels, (mount,), number, None, words, of_pass.p, of_pass.ties)
+    return _Wrong(mistake, view.table.rows[of_pass.rows], of_pass.off_rad)
 
 
 def _p_of_unit(gross: GrossSearch, unit: WrongUnit, recorded: Readings, right: Readings) -> float:
@@ -276,11 +255,11 @@ def _gross_mistake(gross: GrossMistake) -> Mistake:
     )
 
 
-def _single_mistake(view: _FirstGuess, single: SingleMistake) -> Mistake:
+def _of_reading(view: _FirstGuess, single: SingleMistake) -> _Wrong:
     conditions = view.problem.conditions
     mount = str(conditions.mounts[conditions.mount[single.row]])
     number, point = int(conditions.pass_number[single.row]), int(conditions.point[single.row])
-    return Mistake(
+    mistake = Mistake(
         name=MistakeName.OUTLIER if single.off_rad is None else MistakeName.WRONG_SETTING,
         channels=single.channels,
         installations=(mount,),
@@ -290,6 +269,7 @@ def _single_mistake(view: _FirstGuess, single: SingleMistake) -> Mistake:
         p=single.p,
         cannot_tell_from=(MistakeName.OUTLIER,) if single.as_outlier and single.off_rad is not None else (),
     )
+    return _Wrong(mistake, view.table.rows[[single.row]], single.off_rad)
 
 
 def _single_words(view: _FirstGuess, single: SingleMistake) -> str:
@@ -313,17 +293,16 @@ def _single_words(view: _FirstGuess, single: SingleMistake) -> str:
     )
 
 
-def _put_right(readings: Readings, view: _FirstGuess, singles: Sequence[SingleMistake]) -> Readings:
-    """Return a copy with the angles of wrong settings corrected, and without the readings with an outlier."""
+def _put_right(readings: Readings, wrong: Sequence[_Wrong]) -> Readings:
+    """Return a copy with the angles of wrong settings corrected, and without the rows of other mistakes."""
     angle, kept = readings.angle_rad.copy(), np.ones(len(readings), dtype=bool)
     skipped = list(readings.skipped)
-    for single in singles:
-        row = view.table.rows[single.row]
-        if single.off_rad is None:
-            kept[row] = False
-            skipped.append(_single_mistake(view, single).words.split(";")[0])
+    for one in wrong:
+        if one.off_rad is None:
+            kept[one.rows] = False
+            skipped.append(one.mistake.words.split(";")[0])
         else:
-            angle[row] += single.off_rad
+            angle[one.rows] += one.off_rad
     return replace(readings, angle_rad=angle, skipped=tuple(skipped)).select(kept)
 
 
@@ -337,12 +316,8 @@ def _with_evidence(
     if not found:
         return ()
     views = [stage.view(copy) for copy in copies]
-    situations = [v.situation for v in views]
-    noise = examine(views[-1].model, situations[-1], None, 0).noise
-    sizes = [
-        float(np.sqrt((weigh(v.model, s, noise).chi2 + v.sheet) / s.left.size))
-        for v, s in zip(views, situations, strict=True)
-    ]
+    last = max((views[-1].rows.seen(ratio) for ratio in RATIOS), key=lambda seen: seen.log_evidence)
+    sizes = [float(np.sqrt((view.rows.chi2(last) + view.sheet) / view.table.signal.size)) for view in views]
     return tuple(
         replace(mistake, evidence=Evidence(before, after))
         for mistake, before, after in zip(found, sizes[:-1], sizes[1:], strict=True)

@@ -22,6 +22,7 @@ from bench.model.effects.formula import ExpressionError, FormulaEffect
 
 __all__ = [
     "CATALOGUE",
+    "TEMPERATURE_EFFECTS",
     "AppliedEffect",
     "Catalogue",
     "Effect",
@@ -36,6 +37,9 @@ __all__ = [
 
 MODULES: Final = ("block", "stand", "voltmeter")
 """The modules of this folder that define effects, in the order of the catalogue."""
+
+TEMPERATURE_EFFECTS: Final = ("thermal_bias", "thermal_scale", "thermal_settling", "thermal_emf")
+"""Effects by which a model takes temperature out of the coefficients."""
 
 GROUP: Final = "triaxial_bench.effects"
 

@@ -115,6 +115,23 @@ class CrossQuadratic(BlockEffect):
         return seen.scale * (values["Kpp"] * a_j**2 + values["Koo"] * a_k**2)
 
 
+ROUNDED_G: Final = 0.01
+"""Half-width, g, over which a step at zero force is smoothed: arcseconds of the stand must not flip its sign."""
+
+
+class BiasAsymmetry(BlockEffect):
+    """Asymmetry (K0'/2) sign(a_i) of the bias; a dead band of half-width w leaves K0' = -2 w beyond it."""
+
+    name = "bias_asymmetry"
+    parameters = (_size("K0p", "ug", 20e-6),)
+    sentence = "the bias of the accelerometer differs between positive and negative acceleration (dead band)"
+    shown_by = "12 or more angles in a turn"
+
+    def addition(self, values: Values, seen: Seen) -> Floats:
+        """Return K_ii (K0p_i / 2) sign(a_i) in volts, shape (n, 3), with the sign smoothed over `ROUNDED_G`."""
+        return seen.scale * values["K0p"] / 2 * np.tanh(seen.signal / ROUNDED_G)
+
+
 # --- hysteresis -------------------------------------------------------------------------------------
 # Between two settings the head takes the shortest way; to approach from the other side it overshoots the setting
 # first. Angles are scale readings and installations nominal, so that small errors of the stand do not flip a
@@ -241,6 +258,37 @@ class ThermalScale(BlockEffect):
         """Return K_ii k_T_i T a_i in volts, shape (n, 3)."""
         warmth = lagged(seen.conditions.warmth_k, seen.conditions.elapsed_s, float(values["lag"]))
         return warmth[:, None] * seen.signal * (seen.scale * values["k_T"])
+
+
+class ThermalNonlinearity(BlockEffect):
+    """Changes of K2 and K3 with T, the temperature minus the reference: (K2_T a_i^2 + K3_T a_i^3) T."""
+
+    name = "thermal_nonlinearity"
+    parameters = (_size("K2_T", "ug/g^2/K", 0.3e-6), _size("K3_T", "ug/g^3/K", 0.2e-6))
+    sentence = "the nonlinearity of the accelerometer follows the temperature"
+    shown_by = "12 or more angles in a turn at two temperatures; a centrifuge at two temperatures"
+
+    def addition(self, values: Values, seen: Seen) -> Floats:
+        """Return K_ii (K2_T_i a_i^2 + K3_T_i a_i^3) T in volts, shape (n, 3)."""
+        a, warmth = seen.signal, seen.conditions.warmth_k[:, None]
+        return warmth * (seen.scale * (values["K2_T"] * a**2 + values["K3_T"] * a**3))
+
+
+class ThermalMisalignment(BlockEffect):
+    """Input axes that turn with T, the temperature minus the reference: (m_j a_j + m_k a_k) T."""
+
+    name = "thermal_misalignment"
+    parameters = tuple(
+        Parameter(name, "urad/K", 1e-6, plausible=1e-6, per_channel=True) for name in ("m_j", "m_k")
+    )
+    sentence = "the input axis of the accelerometer turns with the temperature"
+    shown_by = "the same settings in both installations at two temperatures"
+
+    def addition(self, values: Values, seen: Seen) -> Floats:
+        """Return K_ii (m_j_i a_j + m_k_i a_k) T in volts, shape (n, 3)."""
+        a_j, a_k = _others(seen.signal)
+        warmth = seen.conditions.warmth_k[:, None]
+        return warmth * (seen.scale * (values["m_j"] * a_j + values["m_k"] * a_k))
 
 
 class WarmUp(BlockEffect):

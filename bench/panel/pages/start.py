@@ -116,6 +116,8 @@ def wished(panel: Panel, person: Person, sent: Mapping[str, str], queued: str = 
         "bench": str(chosen_bench(sent.get("bench", ""), panel.runs).absolute()),
         "operator": person.name,
     }
+    if panel.settings.laboratory is not None:
+        given["laboratory"] = str(panel.settings.laboratory.absolute())
     for one in map(form_field, FORM):
         if one.kind == "flag":
             given[one.name] = sent.get(one.name, "") == "yes"

@@ -73,7 +73,7 @@
     }
     const focused = $("control").contains(document.activeElement);
     $("control").replaceChildren(...offered);
-    if (focused && offered.length) offered[0].focus();
+    if (focused && offered.length) (holding() && !asking.length && !$("typing").hidden ? $("typed") : offered[0]).focus();
   };
 
   const allow = () => {
@@ -110,10 +110,10 @@
   };
 
   const askedAnew = (prompt) => {
-    const old = shownPrompt;
+    const typed = $("typed"), old = shownPrompt, sent = sentFor !== "";
+    const same = old && prompt && old.id.split("#")[0] === prompt.id.split("#")[0];  /* the same step asks again */
     shownPrompt = prompt;
     sentFor = "";
-    const typed = $("typed"), same = old && prompt && old.do === prompt.do && old.target === prompt.target && old.kind === prompt.kind;
     const wants = prompt && (prompt.kind === "angle" || prompt.kind === "number");
     if (!same) typed.value = prompt ? sessionStorage.getItem(DRAFT + prompt.id) || "" : "";
     show("typing", Boolean(wants));
@@ -135,6 +135,7 @@
     const inside = $("answer").contains(document.activeElement) || [document.body, $("main"), $("todo")].includes(document.activeElement);
     $("buttons").replaceChildren(...buttons);
     if (inside) (wants ? typed : prompt.enter && buttons.length ? buttons[0] : $("todo")).focus({ preventScroll: true });
+    if (same && sent) typed.select();  /* what was refused: typing replaces it */
     check();
   };
 
@@ -187,10 +188,11 @@
   const answer = async (text) => {
     if (!shownPrompt || sentFor === shownPrompt.id) return;
     const id = shownPrompt.id;
+    clearTimeout(checkTimer);
     sentFor = id;
     allow();
     const taken = await post("answer", { id, text });
-    if (!taken && sentFor === id) sentFor = "";
+    if (!taken && sentFor === id) { sentFor = ""; $("typed").select(); }
     allow();
   };
 
@@ -332,7 +334,7 @@
       put("approach", prompt.direction > 0 ? _("↺ rising, from below") : _("↻ falling, from above"));
     }
     show("answer", Boolean(prompt));
-    if (!prompt) showLive({});
+    showLive(prompt ? latest : {});  /* a value may have come before its question */
     $("now").classList.toggle("asking", Boolean(prompt));
     draw(prompt ? prompt.drawing : "");
     if ((prompt || {}).id !== (shownPrompt || {}).id) askedAnew(prompt);
@@ -456,11 +458,12 @@
   /* --- the signals while one adjusts: the last minute, scaled to what they moved ------------------------------------- */
 
   const TRACE_S = 60, LEAST_SPAN_V = 2e-5;
-  let trace = [];
+  let trace = [], latest = {};
   const showLive = (value) => {
     const there = Boolean(value.time) && value.prompt === (state.prompt || {}).id;
     show("signals", there);
     if (!there) { trace = []; return; }
+    if (value.time === live.dataset.shown) return;
     const seen = Boolean(value.signals_v);
     put("not-live", value.why || "");
     put("to-go", value.to_go || "");
@@ -521,7 +524,7 @@
       BenchPlots.show($("plots"), points, kOfBand);
       put("outside", outsideWords());
     });
-    source.addEventListener("live", (event) => showLive(took(event)));
+    source.addEventListener("live", (event) => { latest = took(event); showLive(latest); });
     source.addEventListener("beat", (event) => { took(event); tick(); });
     source.addEventListener("trouble", (event) => { gone = `✗ ${took(event).words}`; gone = gone || "✗"; source.close(); tick(); });
     source.addEventListener("error", async () => {

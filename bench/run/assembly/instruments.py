@@ -162,6 +162,8 @@ def world_of(bench: BenchFile, model: ForwardModel, seed: int, clock: Clock) -> 
         chamber_rate_c_s=truth.chamber.rate,
         chamber_lag_s=truth.chamber.lag,
         chamber_off_lag_s=truth.chamber.off_lag,
+        chamber_ringing_s=truth.chamber.ringing,
+        room_share=truth.chamber.room_share,
         power=power_of(bench),
         level=LevelSettings(
             truth.level.zero_along, truth.level.zero_across, truth.level.noise, truth.level.scale

@@ -8,6 +8,7 @@ import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Final
 
 from bench.base.files import cache_folder
@@ -18,6 +19,7 @@ from bench.config.procedure.steps import in_scan_order, read_order
 from bench.model import ForwardModel
 from bench.readings.reading import Reading
 from bench.readings.table import REFERENCE, SHORTED, scan_order
+from bench.run.assembly.hands import SimulatedHands
 from bench.run.assembly.instruments import (
     Surroundings,
     buses_of,
@@ -84,9 +86,10 @@ class LivingOperator:
     def ask(self, prompt: Prompt) -> Answer:
         """Ask the person and carry out the task in the world; return the person's answer.
 
-        If the task is to read a display, the scripted operator reads it first, and the prompt contains the value
-        shown. If the task is to turn a head with an encoder, the operator's answer is returned. After an invalid or
-        refusing answer the task is not carried out. Raises the errors of the person's `ask`.
+        If the task is to read a display, the operator looks first, and the prompt contains what it shows. If the
+        task is to turn a head with an encoder, the operator's answer is returned; hands-free, the operator turns
+        while the question is open. After an invalid or refusing answer the task is not carried out. Raises the
+        errors of the person's `ask`.
         """
         action = prompt.action
         if action["do"] in _LOOKED_AT:
@@ -94,6 +97,8 @@ class LivingOperator:
             return self._person.ask(
                 replace(prompt, text=f"{prompt.text} {message(f'(Simulated: it shows {seen}.)')}")
             )
+        if action["do"] == "turn" and action.get("hands_free"):
+            return self._turned_meanwhile(prompt)
         answer = self._person.ask(prompt)
         if answer.prompt_id != prompt.id or problem_with_answer(prompt, answer.text):
             return answer  # invalid, so the caller asks again
@@ -106,6 +111,18 @@ class LivingOperator:
         elif action["do"] in _DONE and answer.text.strip().lower() not in NO:
             self._hands.ask(prompt)
         return answer
+
+    def _turned_meanwhile(self, prompt: Prompt) -> Answer:
+        """Show the prompt to the person while the operator turns and the encoder watches, which ends it."""
+
+        def turn() -> None:
+            self._hands.ask(prompt)
+
+        look, self._person.meanwhile = self._person.meanwhile, turn
+        try:
+            return self._person.ask(prompt)
+        finally:
+            self._person.meanwhile = look
 
 
 HELD: Final = "instruments"
@@ -248,19 +265,24 @@ def served_bench(
     host: str = "127.0.0.1",
     first_port: int = 0,
     with_terminals: bool = True,
+    hands: Path | None = None,
+    tell: Callable[[str], None] = print,
 ) -> Iterator[Serving]:
     """Serve the simulated wired instruments on the network, with a clock `speed` times as fast as real time.
 
-    Raises `BenchError` if a port is in use, or for a fault that its instrument cannot have.
+    `hands` is a folder of runs for which simulated hands turn and mount, and `tell` it. Raises `BenchError` if a
+    port is in use, or for a fault that its instrument cannot have.
     """
+    world = world_of(bench, model, seed, ScaledClock(speed))
     simulated = _simulated(
         bench,
-        world_of(bench, model, seed, ScaledClock(speed)),
+        world,
         host=host,
         first_port=first_port,
         with_terminals=with_terminals and TERMINALS,
     )
-    with simulated, TcpServer(Wired(BenchControl(simulated)), host=host) as control:
+    helped = nullcontext() if hands is None else SimulatedHands(world, hands, tell, speed).working()
+    with simulated, TcpServer(Wired(BenchControl(simulated)), host=host) as control, helped:
         yield Serving(tuple(simulated.addresses()), control.address)
 
 
@@ -280,6 +302,7 @@ def _simulated(
             first_port=first_port,
             with_terminals=with_terminals,
             buses=buses_of(bench),
+            adapter_options=bench.simulation.adapter.model_dump(),
             faults=faults_of(bench),
         )
     except ValueError as error:

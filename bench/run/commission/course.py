@@ -171,13 +171,14 @@ class Part:
 
 def _identities(evening: CommissioningSession) -> None:
     for instrument in evening.instruments.all():
-        evening.carry_out(IDENTITY, instrument, partial(_who, evening, instrument))
+        evening.carry_out(IDENTITY, instrument, partial(who, evening, instrument))
     meters.check_settings(evening)
     if not evening.simulated:  # all simulated meters of a model have the same serial number
         _tell_twins(evening)
 
 
-def _who(evening: CommissioningSession, instrument: Instrument) -> Finding:
+def who(evening: CommissioningSession, instrument: Instrument) -> Finding:
+    """Return the finding on an instrument that was opened: who it says it is."""
     by_hand = evening.section(instrument.name).by_hand
     said = "is operated by hand" if by_hand else str(evening.identities[instrument.name])
     return Finding(IDENTITY, instrument.name, State.WORKS, said)

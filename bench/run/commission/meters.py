@@ -106,15 +106,16 @@ def check_time(evening: CommissioningSession) -> None:
 def _timed(evening: CommissioningSession, meter: Voltmeter) -> Finding:
     settings = slow(evening, meter, TIMED_SAMPLES)
     meter.configure(settings)
-    samples, took_s = _reading(evening, meter)
+    samples, took_s = reading(evening, meter)
     shown = ", ".join(f"{channel} {values[0]:+.6f} V" for channel, values in samples.items())
     said = f"{settings.samples} samples at {settings.nplc:g} NPLC ({shown})"
     return _judged_by_time(evening, meter, settings, Finding(TIME, meter.name, State.WORKS, said), took_s)
 
 
-def _reading(
+def reading(
     evening: CommissioningSession, meter: Voltmeter
 ) -> tuple[Mapping[Channel, tuple[float, ...]], float]:
+    """Return the samples of one reading of a meter, V, and its duration, s."""
     begun_s = evening.time_s()
     meter.start()
     samples = meter.fetch()
@@ -221,23 +222,33 @@ def _one_set(evening: CommissioningSession, meters: Sequence[Voltmeter]) -> Timi
 
 def check_noise(evening: CommissioningSession) -> None:
     """Ask for shorted inputs; compare mean and scatter of each channel with the data sheet's limits."""
-    evening.confirm(
-        "Take the signals off the voltmeters and short their inputs, HI to LO, with copper and no longer than "
-        "needed; wait two minutes. Are all inputs shorted?",
-        action={"do": "select_input", "source": "short"},
-    )
-    for meter in evening.instruments.voltmeters:
-        evening.carry_out(NOISE, meter, partial(_noise, evening, meter), by_answers=False)
+    short_inputs(evening)
+    measure_noise(evening)
     evening.confirm(
         "Take the shorts off and connect the signals again. Done?",
         action={"do": "select_input", "source": "signal"},
     )
 
 
+def short_inputs(evening: CommissioningSession) -> None:
+    """Ask for shorted inputs."""
+    evening.confirm(
+        "Take the signals off the voltmeters and short their inputs, HI to LO, with copper and no longer than "
+        "needed; wait two minutes. Are all inputs shorted?",
+        action={"do": "select_input", "source": "short"},
+    )
+
+
+def measure_noise(evening: CommissioningSession) -> None:
+    """Compare mean and scatter of each channel of shorted inputs with the data sheet's limits."""
+    for meter in evening.instruments.voltmeters:
+        evening.carry_out(NOISE, meter, partial(_noise, evening, meter), by_answers=False)
+
+
 def _noise(evening: CommissioningSession, meter: Voltmeter) -> Finding:
     settings = slow(evening, meter, NOISE_SAMPLES)
     meter.configure(settings)
-    samples, took_s = _reading(evening, meter)
+    samples, took_s = reading(evening, meter)
     limit_v = zero_limit_v(evening, meter)
     stated_v = evening.file.stand_distributions()["voltmeter_error"].limit
     sigma_v = scatter_limit_v(evening, meter, settings.nplc)
@@ -298,6 +309,12 @@ def zero_limit_v(evening: CommissioningSession, meter: Voltmeter) -> float:
     """Return the maker's limit of error of a shorted input within 90 days, V."""
     range_v = evening.file.voltmeter_range_v
     return range_v * _form(evening, meter).kind.accuracy[range_v][1]
+
+
+def limit_v(evening: CommissioningSession, meter: Voltmeter, volts: float) -> float:
+    """Return the maker's limit of error at an input of `volts` within 90 days, V."""
+    of_reading, _ = _form(evening, meter).kind.accuracy[evening.file.voltmeter_range_v]
+    return of_reading * abs(volts) + zero_limit_v(evening, meter)
 
 
 def scatter_limit_v(evening: CommissioningSession, meter: Voltmeter, nplc: float) -> float:

@@ -342,6 +342,13 @@ class Validate:
         Option("Folder for page, PDF and result (default: validation-DATE).", metavar="DIR"),
     ] = None
     key: Annotated[Path | None, Option("Private key (Ed25519) that signs the seal.", metavar="FILE")] = None
+    release: Annotated[
+        Path | None,
+        Option("Manifest of a release: the program and its packages must be those.", metavar="FILE"),
+    ] = None
+    release_key: Annotated[
+        Path | None, Option("Public key (Ed25519) that must have signed the manifest.", metavar="FILE")
+    ] = None
     laboratory: LaboratoryField = None
     accept: Annotated[
         Path | None,
@@ -392,6 +399,62 @@ class Failures:
     runs: RunsField = None
 
 
+# --- persons -----------------------------------------------------------------------------------------
+
+
+class Right(StrEnum):
+    """What a person may do; everybody may look, and stop a run.
+
+    operate: carry out runs. supervise: also take control by force. authorise: issue certificates, accept
+    validations, close failures. administer: change the register of persons.
+    """
+
+    OPERATE = "operate"
+    SUPERVISE = "supervise"
+    AUTHORISE = "authorise"
+    ADMINISTER = "administer"
+
+
+class PersonsCommand(StrEnum):
+    """A change of the register of persons."""
+
+    ADD = "add"
+    CHANGE = "change"
+    END = "end"
+
+
+@dataclass(frozen=True)
+class ChangePersons:
+    """The register of persons of a laboratory, to be listed or changed."""
+
+    what: Annotated[
+        PersonsCommand | None,
+        Option("add, change, or end (the rights of) a person (default: list all).", argument=True),
+    ] = None
+    name: Annotated[str | None, Option("Name of the person.", argument=True)] = None
+    _: KW_ONLY
+    role: Annotated[str | None, Option("Role in words, as on certificates.", metavar="TEXT", common=True)] = (
+        None
+    )
+    may: Annotated[
+        str | None,
+        Option(
+            "Rights, with commas: operate, supervise, authorise, administer.", metavar="RIGHTS", common=True
+        ),
+    ] = None
+    token: Annotated[bool, Option("Make a new token and print it, this once.", ("--token",), common=True)] = (
+        False
+    )
+    public_key: Annotated[
+        Path | None, Option("Public key of the person (Ed25519, the .pub of 'bench key').", metavar="FILE")
+    ] = None
+    by: Annotated[str | None, Option("Administrator who makes the change.", metavar="NAME", common=True)] = (
+        None
+    )
+    reason: Annotated[str | None, Option("Reason, for the register.", metavar="TEXT", common=True)] = None
+    laboratory: LaboratoryField = None
+
+
 # --- the panel ----------------------------------------------------------------------------------------
 
 
@@ -412,7 +475,7 @@ class ServePanel:
         PeopleCommand | None,
         Option(
             "token NAME makes a token, tokens lists tokens, revoke NAME revokes one, "
-            "link makes a one-time link (default: serve the panel).",
+            "link makes a one-time link (for NAME) (default: serve the panel).",
             argument=True,
         ),
     ] = None
@@ -432,7 +495,11 @@ class ServePanel:
     ] = ""
     laboratory: Annotated[
         Path | None,
-        Option("Laboratory file with the register of certificates.", metavar="FILE"),
+        Option(
+            "Laboratory file, beside which persons and certificates are registered.",
+            metavar="FILE",
+            environment="BENCH_LABORATORY",
+        ),
     ] = None
     catalogue: Annotated[str, Option("Catalogue for the pages on units; read only.", metavar="FILE|URL")] = ""
     runs: RunsField = None

@@ -173,8 +173,20 @@ class Tumble(OnReadings):
     _: KW_ONLY
     terms: Annotated[
         str,
-        Option("Nonlinear terms from K2, K3, Koq, Kip, Kio, Kpo, Kpp, Koo.", metavar="TERM,…", common=True),
+        Option(
+            "Nonlinear terms from K2, K3, Koq, Kip, Kio, Kpo, Kpp, Koo, K0p (K0′), K1p (K1′).",
+            metavar="TERM,…",
+            common=True,
+        ),
     ] = "K2,K3,Koq"
+    centrifuge: Annotated[
+        str | Path | None,
+        Option(
+            "Points above 1 g that join the fit (CSV: ax_ms2, …, u_ms2, u_relative, ux_v, …).",
+            metavar="FILE",
+            typed=Path | None,
+        ),
+    ] = None
 
 
 @dataclass(frozen=True)

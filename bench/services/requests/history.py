@@ -73,6 +73,18 @@ class Compare(OnReadings):
 
 
 @dataclass(frozen=True)
+class Monitor(OnReadings):
+    """The control chart of a few positions over days."""
+
+    sources: Annotated[
+        Sequence[Data],
+        Option("Runs of monitor-2 or monitor-4.", metavar="RUN…", argument=True, typed=list[str]),
+    ]
+    _: KW_ONLY
+    baseline: Annotated[int, Option("Number of first runs that set the limits.", least=3, common=True)] = 5
+
+
+@dataclass(frozen=True)
 class Learn(OnReadings):
     """The estimation of a bench's errors from many of its runs."""
 
@@ -108,7 +120,7 @@ class Stability:
     record: Annotated[
         str,
         Option(
-            "Static record (CSV: time_s,ux_v,uy_v,uz_v), or a run.",
+            "Static record (CSV: time_s,ux_v,uy_v,uz_v), record at a known input, or a run.",
             metavar="FILE",
             argument=True,
         ),
@@ -128,6 +140,7 @@ class Stability:
             common=True,
         ),
     ] = None
+    model: ModelField = None
     bench: BenchField = None
     runs: RunsField = None
 

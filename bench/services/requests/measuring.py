@@ -14,6 +14,7 @@ from bench.services.requests.shared import (
     LatestField,
     LimitField,
     ModelField,
+    OperatorField,
     RuleField,
     RunsField,
     UntilField,
@@ -74,7 +75,7 @@ class RunRequest(DryRunRequest):
     dry_run: Annotated[
         bool, Option("Simulate instruments and clock; touch no hardware.", ("--dry-run",), common=True)
     ] = False
-    operator: Annotated[str, Option(message("Name of the operator, for the record."), common=True)] = ""
+    operator: OperatorField = ""
     unit: Annotated[
         str | None,
         Option(
@@ -119,6 +120,7 @@ class ResumeRequest:
 
     name: LatestField = None
     _: KW_ONLY
+    operator: OperatorField = ""
     wire_log: WireLogField = None
     answers: AnswersField = None
     panel: PanelField = False
@@ -168,6 +170,14 @@ class SimulateRequest:
     ready_file: Annotated[
         Path | None,
         Option("Write all addresses as JSON when all instruments listen.", metavar="FILE", common=True),
+    ] = None
+    hands: Annotated[
+        Path | None,
+        Option(
+            "Have simulated hands turn the head and mount the block as the runs in FOLDER ask.",
+            metavar="FOLDER",
+            common=True,
+        ),
     ] = None
     no_pty: Annotated[bool, Option("Serve TCP only, without pseudo-terminals.", ("--no-pty",))] = False
     control: Annotated[

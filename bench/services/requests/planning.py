@@ -30,14 +30,29 @@ UpToField = Annotated[str | None, Option("Largest acceleration, such as 5g (defa
 
 @dataclass(frozen=True)
 class Check:
-    """A check of a procedure against a bench."""
+    """A check of a procedure against a bench, or (`morning`) of the bench itself, each morning."""
 
     procedure: Annotated[
-        str, Option("Procedure file, by path or shipped name.", argument=True, completes="procedures")
-    ]
+        str | None, Option("Procedure file, by path or shipped name.", argument=True, completes="procedures")
+    ] = None
     _: KW_ONLY
     bench: BenchField = None
     until: UntilField = None
+    morning: Annotated[
+        bool,
+        Option(
+            "Check the bench instead: identities, self-tests, inputs, head, check block.",
+            ("--morning",),
+            common=True,
+        ),
+    ] = False
+    reference: Annotated[
+        float | None,
+        Option("With --morning: voltage of the reference, V (default: no reference).", metavar="V"),
+    ] = None
+    dry_run: Annotated[bool, Option("With --morning: use the simulated bench.", ("--dry-run",))] = False
+    seed: Annotated[int, Option("Seed of the random numbers of --dry-run.", least=0)] = 1
+    out: Annotated[Path | None, Option("With --morning: folder of page and wire log.", metavar="DIR")] = None
     runs: RunsField = None
 
 

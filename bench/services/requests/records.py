@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated
 
 from bench.base.requests import Option
-from bench.services.requests.shared import BenchField, LatestField, RunField, RunsField
+from bench.services.requests.shared import BenchField, LatestField, OperatorField, RunField, RunsField
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,6 +116,7 @@ class AbortRun:
 
     name: LatestField = None
     _: KW_ONLY
+    operator: OperatorField = ""
     runs: RunsField = None
 
 
@@ -130,4 +131,5 @@ class ControlRun:
     ]
     reason: Annotated[str, Option("Reason, for the record; required for skip.", argument=True)] = ""
     _: KW_ONLY
+    operator: OperatorField = ""
     runs: RunsField = None

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+from bench.base.languages import message
 from bench.base.requests import ESTIMATORS_TOLD, Option
 
 if TYPE_CHECKING:
@@ -58,6 +59,15 @@ RunsField = Annotated[
         metavar="DIR",
         environment="BENCH_RUNS",
         typed=Path | None,
+    ),
+]
+OperatorField = Annotated[
+    str,
+    Option(
+        message("Name of the operator, for the record."),
+        environment="BENCH_OPERATOR",
+        metavar="NAME",
+        common=True,
     ),
 ]
 RunField = Annotated[str, Option("Run, by name or path.", argument=True, completes="runs")]

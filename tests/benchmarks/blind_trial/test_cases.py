@@ -74,7 +74,7 @@ def test_rho_is_the_one_asked_for(row):
 def test_every_effect_of_the_catalogue_is_asked_for_where_it_can_be_seen():
     asked = {
         make_case(SEED, Row("single", design, 5), index)[1].names[0]
-        for design in ("both", "reordered")
+        for design in ("both", "reordered", "oven")
         for index in range(len(CATALOGUE))
     }
     assert asked == set(CATALOGUE) == set(CLASS_OF)

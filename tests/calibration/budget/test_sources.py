@@ -260,6 +260,44 @@ def test_a_foundation_that_the_bench_file_states_is_a_line(tmp_path):
     assert u[COEFFICIENTS.index("Kyx")] > 1e-6
 
 
+def test_meters_follow_the_room_late(tmp_path):
+    """A lag far longer than the run is one gain of each meter; a short one averages."""
+    room = {"limit": "2 K", "distribution": "normal", "k": 2}
+    coefficient = {"limit": "0.8 ppm/K", "distribution": "normal", "k": 1}
+
+    def u_of_gain(**lag):
+        bench = edited(
+            tmp_path,
+            uncertainty={"room_temperature": room | lag, "voltmeter_temperature_coefficient": coefficient},
+        )
+        source = by_name(bench)["room_temperature"]
+        assert (source.u, source.factors) == (pytest.approx(1.0), {"scale": pytest.approx(0.8e-6)})
+        return make_budget(paper_setup(), [source], "closed-form").combined.u[0] / abs(TRUTH[0])
+
+    assert "room_temperature" not in by_name(SHIPPED)
+    assert u_of_gain(lag="10000 h") == pytest.approx(0.8e-6, rel=1e-3)
+    assert u_of_gain(lag="10 min") < u_of_gain() < 0.8e-6
+    usual = by_name(edited(tmp_path, uncertainty={"room_temperature": room}))["room_temperature"]
+    assert usual.prior
+    assert "1 ppm/K (1σ), 100 min late" in usual.origin
+
+
+def test_a_recorded_temperature_of_the_meters_takes_the_place_of_any_course(tmp_path):
+    bench = edited(
+        tmp_path,
+        uncertainty={"room_temperature": {"limit": "2 K", "distribution": "normal", "k": 2, "lag": "1 s"}},
+    )
+    source, setup = by_name(bench)["room_temperature"], paper_setup()
+
+    def with_meter_c(meter_c):
+        return dataclasses.replace(setup, conditions=dataclasses.replace(setup.conditions, meter_c=meter_c))
+
+    steady = with_meter_c(np.full(len(setup.conditions), 25.0))
+    assert np.all(make_budget(steady, [source], "closed-form").combined.u == 0.0)
+    course = 23.0 + np.arange(len(setup.conditions)) * 0.01
+    assert np.any(make_budget(with_meter_c(course), [source], "closed-form").combined.u > 1e-9)
+
+
 def test_a_correlation_time_is_more_than_nothing(tmp_path):
     never = {"limit": "0.5 K", "distribution": "rectangular", "correlation_time": "0 s"}
     with pytest.raises(FileMistakes, match=r"correlation_time: state a value above 0"):

@@ -13,7 +13,7 @@ from bench.calibration.budget.sources import assumed_stand, bench_sources
 from bench.calibration.budget.whole import delta_g_contributions, delta_g_elsewhere, sign
 from bench.calibration.result import Noise
 from bench.config.bench_file.file import load_bench
-from bench.config.bench_file.stand import RatioError, TemperatureError, VoltageError
+from bench.config.bench_file.stand import RatioError, TemperatureError, VoltageError, ZeroRepeats
 from bench.model import Block, ForwardModel
 from bench.model.geometry import COEFFICIENTS
 from bench.readings.table import VERIFICATION
@@ -185,3 +185,26 @@ def test_the_size_that_stands_in_is_told(run):
     assert told["mounting_roll"].size == "30 arcsec"
     assert all(s.prior for s in told.values())
     assert ASSUMED["mounting_roll"] == pytest.approx(30 * ARCSEC)
+
+
+@pytest.mark.parametrize("unit", ["V", "counts"])
+@pytest.mark.parametrize("stated", [{"restart": ("1 mg", "2 mg", "3 mg")}, {"scale": (5.0, 0.0, 25.0)}])
+def test_zeros_hold_their_scatter_from_repeat_to_repeat(run, stated, unit):
+    """In any unit of the signals: the scatter is the block's, and not of the meters."""
+    readings = dataclasses.replace(run, unit=unit)
+    repeats = BENCH.uncertainty.model_copy(update={"zero_repeats": ZeroRepeats.model_validate(stated)})
+    bench = BENCH.model_copy(update={"uncertainty": repeats})
+    found = calibrate(readings, MODEL, STAND_U, 9.81, assumed_u=ASSUMED)
+    plain, wide = (sign(found, readings, one, MODEL) for one in (BENCH, bench))
+    added = np.sqrt(np.diag(wide.covariance - plain.covariance))
+    if "restart" in stated:
+        expected = np.abs(np.diag(found.block.K)) * [1e-3, 2e-3, 3e-3]
+    else:
+        expected = found.u_readings[9:] * [5.0, 0.0, 25.0]
+    assert added[9:] == pytest.approx(expected, rel=0.01, abs=1e-12)
+    assert np.all(added[:9] == 0.0)
+
+
+def test_one_kind_of_scatter_is_stated():
+    with pytest.raises(ValueError, match="state one of restart, drift and scale"):
+        ZeroRepeats.model_validate({"restart": ["1 mg"] * 3, "scale": [1, 1, 1]})

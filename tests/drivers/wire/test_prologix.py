@@ -17,6 +17,7 @@ from drivers.wire.pyvisa_connection import WireError
 from drivers.wire.visa import MessageSession
 from sim.agilent_34401a import Agilent34401A
 from sim.bench import SimulatedBench
+from sim.wires.faults import Fault, FaultKind
 from sim.wires.prologix import AdapterSettings, GpibAdapter
 from tests.support.gpib_bus import ADDRESSES, IDENTITY, NO_ERROR, Bus, a_world, served
 from tests.support.patience import PATIENCE_S
@@ -227,12 +228,38 @@ def test_an_adapter_that_does_not_take_its_settings_is_refused() -> None:
         wire.open()
 
 
-def test_a_compatible_adapter_is_not_told_to_write_its_memory() -> None:
-    bus = Bus(version="AR488 GPIB controller, ver. 0.53.03, 08/04/2025", settings=AdapterSettings(savecfg=0))
+@pytest.mark.parametrize(
+    "version",
+    [
+        "AR488 GPIB controller, ver. 0.53.03, 08/04/2025",
+        "AR488 version 6.102",
+        "Prologix AR488 HRK version 6.101",
+    ],
+)
+def test_a_compatible_adapter_is_not_told_to_write_its_memory(version: str) -> None:
+    bus = Bus(version=version, settings=AdapterSettings(savecfg=0))
     with served(bus) as bench, session(bench) as wire:
         wire.open()
         assert wire.query("*IDN?") == IDENTITY
-        assert bus.adapter.settings.savecfg == 0
+        assert bus.adapter.writes_to_memory == 0
+
+
+def test_a_nul_after_each_reply_is_no_part_of_the_next() -> None:
+    bus = Bus(version="Prologix GPIB-USB Controller version 6.107", nul=True)
+    with served(bus) as bench, session(bench) as wire:
+        wire.open()
+        assert [wire.query(q) for q in ("*IDN?", "SYST:ERR?", "*IDN?")] == [IDENTITY, NO_ERROR, IDENTITY]
+
+
+def test_an_adapter_that_restarts_when_its_port_is_opened_is_asked_again() -> None:
+    bus = Bus()
+    lost = Fault(FaultKind.SILENCE, at=1, matching="++ver", instrument="adapter")
+    with (
+        SimulatedBench(bus.world, {"adapter": bus.adapter}, faults=[lost]) as bench,
+        session(bench, timeout_s=1.0) as wire,
+    ):
+        wire.open()
+        assert wire.query("*IDN?") == IDENTITY
 
 
 def test_closing_ends_a_long_wait_of_another_thread() -> None:

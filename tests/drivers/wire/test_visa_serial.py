@@ -11,6 +11,7 @@ from contextlib import contextmanager
 import pytest
 
 from drivers.interfaces import InstrumentLost
+from drivers.wire.pyvisa_connection import Connection
 from drivers.wire.visa import MessageSession, SerialSettings
 
 NAME = "voltmeter.x"
@@ -111,7 +112,18 @@ def test_unplugged_serial_port_is_one_sentence(terminal: Terminal) -> None:
 
 
 @pseudo_terminal
-def test_settings_that_a_port_does_not_take_are_one_sentence(terminal: Terminal) -> None:
+def test_a_pseudo_terminal_has_no_framing_so_that_any_may_be_stated(terminal: Terminal) -> None:
+    serial = SerialSettings(data_bits=7, parity="even")
+    for _ in range(2):
+        with session(terminal.resource, serial=serial) as s:
+            s.open()
+
+
+@pseudo_terminal
+def test_settings_that_a_port_does_not_take_are_one_sentence(
+    terminal: Terminal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Connection, "_on_pseudo_terminal", lambda self: False)
     serial = SerialSettings(data_bits=7, parity="even")
     with session(terminal.resource, serial=serial) as s:
         with pytest.raises(InstrumentLost) as caught:

@@ -1,0 +1,242 @@
+"""The calibration of each channel of a record at a known input: U = gain × reference + offset + drift, with u.
+
+The noise is white plus slow noise, as in the diagnosis of records. Estimates are averaged over its kinds and sizes
+by their restricted likelihood, so that u holds what slow noise hides.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from bench.base.arrays import CHANNELS, Floats, Ints, u_of
+from bench.diagnosis.record_model import LEAST, Noise, Record, Whitening, make_record
+from bench.model.conditions import Conditions
+from bench.model.effects import AppliedEffect
+from bench.readings.columns import numbers
+from bench.readings.table import REFERENCE, REFERENCE_SD_V, REFERENCE_V, Readings
+from bench.stats.repeats import Repeats, compare_repeats
+
+LEVELS: Final = 0.01
+"""A reference that changes by more than this part of its largest value tells gain from offset."""
+ZERO_V: Final = 1e-3
+"""At a single level below this, V, the record gives the offset alone."""
+PARTS: Final = 5
+"""Parts of a record, each calibrated by itself, whose scatter is compared with u."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A value with its standard uncertainty: `u_readings` is the part that the readings show."""
+
+    value: float
+    u: float
+    u_readings: float
+
+
+@dataclass(frozen=True)
+class ChannelCalibration:
+    """Gain (V/V), offset (V) and drift (V/h) of a channel; None where one level of the reference hides it.
+
+    `covariance_v` is that of gain and offset, V. Noises are of a mean of the record; `residual_v` (n,) is the rest.
+    """
+
+    channel: str
+    gain: Estimate | None
+    offset_v: Estimate | None
+    covariance_v: float
+    drift_v_h: Estimate
+    white_v: float
+    slow_v: float
+    residual_v: Floats
+
+
+@dataclass(frozen=True)
+class RecordCalibration:
+    """The calibration of a record; `level_v` is the mean of its reference, `known_v` (n, c) the effects given.
+
+    `repeats` compares parts of the record, each calibrated by itself, with u of the readings; None if too short.
+    """
+
+    record: Record
+    channels: tuple[ChannelCalibration, ...]
+    level_v: float
+    known_v: Floats
+    not_observable: tuple[str, ...]
+    notes: tuple[str, ...]
+    repeats: Repeats | None = None
+
+    def residual_of(self, readings: Readings) -> Floats:
+        """Return signal less gain, offset and given effects of each reading, V, shape (m, c); the drift stays."""
+        at, record = readings.time_s, self.record
+        reference_v = numbers(readings.extra[REFERENCE_V])
+        left = []
+        for number, (i, one) in enumerate(zip(record.channels, self.channels, strict=True)):
+            gain = 1.0 if one.gain is None else one.gain.value
+            offset_v = 0.0 if one.offset_v is None else one.offset_v.value
+            known_v = np.interp(at, record.conditions.time_s, self.known_v[:, number])
+            left.append(readings.signal[:, i] - gain * reference_v - offset_v - known_v)
+        return np.column_stack(left)
+
+
+def calibrate_record(readings: Readings, effects: Sequence[AppliedEffect] = ()) -> RecordCalibration:
+    """Return the calibration of a record, less known effects.
+
+    Effects with u are at their values, those without, as found in this record, are estimated again beside gain and
+    offset. u holds the slow noise, the scatter of the reference (`reference_sd_v`) and u of the effects. Raises
+    `CalibrationError` for a record that cannot be evaluated.
+    """
+    record = make_record(readings)
+    known = np.sum([record.added(one) for one in effects], axis=0) + np.zeros_like(record.deviation_v)
+    left = replace(record, deviation_v=record.deviation_v - known)
+    scatter, note = _scatter(readings, record)
+    errors = [np.repeat(scatter[:, None], len(record.channels), axis=1)]
+    errors += [_one_u(record, one) for one in effects if one.u]
+    apart = _levels_apart(record)
+    level = float(record.reference_v.mean())
+    return RecordCalibration(
+        record=record,
+        channels=_channels(
+            left, np.stack(errors), [record.added(one) for one in effects if not one.u], apart
+        ),
+        level_v=level,
+        known_v=known,
+        not_observable=() if apart else tuple(_hidden(level)),
+        notes=(*record.notes, *note),
+        repeats=_parts(left, apart),
+    )
+
+
+def _levels_apart(record: Record) -> bool:
+    return bool(np.ptp(record.reference_v) > LEVELS * np.abs(record.reference_v).max())
+
+
+def _parts(record: Record, several_levels: bool) -> Repeats | None:
+    """Return equal parts of a record compared as repeats; None if it is short, or a part lacks its levels."""
+    if len(record) < PARTS * LEAST:
+        return None
+    parts = [_part(record, rows) for rows in np.array_split(np.arange(len(record)), PARTS)]
+    if several_levels and not all(map(_levels_apart, parts)):
+        return None
+    each = [_channels(part, np.zeros((0, *part.deviation_v.shape)), [], several_levels) for part in parts]
+    shown = [[one for c in channels for one in (c.gain, c.offset_v) if one] for channels in each]
+    value = np.array([[one.value for one in part] for part in shown])
+    return compare_repeats(value[None], np.array([[one.u_readings for one in part] for part in shown])[None])
+
+
+def _part(record: Record, rows: Ints) -> Record:
+    nowhere = np.full(len(rows), np.nan)
+    conditions = Conditions.of([REFERENCE] * len(rows), nowhere, time_s=record.conditions.time_s[rows])
+    return replace(
+        record, deviation_v=record.deviation_v[rows], reference_v=record.reference_v[rows],
+        scale=record.scale[rows], conditions=conditions,
+    )  # fmt: skip
+
+
+def _channels(
+    record: Record, errors: Floats, again: Sequence[Floats], several_levels: bool
+) -> tuple[ChannelCalibration, ...]:
+    """Return the calibration of each channel.
+
+    `errors` (e, n, c) are one u of errors common to all readings, `again` the effects (n, c) to estimate again.
+    """
+    whitening, level = Whitening.of(record), float(record.reference_v.mean())
+    reference = [record.reference_v - level] if several_levels else []
+    found = []
+    for number, channel in enumerate(record.channels):
+        effects = [one[:, number] for one in again if np.any(one[:, number])]
+        design = np.column_stack([record.trend, *reference, *effects]) / record.scale[:, None]
+        targets = (
+            np.column_stack([record.deviation_v[:, number], *errors[:, :, number]]) / record.scale[:, None]
+        )
+        mean, spread, noise = averaged(whitening, design, targets)
+        left = (targets[:, 0] - design @ mean[:, 0]) * record.scale
+        count = 2 + several_levels
+        found.append(
+            _channel(record, CHANNELS[channel], level, mean[:count], spread[:count, :count], noise, left)
+        )
+    return tuple(found)
+
+
+def _channel(
+    record: Record, channel: str, level: float, mean: Floats, spread: Floats, noise: Noise, left: Floats
+) -> ChannelCalibration:
+    """Return gain, offset and drift from the deviation at the mean level, the slope in time, and gain less 1."""
+    several, has_gain = len(mean) > 2, len(mean) > 2 or abs(level) >= ZERO_V
+    per_hour = 2.0 / float(record.time_h[-1])
+    if several:
+        turn = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, -level], [0.0, per_hour, 0.0]])
+    else:
+        turn = np.array([[1.0 / level if has_gain else 1.0, 0.0], [0.0, per_hour]])
+    value, own, of_errors = turn @ mean[:, 0], turn @ spread @ turn.T, turn @ mean[:, 1:]
+    whole = own + of_errors @ of_errors.T
+    made = [Estimate(*map(float, one)) for one in zip(value, u_of(whole), u_of(own), strict=True)]
+    gain = replace(made[0], value=1.0 + made[0].value) if has_gain else None
+    white = float(np.sqrt(noise.variance))
+    return ChannelCalibration(
+        channel=channel,
+        gain=gain,
+        offset_v=made[1] if several else None if has_gain else made[0],
+        covariance_v=float(whole[0, 1]) if several else 0.0,
+        drift_v_h=made[-1],
+        white_v=white,
+        slow_v=white * float(np.sqrt(noise.ratio)),
+        residual_v=left,
+    )
+
+
+def averaged(whitening: Whitening, design: Floats, targets: Floats) -> tuple[Floats, Floats, Noise]:
+    """Return estimates (p, d) of the columns (n, p) in targets (n, d), averaged over the noise of the first.
+
+    The covariance (p, p) is that of the first target: within each noise, and between them. The noise is the
+    likeliest.
+    """
+    none = np.zeros((len(design), 0))
+    products = whitening.products(design[:, whitening.trend.shape[1] :], none, targets[:, :1])
+    log = products.likelihood[:, 0]
+    weight = np.exp(log - log.max())
+    weight /= weight.sum()
+    means, spreads = [], []
+    for (number, ratio), left in zip(whitening.settings, products.left[:, 0], strict=True):
+        slow = whitening.slow[number]
+        size = 1.0 / np.sqrt(1.0 + ratio * slow.variance)
+        turned = (slow.vectors.T @ np.column_stack([design, targets])) * size[:, None]
+        columns = turned[:, : design.shape[1]]
+        inverse = np.asarray(np.linalg.pinv(columns.T @ columns, hermitian=True), dtype=np.float64)
+        means.append(inverse @ columns.T @ turned[:, design.shape[1] :])
+        spreads.append(inverse * left / products.freedom)
+    mean = np.tensordot(weight, np.array(means), axes=1)
+    off = np.array(means)[:, :, 0] - mean[:, 0]
+    spread = np.tensordot(weight, np.array(spreads) + off[:, :, None] * off[:, None, :], axes=1)
+    return mean, spread, products.noise(whitening.settings)
+
+
+def _scatter(readings: Readings, record: Record) -> tuple[Floats, tuple[str, ...]]:
+    """Return the scatter (n,) of the meters that read the reference, V, as one error common to all readings."""
+    cells = readings.extra.get(REFERENCE_SD_V)
+    known = np.zeros(0) if cells is None else np.isfinite(numbers(cells))
+    if cells is None or not known.any():
+        return np.zeros(len(record)), (
+            f"{REFERENCE_V} counts as exact, as {REFERENCE_SD_V} is missing; u holds no error of the reference",
+        )
+    sd = np.interp(record.conditions.time_s, readings.time_s[known], numbers(cells)[known])
+    return sd, ()
+
+
+def _one_u(record: Record, applied: AppliedEffect) -> Floats:
+    """Return what one standard uncertainty of an effect's size adds, V, shape (n, c)."""
+    values = applied.complete_values()
+    return record.added(AppliedEffect(applied.effect, {**values, **applied.u}, applied.channels))
+
+
+def _hidden(level: float) -> Iterator[str]:
+    if abs(level) < ZERO_V:
+        yield f"gain: the reference stays at {level:.3g} V; record a second level to determine it"
+        return
+    yield (
+        f"offset: the reference stays at {level:.6g} V, where 1 µV of offset is {1e-6 / abs(level):.2g} of gain; "
+        "the offset counts as 0; record a short circuit or a second level to determine it"
+    )

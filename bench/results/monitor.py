@@ -1,0 +1,94 @@
+"""The result of `bench monitor`: bias, scale factor and angle of few positions over days, as JSON, text, chart."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import partial
+from typing import Final
+
+import numpy as np
+from pydantic import Field
+from rich.console import Console
+
+from bench.base.numbers import fixed, places
+from bench.base.result_model import ResultModel
+from bench.base.tables import print_notes, table
+from bench.history.control_chart import ControlChart
+from bench.results.control_chart import draw_joint, draw_single
+from bench.results.parts import ValuePart
+from bench.results.plots import svg_figure
+
+UNITS: Final[Mapping[str, str]] = {"b": "g", "S": "V/g", "t": "deg"}
+
+
+class MonitoredRun(ResultModel):
+    """One run of a monitor; those of the baseline have no verdict."""
+
+    run: str
+    began: str
+    values: dict[str, ValuePart]
+    t2: float | None = Field(description="joint statistic against the baseline")
+    accepted: bool | None
+    reasons: list[str]
+
+
+class MonitorResult(ResultModel):
+    """A series of monitors: `baseline` runs set the limits, the later ones are judged."""
+
+    order: list[str] = Field(
+        description="bx (g), Sx (V/g) of each axis that was turned; theta_xz (deg) of two"
+    )
+    baseline: int
+    limit_t2: float
+    runs: list[MonitoredRun]
+    in_control: bool
+    notes: list[str]
+
+
+def monitor_result(chart: ControlChart, notes: tuple[str, ...] = ()) -> MonitorResult:
+    """Return the result of a chart of monitors."""
+    verdicts = [None] * len(chart.baseline) + list(chart.verdicts)
+    t2 = [None] * len(chart.baseline) + chart.shewhart.t2.tolist()
+    runs = [
+        MonitoredRun(
+            run=run.name, began=run.when.isoformat(),
+            values={
+                name: ValuePart(value=float(v), u=float(u))
+                for name, v, u in zip(run.names, run.value, np.sqrt(np.diag(run.covariance)), strict=True)
+            },
+            t2=own, accepted=None if verdict is None else verdict.accepted,
+            reasons=[] if verdict is None else list(verdict.reasons),
+        )
+        for run, verdict, own in zip((*chart.baseline, *chart.later), verdicts, t2, strict=True)
+    ]  # fmt: skip
+    return MonitorResult(
+        order=list(chart.names), baseline=len(chart.baseline), limit_t2=chart.limit_t2, runs=runs,
+        in_control=chart.in_control, notes=[*chart.notes, *notes],
+    )  # fmt: skip
+
+
+def print_monitor(result: MonitorResult, on: Console) -> None:
+    """Print the numbers of each run, T² and the verdict."""
+    shown = table("run", *(f">{name} / {UNITS[name[0]]}" for name in result.order), ">T²", "")
+    for run in result.runs:
+        cells = [fixed(v.value, places(v.u)) for v in run.values.values()]
+        word = {None: "baseline", True: "in control", False: "OUT OF CONTROL"}[run.accepted]
+        shown.add_row(run.run, *cells, "" if run.t2 is None else f"{run.t2:.1f}", word)
+    on.print(shown)
+    on.print(f"limit of T²: {result.limit_t2:.1f}, from {result.baseline} runs")
+    for run in result.runs:
+        for reason in run.reasons:
+            on.print(f"{run.run}: {reason}")
+    print_notes(on, result.notes)
+
+
+def monitor_figures(chart: ControlChart) -> dict[str, str]:
+    """Return the charts as SVG by name: the joint statistics, and each number; empty without later runs."""
+    if not chart.later:
+        return {}
+    return {
+        "joint": svg_figure("monitor-joint", (7.4, 5.6), partial(draw_joint, chart, "V"), "T², EWMA and s"),
+        "single": svg_figure(
+            "monitor-single", (7.4, 4.4), partial(draw_single, chart, "V"), "each number by run"
+        ),
+    }

@@ -1,0 +1,54 @@
+"""The register of persons of a laboratory: who may do what, and who changed it."""
+
+from __future__ import annotations
+
+from pydantic import Field
+from rich.console import Console
+
+from bench.base.result_model import ResultModel
+from bench.base.tables import table
+
+
+class PersonPart(ResultModel):
+    """A person of the laboratory."""
+
+    name: str
+    role: str
+    may: list[str] = Field(description="operate, supervise, authorise, administer")
+    has_token: bool
+    public_key: str = Field(description="PEM; empty for none")
+    since: str = Field(description="civil time of the last change")
+    ended: str = Field(description="when the person's rights ended; empty while they hold")
+
+
+class PersonChange(ResultModel):
+    """A line of the register."""
+
+    time: str
+    kind: str = Field(description="added, changed or ended")
+    name: str
+    by: str = Field(description="administrator")
+    reason: str
+    role: str | None
+    may: list[str] | None
+
+
+class PersonsResult(ResultModel):
+    """The persons of a laboratory: `bench persons`."""
+
+    register_: str = Field(alias="register", description="its folder")
+    head: str = Field(description="SHA-256 of the last line, which proves all lines before it")
+    token: str | None = Field(description="a new token, told only now")
+    persons: list[PersonPart]
+    changes: list[PersonChange]
+
+    def print_on(self, out: Console) -> None:
+        """Print a line for each person, the head of the chain, and a new token."""
+        shown = table("name", "role", "may", "proves by", "ended")
+        for one in self.persons:
+            proofs = ", ".join(["token"] * one.has_token + ["key"] * bool(one.public_key))
+            shown.add_row(one.name, one.role, ", ".join(one.may), proofs, one.ended[:10])
+        out.print(shown if self.persons else "no register of persons: operators are free text")
+        out.print(f"{len(self.changes)} changes, chain of hashes whole, head {self.head}")
+        if self.token is not None:
+            out.print(f"the token, shown only now: {self.token}", soft_wrap=True)

@@ -1,0 +1,94 @@
+"""The check of a bench each morning: `bench check --morning`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bench.calibration.result import CalibrationError
+from bench.config.bench_file.file import BenchFile, load_bench
+from bench.model.forward import ForwardModel
+from bench.readings.reading import Reading, readings_of
+from bench.run.commission.morning import MorningCourse
+from bench.run.expectation import COEFFICIENT_COUNT, STATE, Expectation, NoiseSizes, ReadingJudgement, poses
+from bench.services.bench_selection import bench_path
+from bench.services.errors import Refused
+from bench.services.instruments import CommissioningPlan, commission, free_folder
+from bench.services.requests.planning import Check
+from bench.services.requests.shared import runs_folder
+from drivers.clock import utc_now
+from drivers.person import Person
+
+
+def morning(
+    request: Check, person: Person | None, tell: Callable[[str], None]
+) -> tuple[dict[str, Any], Path]:
+    """Carry out the morning check of a bench; return its result and the folder of its page.
+
+    Without a `person` the bench is simulated. Raises `Refused` for a folder that cannot be used, `FileMistakes`.
+    """
+    path = bench_path(None if request.bench is None else str(request.bench))
+    file = load_bench(path)
+    folder = request.out or free_folder(utc_now(), "morning-check")
+    course = _course(file, path, request, simulated=person is None)
+    what = "morning check"
+    plan = CommissioningPlan(file, path, folder, person, request.seed, tell, course=course, what=what)
+    return commission(plan), folder
+
+
+def line_of(result: Mapping[str, Any]) -> str:
+    """Return the outcome of a morning in one line: ready, or what to do."""
+    troubles = [one for one in result["findings"] if one["state"] not in ("works", "skipped")]
+    if not troubles and not result["ended"] and not result["to_do"]:
+        left = [
+            f"{one['check']} not checked: {one['said']}"
+            for one in result["findings"]
+            if one["state"] == "skipped"
+        ]
+        return "; ".join([f"✓ {result['bench']} is ready, {len(result['findings'])} checks", *left])
+    words = [f"{one['instrument']}: {one['check']}: {one['said']}; {one['remedy']}" for one in troubles]
+    words += [f"{name}: {what}" for name, what in result["to_do"].items()]
+    return "\n".join(
+        [f"✗ {result['bench']} is not ready", *([result["ended"]] if result["ended"] else []), *words]
+    )
+
+
+def _course(file: BenchFile, path: Path, request: Check, *, simulated: bool) -> MorningCourse:
+    from bench.services.check_block import chart_of, check_block_runs
+
+    section, course = file.check_block, MorningCourse(request.reference)
+    if section is None:
+        return course
+    course = replace(course, serial=section.serial, installation=next(iter(file.installation_models())))
+    folder = runs_folder(request.runs)
+    try:
+        chart = chart_of(
+            check_block_runs(file, folder, simulated=simulated), section, of_bench=path, folder=folder
+        )
+    except (Refused, CalibrationError) as why:
+        return replace(course, no_chart=str(why))
+    centre = chart.twelve.centre
+    # what a further run may differ by, beside the error of the centre
+    runs = [*chart.twelve.baseline, *chart.twelve.later]
+    between = centre.scatter if centre.scatter is not None else np.asarray(centre.scale) * runs[-1].covariance
+    mean, covariance = np.zeros(STATE), np.zeros((STATE, STATE))
+    mean[:COEFFICIENT_COUNT] = centre.value
+    covariance[:COEFFICIENT_COUNT, :COEFFICIENT_COUNT] = (
+        np.asarray(centre.scale) * centre.covariance + between
+    )
+    stand_u = {name: one.u for name, one in file.stand_distributions().items()}
+    noise = NoiseSizes(max(run.s for run in runs), stand_u["setting_error"])
+    model = ForwardModel(file.installation_models())
+
+    def judge(reading: Reading) -> ReadingJudgement:
+        row = readings_of([reading], "").conditions()
+        expectation = Expectation(mean[None], covariance[None])
+        expectation.remount(stand_u)
+        pose = poses(model, file.nominal_block(), row, [reading.installation], row.angle_rad)
+        return expectation.judge(np.asarray(reading.mean), pose, noise)
+
+    return replace(course, judge=judge)

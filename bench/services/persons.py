@@ -1,0 +1,282 @@
+"""The persons of a laboratory: names, roles, rights and identities, in one register beside the laboratory file.
+
+The register is a chain: each line adds or changes a person or ends a person's rights, and names the
+administrator. It holds no secret: a token only as its salted hash, a key only as its public half. Operators, those
+who issue certificates, accept validations and close failures, and those who sign in to the panel are persons of
+this register. Without one, operators are free text, and the laboratory file names those who may authorise.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+import secrets
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, ClassVar, Final
+
+from bench.base.files import read_regular
+from bench.base.languages import message
+from bench.base.text import visible
+from bench.results.persons import PersonChange, PersonPart, PersonsResult
+from bench.run.events import OperatorPerson, RecordError
+from bench.run.person import WishAuthor, at_the_shell
+from bench.services.chain import LINES, Chain, Entry, first_head, opened
+from bench.services.errors import Refused
+from bench.services.requests.documents import ChangePersons, PersonsCommand, Right
+from bench.services.validated import laboratory_known
+from drivers.clock import utc_now
+
+FOLDER: Final = "persons"
+TOKEN: Final = "BENCH_TOKEN"
+KEY: Final = "BENCH_KEY"
+LONGEST_NAME: Final = 60
+ADDED, CHANGED, ENDED = "added", "changed", "ended"
+
+
+@dataclass(frozen=True)
+class Person:
+    """A person: name, role, rights, the salted hash of a token and a public key (PEM), each "" for none.
+
+    `since` and `ended` are times (ISO 8601); `ended` is "" while the person has rights.
+    """
+
+    name: str
+    role: str
+    may: frozenset[Right]
+    token: str = ""
+    public_key: str = ""
+    since: str = ""
+    ended: str = ""
+
+    def has_token(self, token: str) -> bool:
+        """Return whether this is the person's token."""
+        salt = self.token.partition(":")[0]
+        return bool(self.token) and secrets.compare_digest(_salted(token, salt), self.token)
+
+
+@dataclass
+class Persons(Chain):
+    """The register of persons: `everyone` by name, those without rights too; `entries` are its lines."""
+
+    FIRST: ClassVar[str] = first_head("triaxial-bench persons 1\n")
+
+    everyone: dict[str, Person] = field(default_factory=dict)
+    entries: list[Entry] = field(default_factory=list)
+
+    def _note(self, entry: Entry, where: str) -> None:
+        name, before = entry.number, self.everyone.get(entry.number)
+        present = before is not None and not before.ended
+        if entry.kind not in {ADDED, CHANGED, ENDED} or present == (entry.kind == ADDED):
+            raise Refused(f"{where}: {entry.kind} of {name} is nothing that can follow here")
+        if entry.kind == ENDED and before is not None:
+            self.everyone[name] = replace(before, ended=entry.time)
+        else:
+            told = {one: str(entry.data[one]) for one in ("role", "token", "public_key")}
+            may = frozenset(map(Right, entry.data["may"]))
+            self.everyone[name] = Person(name, may=may, since=entry.time, **told)
+        self.entries.append(entry)
+
+    def who_may(self, right: Right) -> list[Person]:
+        """Return the persons who have a right now."""
+        return [one for one in self.everyone.values() if not one.ended and right in one.may]
+
+    def with_token(self, token: str) -> Person | None:
+        """Return the person with this token; None if nobody has it, or that person's rights have ended."""
+        return next((one for one in self.everyone.values() if not one.ended and one.has_token(token)), None)
+
+    def chosen(self, name: str, right: Right, option: str) -> Person:
+        """Return the person of a name with a right. Raises `Refused`, naming the option, for any other name."""
+        able = {one.name: one for one in self.who_may(right)}
+        if name in able:
+            return able[name]
+        known = self.everyone.get(name)
+        if known is None:
+            why = "no such person"
+        elif known.ended:
+            why = f"the person's rights ended on {known.ended[:10]}"
+        else:
+            why = f"the person may not {right}"
+        names = ", ".join(able) or "nobody"
+        raise Refused(f"{option} {visible(name)}: {why} in {self.folder}; {right} may: {names}")
+
+
+def persons_of(laboratory: Path | None) -> Persons | None:
+    """Return the register beside a laboratory file, read without changing it; None where none stands.
+
+    Raises `Refused` for a damaged register.
+    """
+    if laboratory is None:
+        return None
+    register = Persons(laboratory.absolute().parent / FOLDER)
+    if not (register.folder / LINES).exists():
+        return None
+    register.read_lines()
+    return register
+
+
+def authorised_by(laboratory: Path, name: str, right: Right, option: str) -> Person | None:
+    """Return a person of the register who has a right and proves who he is; None where no register stands.
+
+    Raises `Refused` for a person without the right, and for one whose token or key is not given.
+    """
+    register = persons_of(laboratory)
+    return None if register is None else _proved(register.chosen(name, right, option))
+
+
+def _proved(person: Person) -> Person:
+    """Return a person whose token or key is given, or who has neither. Raises `Refused` otherwise."""
+    if not person.token and not person.public_key:
+        return person
+    if person.has_token(os.environ.get(TOKEN, "")) or _holds_key(person, os.environ.get(KEY)):
+        return person
+    ways = [f"{TOKEN} to the token"] * bool(person.token) + [f"{KEY} to the key file"] * bool(
+        person.public_key
+    )
+    raise Refused(f"{person.name} must prove who acts; set {' or '.join(ways)}")
+
+
+def _holds_key(person: Person, file: str | None) -> bool:
+    from bench.run.seal import private_key, sign
+
+    if not person.public_key or not file:
+        return False
+
+    def no_passphrase() -> bytes:
+        raise Refused(f"{KEY} {file}: the key has a passphrase; use one without, or a token")
+
+    return sign(private_key(Path(file), no_passphrase), b"")[0].strip() == person.public_key.strip()
+
+
+# --- operators --------------------------------------------------------------------------------------
+
+
+def operator_of(name: str, laboratory: Path | None, *, needed: bool) -> tuple[str, OperatorPerson | None]:
+    """Return the operator's name and, where a register stands, what it says of that person, for the record.
+
+    Raises `Refused` for a name that is not UTF-8; where a register stands, for a name of nobody who may operate,
+    and, if an operator is `needed`, without a name.
+    """
+    if re.search("[\ud800-\udfff]", name):
+        raise Refused("--operator: the name is not UTF-8 text; set the terminal to UTF-8 and type it again")
+    register = persons_of(laboratory_known(laboratory))
+    if register is None or (not name and not needed):
+        return name, None
+    if not name:
+        names = ", ".join(one.name for one in register.who_may(Right.OPERATE)) or "nobody"
+        raise Refused(f"{register.folder} lists who may operate; say --operator NAME, one of: {names}")
+    person = register.chosen(name, Right.OPERATE, "--operator")
+    return name, {"role": person.role, "may": sorted(person.may), "register": register.head}
+
+
+def acting_at(where: str, name: str, laboratory: Path | None = None) -> WishAuthor:
+    """Return the author of what somebody does at this computer: a person of the register, else the user.
+
+    Raises `Refused` as `operator_of`.
+    """
+    chosen, person = operator_of(name, laboratory, needed=False)
+    user = at_the_shell(where)
+    if not chosen:
+        return user
+    role = user.role if person is None or Right.SUPERVISE in person["may"] else "operator"
+    return WishAuthor(chosen, role, where)
+
+
+# --- changes ----------------------------------------------------------------------------------------
+
+
+def persons(request: ChangePersons) -> PersonsResult:
+    """Carry out a change of the register, if one is asked for, and return the register.
+
+    The first line adds an administrator. Raises `Refused` for a change by nobody who may administer, for one that
+    leaves no administrator, and where something is missing.
+    """
+    laboratory = laboratory_known(request.laboratory)
+    if laboratory is None:
+        raise Refused("say --laboratory FILE: the register of persons is a folder beside it")
+    if request.what is None:
+        return _listed(persons_of(laboratory) or Persons(laboratory.absolute().parent / FOLDER))
+    needed = {"NAME": request.name, "--by NAME": request.by}
+    if request.what is PersonsCommand.END:
+        needed["--reason TEXT"] = request.reason
+    if lacking := [option for option, given in needed.items() if not given]:
+        raise Refused(f"persons {request.what} needs {', '.join(lacking)}")
+    name, by = checked_name(str(request.name)), str(request.by)
+    with opened(Persons(laboratory.absolute().parent / FOLDER)) as register:
+        if register.entries:
+            _proved(register.chosen(by, Right.ADMINISTER, "--by"))
+        token = secrets.token_urlsafe(32) if request.token else None
+        entry = _entry(register, request, name, by, token)
+        if not any(one.name != name for one in register.who_may(Right.ADMINISTER)) and (
+            entry.kind == ENDED or Right.ADMINISTER not in entry.data["may"]
+        ):
+            raise Refused(f"{name}: nobody would be left who may administer; add '--may administer'")
+        register.append(entry)
+        return _listed(register, token)
+
+
+def _entry(register: Persons, request: ChangePersons, name: str, by: str, token: str | None) -> Entry:
+    """Return the line for a change. Raises `Refused` for a person who is there already, or is not."""
+    before = register.everyone.get(name)
+    present = before is not None and not before.ended
+    if present == (request.what is PersonsCommand.ADD):
+        raise Refused(f"{name}: {'is a person of' if present else 'is no person of'} {register.folder}; "
+                      f"{'change or end' if present else 'add'} instead")  # fmt: skip
+    now, why = utc_now().astimezone().isoformat(timespec="seconds"), {"reason": request.reason or ""}
+    if request.what is PersonsCommand.END:
+        return Entry(ENDED, name, now, by, why)
+    old = before if before is not None and present else Person(name, "", frozenset())
+    data: dict[str, Any] = {
+        "role": old.role if request.role is None else request.role,
+        "may": sorted(old.may if request.may is None else _rights(request.may)),
+        "token": old.token if token is None else _salted(token, secrets.token_hex(16)),
+        "public_key": old.public_key if request.public_key is None else _public_key(request.public_key),
+        **why,
+    }
+    return Entry(CHANGED if present else ADDED, name, now, by, data)
+
+
+def _rights(text: str) -> list[Right]:
+    words = [word.strip() for word in text.split(",") if word.strip()]
+    if unknown := [word for word in words if word not in list(Right)]:
+        raise Refused(f"--may {', '.join(unknown)}: choose from {', '.join(Right)}, with commas between")
+    return [Right(word) for word in words]
+
+
+def _public_key(file: Path) -> str:
+    from bench.run.seal import read_public_key
+
+    read_public_key(file)  # refuses what is none
+    return read_regular(file).decode("ascii")
+
+
+def _listed(register: Persons, token: str | None = None) -> PersonsResult:
+    return PersonsResult(
+        register_=str(register.folder),
+        head=register.head,
+        token=token,
+        persons=[
+            PersonPart(name=one.name, role=one.role, may=sorted(one.may), has_token=bool(one.token),
+                       public_key=one.public_key, since=one.since, ended=one.ended)
+            for one in register.everyone.values()
+        ],
+        changes=[
+            PersonChange(time=one.time, kind=one.kind, name=one.number, by=one.by,
+                         reason=str(one.data.get("reason", "")), role=one.data.get("role"), may=one.data.get("may"))
+            for one in register.entries
+        ],
+    )  # fmt: skip
+
+
+def checked_name(name: str) -> str:
+    """Return a person's name, stripped. Raises `RecordError` if it is empty, too long or not printable."""
+    name = name.strip()
+    if not name or len(name) > LONGEST_NAME or not name.isprintable() or visible(name) != name:
+        raise RecordError(message(f"{visible(name)!r}: give a name of 1 to {LONGEST_NAME} characters"))
+    return name
+
+
+def _salted(token: str, salt: str) -> str:
+    """Return salt and salted SHA-256 of a token; its 256 random bits need no slow password hash."""
+    return f"{salt}:{hashlib.sha256(f'{salt}:{token}'.encode(errors='replace')).hexdigest()}"

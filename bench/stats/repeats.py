@@ -1,0 +1,180 @@
+"""Repeats of quantities against their stated uncertainty: how far they scatter, and the term that makes u honest.
+
+A term widens u: `restart`, a value of its own in each repeat; `drift`, a random walk from one repeat to the next;
+`scale`, u too small by one factor everywhere (Birge ratio), as where each repeat drifts within itself. The term is
+the one that predicts a repeat left out best from the others.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, Literal, NamedTuple
+
+import numpy as np
+from scipy import optimize, special
+
+from bench.base.arrays import Floats
+
+TOO_SMALL: Final = 1.5
+"""u is said to be too small where repeats left out scatter more than this many times as much."""
+LEAST: Final = 3
+"""Fewest repeats of which each can be left out in turn."""
+LEVEL: Final = 0.95
+NORMAL: Final = float(special.ndtri(0.5 + LEVEL / 2.0))
+FINE: Final = 1e-4
+COARSE: Final = 1e5
+"""Sizes of a term that are tried, in median stated uncertainties."""
+
+PLAIN: Final = 3.0
+"""By so much, in ln p, another term must predict better than `restart`, the plainest."""
+
+TermName = Literal["restart", "drift", "scale"]
+
+
+class Ratio(NamedTuple):
+    """Scatter of repeats left out over the u of their prediction, with a 95 % interval, repeats as its units."""
+
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Term:
+    """A term of each kind of quantity: `size` (c,), a factor for `scale`; `u` (g, r, c) is the widened one."""
+
+    name: TermName
+    size: Floats
+    u: Floats
+
+
+@dataclass(frozen=True)
+class Repeats:
+    """Repeats against u: `scatter` over u about the means, and held out, with u as stated and with the term.
+
+    `held_before` and `held_after` are None for fewer than three repeats, `term` where u is honest.
+    """
+
+    scatter: float
+    held_before: Ratio | None
+    held_after: Ratio | None
+    term: Term | None
+
+    @property
+    def too_small(self) -> bool:
+        """Whether u is too small by more than `TOO_SMALL`, and not by chance."""
+        held = self.held_before
+        return held is not None and held.value > TOO_SMALL and held.low > 1.0
+
+
+def compare_repeats(value: Floats, u: Floats) -> Repeats:
+    """Return values (g, r, c) of g groups in r repeats compared with their u; NaN where a repeat is missing.
+
+    Each group has its own mean, each of the c kinds of quantity its own size of a term.
+    """
+    many = np.maximum(np.sum(np.isfinite(value), axis=1, keepdims=True), 1)
+    off = value - np.nansum(value, axis=1, keepdims=True) / many
+    with np.errstate(invalid="ignore"):
+        ratio = np.where(many > 1, off / u * np.sqrt(many / np.maximum(many - 1, 1)), np.nan)
+    scatter = float(np.sqrt(np.nanmean(ratio**2)))
+    if value.shape[1] < LEAST:
+        return Repeats(scatter, None, None, None)
+    before = _ratio(_held_out(value, u, None)[0])
+    plain = Repeats(scatter, before, None, None)
+    if not plain.too_small:
+        return plain
+    names: tuple[TermName, ...] = ("restart", "drift", "scale")
+    tried = {name: _held_out(value, u, name) for name in names}
+    best = max(names, key=lambda name: tried[name][1] + PLAIN * (name == "restart"))
+    return Repeats(scatter, before, _ratio(tried[best][0]), _term(value, u, best))
+
+
+def _ratio(squares: Floats) -> Ratio:
+    """Return the pooled ratio of squared errors (g, r, c) over their variance; repeats may move together."""
+    each = np.nanmean(squares, axis=(0, 2))
+    each = each[np.isfinite(each)]
+    mean, variance = float(each.mean()), float(each.var(ddof=1)) / len(each)
+    freedom = min(2.0 * mean**2 / max(variance, 1e-300), float(len(each)))
+    tail = (1.0 - LEVEL) / 2.0
+    low, high = (freedom / special.chdtri(freedom, p) for p in (tail, 1.0 - tail))
+    return Ratio(float(np.sqrt(mean)), float(np.sqrt(mean * low)), float(np.sqrt(mean * high)))
+
+
+def _term(value: Floats, u: Floats, name: TermName) -> Term:
+    wider = _widening(value.shape[1] - 1)
+    size = np.array([_size(value[:, :, c], u[:, :, c], name) for c in range(value.shape[2])])
+    own = size * wider * (u if name == "scale" else np.ones_like(u))
+    return Term(name, size * wider, np.hypot(u, own))
+
+
+def _widening(freedom: float) -> float:
+    """Return the factor by which an estimated standard deviation grows so that 2 of it cover 95 %."""
+    return float(special.stdtrit(freedom, 0.5 + LEVEL / 2.0)) / NORMAL
+
+
+def _kernel(u: Floats, name: TermName | None) -> Floats:
+    """Return the covariances (g, r, r) of a term of size 1; that of a missing repeat is 0."""
+    groups, repeats = u.shape
+    there = np.isfinite(u)
+    match name:
+        case None:
+            return np.zeros((groups, repeats, repeats))
+        case "drift":
+            walk = np.minimum.outer(np.arange(repeats), np.arange(repeats)) + 1.0
+            return np.where(there[:, :, None] & there[:, None, :], walk, 0.0)
+        case _:
+            own = np.where(there, u**2 if name == "scale" else 1.0, 0.0)
+            return np.asarray(own[:, :, None] * np.eye(repeats))
+
+
+def _known(value: Floats, u: Floats) -> tuple[Floats, Floats]:
+    """Return values and stated covariances (g, r, r), in which a missing repeat weighs nothing."""
+    there = np.isfinite(value)
+    wide = np.where(there, u, 1e6 * np.nanmax(u))
+    return np.where(there, value, 0.0), np.asarray((wide**2)[:, :, None] * np.eye(value.shape[1]))
+
+
+def _size(value: Floats, u: Floats, name: TermName) -> float:
+    """Return the size of a term by restricted likelihood, from values (g, r)."""
+    known, stated = _known(value, u)
+    kernel = _kernel(u, name)
+
+    def deviance(log_size: float) -> float:
+        inverse = np.linalg.inv(stated + np.exp(2.0 * log_size) * kernel)
+        weight = inverse.sum(axis=(1, 2))
+        mean = np.einsum("gij,gj->g", inverse, known) / weight
+        off = known - mean[:, None]
+        chi2 = np.einsum("gi,gij,gj->g", off, inverse, off)
+        return float(np.sum(chi2 + np.log(weight) - np.linalg.slogdet(inverse)[1]))
+
+    unit = 1.0 if name == "scale" else float(np.nanmedian(u))
+    bounds = (float(np.log(FINE * unit)), float(np.log(COARSE * unit)))
+    found = optimize.minimize_scalar(deviance, bounds=bounds, method="bounded")
+    return float(np.exp(found.x))
+
+
+def _held_out(value: Floats, u: Floats, name: TermName | None) -> tuple[Floats, float]:
+    """Return the squared errors (g, r, c) of repeats predicted from the others over their variance, and ln p."""
+    squares, log_p = np.full(value.shape, np.nan), 0.0
+    repeats = value.shape[1]
+    wider = _widening(repeats - 2) ** 2
+    for c in range(value.shape[2]):
+        known, stated = _known(value[:, :, c], u[:, :, c])
+        kernel = _kernel(u[:, :, c], name)
+        for k in range(repeats):
+            rest = np.delete(np.arange(repeats), k)
+            size = 0.0 if name is None else _size(value[:, rest, c], u[:, rest, c], name)
+            covariance = stated + size**2 * kernel
+            inverse = np.linalg.inv(covariance[:, rest][:, :, rest])
+            weight = inverse.sum(axis=(1, 2))
+            mean = np.einsum("gij,gj->g", inverse, known[:, rest]) / weight
+            gain = np.einsum("gj,gji->gi", covariance[:, k][:, rest], inverse)
+            error = known[:, k] - mean - np.sum(gain * (known[:, rest] - mean[:, None]), axis=1)
+            spread = covariance[:, k, k] - np.sum(gain * covariance[:, rest, k], axis=1)
+            spread = spread + (1.0 - gain.sum(axis=1)) ** 2 / weight
+            own = stated[:, k, k]
+            spread = own + (spread - own) * (wider if name else 1.0)
+            there = np.isfinite(value[:, k, c]) & (np.isfinite(value[:, rest, c]).sum(axis=1) > 1)
+            squares[there, k, c] = (error**2 / spread)[there]
+            log_p -= 0.5 * float(np.sum(np.log(spread[there]) + squares[there, k, c]))
+    return squares, log_p

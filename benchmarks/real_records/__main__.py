@@ -1,0 +1,186 @@
+"""Records of real instruments that strangers published: what the diagnosis says of each, and u against repeats.
+
+    python -m benchmarks.real_records            # tables of verdicts, names, sizes, gap, twins, and of repeats
+    python -m benchmarks.real_records --page     # the same into docs/real-records.md; five minutes
+
+The truth is what publishers tell (`truth.yaml`), sealed with the records by hash (`sealed.json`) before the first
+run. A twin has the times and temperatures of a record and the signal that the simulation gives with what was found:
+its diagnosis must give the same name and size.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from bench.base.numbers import quantity
+from bench.diagnosis.free_positions import diagnose_free
+from bench.diagnosis.free_records import FreeDiagnosis
+from bench.diagnosis.record_calibration import calibrate_record
+from bench.diagnosis.record_diagnosis import RecordDiagnosis, diagnose_record
+from bench.readings.csv import read_csv
+from bench.results.diagnosis_words import parameter_in_words
+from bench.stats.repeats import Ratio, Repeats
+from benchmarks.real_records.cases import ROOT, Case, cases, require_sealed, twin_of
+
+PAGE: Final = ROOT / "docs/real-records.md"
+
+
+@dataclass(frozen=True)
+class Row:
+    """What came of a record: the diagnosis, that of its twin, and repeats before and after naming."""
+
+    case: Case
+    found: RecordDiagnosis | FreeDiagnosis
+    twin: RecordDiagnosis | None
+    before: Repeats | None
+    after: Repeats | None
+
+    @property
+    def groups(self) -> list[list[str]]:
+        """The names of each place in which an effect of the catalogue was found; several are a tie."""
+        effects = self.found.effects if isinstance(self.found, RecordDiagnosis) else self.found.found
+        return [[one.name, *one.cannot_tell_from] for one in effects if one.in_catalogue]
+
+    @property
+    def judged(self) -> str:
+        """Whether the names agree with the publisher's: right, missed, wrong, tie, or nothing to find."""
+        right = set(self.case.right)
+        if any(len(group) == 1 and group[0] not in right for group in self.groups):
+            return "wrong lone name"
+        if right and not any(right & set(group) for group in self.groups):
+            return "missed"
+        if not right and self.groups:
+            return "a tie, nothing told"
+        return "right" if right else "nothing named"
+
+    @property
+    def cells(self) -> list[str]:
+        """The cells of the table of verdicts."""
+        found, gap = self.found, self.found.gap
+        sizes, held, rivals = [], "–", "–"
+        if isinstance(found, RecordDiagnosis):
+            sizes = [
+                parameter_in_words(v, "").partition(" (")[0] for one in found.effects for v in one.parameters
+            ]
+            rivals = ", ".join(f"{r.what} {quantity(r.held_out_rms_v, 'V')}" for r in found.rivals) or "–"
+        if gap.folds:
+            unit = "V" if isinstance(found, RecordDiagnosis) else "g"
+            held = f"{quantity(gap.before_rms, unit)} → {quantity(gap.after_rms, unit)}"
+        names = "; ".join(" or ".join(group) for group in self.groups) or "none"
+        told = self.case.told + (" ¹" if self.case.seen else "")
+        return [
+            self.case.title, told, found.verdict, names, self.judged, "; ".join(sizes) or "–", held, rivals,
+            self.twin_in_words,
+        ]  # fmt: skip
+
+    @property
+    def twin_in_words(self) -> str:
+        """Whether the twin has the same names, and how far its sizes lie from the record's, in u."""
+        if self.twin is None or not isinstance(self.found, RecordDiagnosis):
+            return "–"
+        pairs = [_sizes(one) for one in (self.found, self.twin)]
+        if pairs[0].keys() != pairs[1].keys():
+            return "other name"
+        off = [
+            abs(value - pairs[1][key][0]) / float(np.hypot(u, pairs[1][key][1]))
+            for key, (value, u) in pairs[0].items()
+        ]
+        return f"same, sizes within {max(off):.1f} u"
+
+
+def _sizes(found: RecordDiagnosis) -> dict[tuple[frozenset[str], str, str], tuple[float, float]]:
+    """Return value and u of each size, by the names of its place, parameter and channel."""
+    return {
+        (frozenset({one.name, *one.cannot_tell_from}), v.parameter, v.channel): (v.value, v.u)
+        for one in found.effects
+        for v in one.parameters
+        if v.u
+    }
+
+
+def rows() -> Iterator[Row]:
+    """Diagnose each record and its twin."""
+    with tempfile.TemporaryDirectory() as folder:
+        for case in cases():
+            print(case.title, file=sys.stderr, flush=True)
+            if case.free:
+                free = diagnose_free([read_csv(file, ("1", "2", "V")) for file in case.files])
+                between = None if free.between is None else free.between.repeats
+                yield Row(case, free, None, between, None)
+                continue
+            readings = case.readings(Path(folder))
+            found = diagnose_record(readings)
+            twin = diagnose_record(twin_of(readings, found)) if found.applied else None
+            before = calibrate_record(readings).repeats
+            again = [replace(one, u={}) for one in found.applied]
+            after = calibrate_record(readings, again).repeats if again else None
+            yield Row(case, found, twin, before, after)
+
+
+def verdicts(found: Sequence[Row]) -> str:
+    """Return the table of verdicts in Markdown, with the counts below."""
+    headings = [
+        "record", "told", "verdict", "names", "judged", "sizes", "held out, rms", "by kind of shape", "twin",
+    ]  # fmt: skip
+    judged = [row.judged for row in found]
+    counts = (
+        f"Lone names that are wrong: {judged.count('wrong lone name')} of {len(found)} records; missed: "
+        f"{judged.count('missed')} of {sum(bool(row.case.right) for row in found)}."
+    )
+    return "\n".join([*_table(headings, [row.cells for row in found]), "", counts])
+
+
+def repeats(found: Sequence[Row]) -> str:
+    """Return the table of repeats in Markdown."""
+    headings = ["set", "state", "scatter / u", "left out, u as stated", "term", "left out, with the term"]
+    lines = []
+    for row in found:
+        for state, one in (("before naming", row.before), ("after naming", row.after)):
+            if one is not None:
+                term = "–" if one.term is None else one.term.name
+                cells = [row.case.title, state, f"{one.scatter:.2g}", _ratio(one.held_before), term]
+                lines.append([*cells, _ratio(one.held_after)])
+    return "\n".join(_table(headings, lines))
+
+
+def _ratio(of: Ratio | None) -> str:
+    return "–" if of is None else f"{of.value:.2g} ({of.low:.2g} to {of.high:.2g})"
+
+
+def _table(headings: Sequence[str], lines: Sequence[Sequence[str]]) -> list[str]:
+    shown = [f"| {' | '.join(line)} |" for line in (headings, *lines)]
+    return [shown[0], f"|{'---|' * len(headings)}", *shown[1:]]
+
+
+def main() -> None:
+    """Print the tables, or write them into the page."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--page", action="store_true", help="write docs/real-records.md")
+    arguments = parser.parse_args()
+    require_sealed()
+    found = list(rows())
+    made = {"records": verdicts(found), "repeats": repeats(found)}
+    if not arguments.page:
+        print("\n\n".join(made.values()))
+        return
+    text = PAGE.read_text(encoding="utf-8")
+    for name, table in made.items():
+        begin = f"<!-- {name}: made by python -m benchmarks.real_records --page -->"
+        end = f"<!-- end of the {name} -->"
+        before, _, rest = text.partition(begin)
+        text = f"{before}{begin}\n\n{table}\n\n{end}{rest.partition(end)[2]}"
+    PAGE.write_text(text, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

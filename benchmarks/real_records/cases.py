@@ -1,0 +1,103 @@
+"""The records of the trial with their truth, sealed by hash, and twins of them from this program's simulation."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import yaml
+
+from bench.config.foreign_log import LogColumns, convert_log
+from bench.diagnosis.record_diagnosis import RecordDiagnosis
+from bench.diagnosis.record_model import Courses, Whitening, make_record
+from bench.diagnosis.record_search import RecordWork
+from bench.readings.csv import read_csv
+from bench.readings.table import Readings
+
+ROOT: Final = Path(__file__).parents[2]
+TRUTH: Final = Path(__file__).with_name("truth.yaml")
+SEALED: Final = Path(__file__).with_name("sealed.json")
+SEED: Final = 11
+
+
+@dataclass(frozen=True)
+class Case:
+    """A log with its columns, or files of free positions; what its publisher told, and the names that are right.
+
+    `seen` marks a record that was used while this part of the program was written.
+    """
+
+    title: str
+    told: str
+    right: Sequence[str]
+    file: str = ""
+    columns: Mapping[str, Any] | None = None
+    constants: Mapping[str, str] | None = None
+    free: Sequence[str] = ()
+    seen: bool = False
+
+    @property
+    def files(self) -> list[Path]:
+        """The files of the case, in order."""
+        patterns = self.free or [self.file]
+        return [path for pattern in patterns for path in sorted(ROOT.glob(pattern))]
+
+    def readings(self, folder: Path) -> Readings:
+        """Return the readings of a log, through a readings file in `folder`."""
+        constants = {"installation": "R", **(self.constants or {})}
+        mapping = LogColumns.model_validate(
+            {"log_columns": "1", "columns": self.columns, "constants": constants}
+        )
+        (log,) = self.files
+        file = folder / "record.csv"
+        file.write_text(convert_log(log, log.read_bytes(), mapping).text, encoding="utf-8")
+        return read_csv(file, ())
+
+
+def cases() -> list[Case]:
+    """Return the cases of the truth file."""
+    return [Case(**entry) for entry in yaml.safe_load(TRUTH.read_text(encoding="utf-8"))["records"]]
+
+
+def hashes() -> dict[str, str]:
+    """Return the SHA-256 of the truth and of every file of a record."""
+    files = [TRUTH, *dict.fromkeys(file for case in cases() for file in case.files)]
+    return {
+        file.relative_to(ROOT).as_posix(): hashlib.sha256(file.read_bytes()).hexdigest() for file in files
+    }
+
+
+def seal() -> None:
+    """Write the hashes. Done once, before the first run."""
+    SEALED.write_text(json.dumps(hashes(), indent=1) + "\n", encoding="utf-8")
+
+
+def require_sealed() -> None:
+    """Raise `SystemExit` if the truth or a record is not the one that was sealed."""
+    if json.loads(SEALED.read_text(encoding="utf-8")) != hashes():
+        raise SystemExit("benchmarks/real_records: truth or records are not those that were sealed")
+
+
+def twin_of(readings: Readings, found: RecordDiagnosis) -> Readings:
+    """Return readings at the same times with the signal of what was found, and noise drawn as it was fitted."""
+    rng = np.random.default_rng(SEED)
+    record = make_record(readings)
+    work = RecordWork(record, Courses(()), Whitening.of(record))
+    noise = np.column_stack([work.drawn(one, rng, 1)[:, 0] for one in found.noises])
+    noise = noise @ work.helmert * record.scale[:, None]
+    added = np.sum([record.added(one) for one in found.applied], axis=0)
+    at_h = (readings.time_s - record.conditions.elapsed_s[0]) / 3600.0
+    scatter = np.sqrt(found.noises[0].variance * len(readings) / len(record))
+    signal = np.full(readings.signal.shape, np.nan)
+    for number, fit in enumerate(found.fits):
+        course = record.reference_v + fit.zero_v + added[:, number] + noise[:, number]
+        level = np.interp(at_h, record.time_h, course)
+        signal[:, record.channels[number]] = level + rng.normal(0.0, scatter, len(readings))
+    reference = np.interp(at_h, record.time_h, record.reference_v)
+    extra = {**readings.extra, "reference_v": np.array([repr(v) for v in reference.tolist()])}
+    return replace(readings, signal=signal, extra=extra)

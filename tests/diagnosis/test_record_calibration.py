@@ -1,0 +1,84 @@
+"""Calibrations of records at a known input: gain and offset with a u that slow noise and the reference widen."""
+
+import numpy as np
+import pytest
+
+from bench.diagnosis.record_calibration import calibrate_record
+from bench.model.effects import CATALOGUE, AppliedEffect
+from bench.readings.csv import read_csv
+
+GAIN, OFFSET = 1.0 + 12e-6, 3e-6
+
+
+def record(folder, seed, *, levels=(0.0, 10.0), walk=0.0, sd="", per_k=0.0, count=240):
+    """A record of 40 h through `levels`; `walk` is the step of a random walk a reading, V."""
+    rng = np.random.default_rng(seed)
+    time_s = np.linspace(0.0, 40 * 3600.0, count)
+    reference = np.array(levels)[np.arange(count) // 6 % len(levels)]
+    warmth = 5.0 * np.sin(2.0 * np.pi * np.arange(count) / 80.0)
+    volts = GAIN * reference + OFFSET + per_k * warmth + rng.normal(0.0, 0.2e-6, count)
+    volts += np.cumsum(rng.normal(0.0, walk, count)) if walk else 0.0
+    rows = [
+        f"R,{t:.3f},{r:.6f},{sd},{v:.10f},{23.0 + w:.4f}"
+        for t, r, v, w in zip(time_s, reference, volts, warmth, strict=True)
+    ]
+    file = folder / f"record-{seed}.csv"
+    header = "installation,time_s,reference_v,reference_sd_v,ux_v,meter_temperature_c"
+    file.write_text("\n".join([header, *rows]) + "\n")
+    return read_csv(file, ())
+
+
+def test_two_levels_tell_gain_from_offset(tmp_path):
+    found = calibrate_record(record(tmp_path, 1))
+    (x,) = found.channels
+    assert abs(x.gain.value - GAIN) < 3 * x.gain.u
+    assert abs(x.offset_v.value - OFFSET) < 3 * x.offset_v.u
+    assert x.gain.u == pytest.approx(0.2e-6 / 5.0 / np.sqrt(240), rel=0.3)
+    assert found.not_observable == ()
+    assert x.covariance_v < 0.0
+    assert not found.repeats.too_small
+
+
+@pytest.mark.parametrize(("level", "hidden"), [(0.0, "gain"), (10.0, "offset")])
+def test_one_level_gives_one_of_the_two_and_says_so(tmp_path, level, hidden):
+    found = calibrate_record(record(tmp_path, 2, levels=(level,)))
+    (x,) = found.channels
+    assert (x.gain is None, x.offset_v is None) == (hidden == "gain", hidden == "offset")
+    assert found.not_observable[0].startswith(f"{hidden}: the reference stays at")
+    if hidden == "gain":
+        assert abs(x.offset_v.value - OFFSET) < 3 * x.offset_v.u
+
+
+@pytest.mark.slow
+def test_u_covers_the_truth_beside_slow_noise(tmp_path):
+    """Random walks of 0.5 µV a reading wander by 8 µV; u of white noise alone would be 0.01 µV."""
+    pulls = []
+    for seed in range(12):
+        (x,) = calibrate_record(record(tmp_path, seed, levels=(0.0,), walk=0.5e-6)).channels
+        pulls.append((x.offset_v.value - OFFSET) / x.offset_v.u)
+    # a chi-square of 12 degrees of freedom over 12 lies below 2.5 but for 3 in 1000
+    assert np.mean(np.square(pulls)) < 2.5
+
+
+def test_the_scatter_of_the_reference_is_in_u(tmp_path):
+    plain, told = (calibrate_record(record(tmp_path, 3, levels=(10.0,), sd=sd)) for sd in ("", "2e-5"))
+    assert any("reference_sd_v is missing" in note for note in plain.notes)
+    assert told.channels[0].gain.u == pytest.approx(2e-6, rel=0.01)
+    assert told.channels[0].gain.u_readings == pytest.approx(plain.channels[0].gain.u)
+    assert not any("reference_sd_v" in note for note in told.notes)
+
+
+@pytest.mark.parametrize("u", [None, 0.1e-6])
+def test_effects_of_a_model_are_taken_away_and_widen_u(tmp_path, u):
+    """With u at their values, without u estimated again."""
+    readings = record(tmp_path, 4, levels=(0.0,), per_k=1e-6)
+    effect = CATALOGUE["voltmeter_thermal_offset"]
+    size = np.array([1e-6, 0.0, 0.0])
+    applied = AppliedEffect(
+        effect, {"offset": size}, ("x",), u={} if u is None else {"offset": size / 1e-6 * u}
+    )
+    before, after = calibrate_record(readings), calibrate_record(readings, [applied])
+    assert after.channels[0].offset_v.u < before.channels[0].offset_v.u
+    left = after.residual_of(readings)[:, 0]
+    assert np.std(left) == pytest.approx(0.2e-6, rel=0.15)
+    assert abs(after.channels[0].offset_v.value - OFFSET) < 4 * after.channels[0].offset_v.u
