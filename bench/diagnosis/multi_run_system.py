@@ -166,10 +166,10 @@ def _random_of(part: LinearSystem, stand_u: Mapping[str, float]) -> tuple[Floats
 
 
 def with_blocks(readings: Readings, model: ForwardModel) -> Readings:
-    """Return readings of several runs with the block number of each row; None where all are of one block.
+    """Return readings of several runs with the block number of each row; None if all are of one block.
 
-    Where the block numbers are not stated, the coefficients of each run identify the block. A run that does
-    not determine its coefficients is assigned to the first block.
+    If the block numbers are not stated, the coefficients of each run identify its block. A run that does not
+    determine its coefficients is assigned to the first block.
     """
     if readings.block is not None:
         return readings if len(np.unique(readings.block)) > 1 else replace(readings, block=None)
