@@ -346,7 +346,7 @@ def changes(before: CalibrationValues | None, now: CalibrationValues) -> Row:
 
 
 def change_in_u(before: CalibrationValues, now: CalibrationValues) -> Floats:
-    """Return the change of each coefficient (12,) in units of its u; NaN if it changed and has no u."""
+    """Return the change of each coefficient (12,) divided by its u; NaN if a coefficient without u changed."""
     moved = now.values - before.values
     unit = np.where(before.u > 0, before.u, now.u)
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -74,7 +74,7 @@ class Fit:
     12 + q).
 
     `noise` has the estimated sizes; the covariance uses them widened for their degrees of freedom. `gain` (12 + q,
-    n, 3) and `free_gain` (12 + q, m, 3) are the linear maps from oriented and free readings to the unknowns.
+    n, 3) and `free_gain` (12 + q, m, 3) are the linear maps from n oriented and m free readings to the unknowns.
     `misfit` is the chi-square of residuals and priors, without shifted signals. `residuals` (n, 3) are in the unit
     of the signal, `modulus` (m,) is |a| - 1 of the free readings, g; both include the shifts. `slope` (n, 3) is
     du/dphi. `shift` and `u_shift` (k,) are the estimates of `shifts` and their u for the noise without widening.

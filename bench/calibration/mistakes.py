@@ -195,9 +195,10 @@ def refuse_singular(block: Block, u: Floats | None = None) -> None:
 
 
 def at_nominal_angles(rows: Readings) -> Readings:
-    """Return the rows with target angles in place of those read back; without a target, with the paper's angles.
+    """Return the rows with the target angles instead of the angles read back.
 
-    Raises `CalibrationError` for a row that has neither.
+    A row without a target angle gets the paper's angle of its point. Raises `CalibrationError` for a row that has
+    neither.
     """
     nominal = rows.target_rad.copy()
     missing = ~np.isfinite(nominal)

@@ -270,7 +270,8 @@ class LinearSystem:
                 return self._of_channels(change, of_block=of_block)
 
     def course_columns(self, course: Floats, stage: Stage, adds_to: str = "", *, of_force: bool) -> Floats:
-        """Return the change of the rows by a course over the readings (n,), shaped as by `formula_columns`.
+        """Return the change of the rows by a time course, one value per reading (n,), shaped as by
+        `formula_columns`.
 
         At the stand the course is added to the angle `adds_to`. At the block's output it is in g, or with
         `of_force` a fraction of the specific force.

@@ -56,7 +56,9 @@ OTHER_ZERO_G: Final = 10e-3
 
 @dataclass(frozen=True)
 class JointSystem(LinearSystem):
-    """The systems of several blocks as one. `block` is the first block, `parts` are the systems of each."""
+    """The linear systems of several blocks, joined. `block` is the first block, `parts` are the systems of the
+    blocks.
+    """
 
     parts: tuple[LinearSystem, ...]
 
@@ -99,7 +101,9 @@ class JointSystem(LinearSystem):
         return np.concatenate([part.formula_columns(applied) for part in self.parts])
 
     def course_columns(self, course: Floats, stage: Stage, adds_to: str = "", *, of_force: bool) -> Floats:
-        """Return the change of the rows by a course over the readings (n,) that is the same in all blocks."""
+        """Return the change of the rows by a time course, one value per reading (n,), that is the same in all
+        blocks.
+        """
         assert self.readings.block is not None  # noqa: S101 - it is a system of several
         own = [course[self.readings.block == number] for number in np.unique(self.readings.block)]
         return np.concatenate(

@@ -39,11 +39,12 @@ GAUSSIAN_MAD: Final = 1.4826
 
 @dataclass(frozen=True)
 class Record:
-    """A record as means of consecutive readings.
+    """A record as n means of consecutive readings, in c channels.
 
-    `deviation_v` (n, c) is signal less reference in the `channels` read, `reference_v` (n,) the reference,
-    `conditions` have the means of times, temperatures and rails. `scale` (n,) is the relative size of the noise,
-    from the scatter of the readings in each mean. `used` (m,) are the readings that the means rest on.
+    `deviation_v` (n, c) is the signal minus the reference in the `channels` read, `reference_v` (n,) the reference;
+    `conditions` have the mean times, temperatures and rail voltages. `scale` (n,) is the relative size of the
+    noise, from the scatter of the readings in each mean. `used` (m,) is the mask of the m readings that the means
+    use.
     """
 
     source: str

@@ -202,9 +202,9 @@ class ReadingDesign:
         self._make_free(known)
 
     def remounted(self, families: Sequence[str], before: Sequence[str]) -> None:
-        """Give every mounting that is not among those `before` such effects of its own, of plausible size.
+        """Give each mounting that is not in `before` its own effects of single mountings, of plausible size.
 
-        What was wrong in one mounting says nothing of the next; what lasts goes on.
+        The error of one mounting says nothing about the next one; effects that last continue.
         """
         labels = [str(m) for m in self.linear.moved.mounts if m.installation != VERIFICATION]
         effects = [CATALOGUE[family] for family in families]

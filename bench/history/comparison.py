@@ -76,7 +76,7 @@ class Snapshot:
         )
 
     def in_nine(self) -> Snapshot:
-        """Return the snapshot in the nine numbers that do not depend on the mounting, linearised at its own K.
+        """Return the snapshot in the nine intrinsic numbers, linearised at its own K.
 
         Raises `CalibrationError` if they are undefined, as for a block with a dead channel.
         """

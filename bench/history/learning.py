@@ -196,7 +196,7 @@ SCATTER: Final = "the scatter of its repeats"
 
 
 def odd_runs(runs: list[RunFit], body: RunSums, theta: Floats, beliefs: Beliefs) -> list[Contradiction]:
-    """Return the test of each run for each kind of contradiction, most significant first, with Holm's p-values."""
+    """Return a test of each run for each kind of contradiction, most significant first, with Holm's p-values."""
     found = [*_angles(body, theta, beliefs), *_fit(body, at(body, theta, beliefs).means), *_scatter(runs)]
     found.sort(key=lambda one: one.p)
     adjusted = holm(np.array([one.p for one in found]))

@@ -161,7 +161,7 @@ class Expectation:
         return cls(mean[None], np.diag(variance)[None])
 
     def repeated(self, members: int) -> Expectation:
-        """Return an expectation that holds the first member `members` times."""
+        """Return an expectation with `members` copies of the first member."""
         return Expectation(
             np.repeat(self.mean[:1], members, axis=0), np.repeat(self.covariance[:1], members, axis=0)
         )

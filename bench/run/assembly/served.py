@@ -354,8 +354,8 @@ def dry_evening(
 ) -> Iterator[CommissioningSession]:
     """Yield a commissioning session on the simulated bench of a bench file, with a scripted person.
 
-    Time is measured as the sum of the simulated and the computer's clock, because a fault that delays a
-    response takes the computer's time. Raises `BenchError` for a fault that its instrument cannot have.
+    Time is measured as the sum of the simulated and the computer's clock, because a fault that delays a response
+    delays it in real time. Raises `BenchError` for a fault that its instrument cannot have.
     """
     watch = WireWatch(log)
     with dry_bench(file, model, seed, watch, haste) as assembly:
