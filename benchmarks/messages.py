@@ -47,7 +47,8 @@ _TAG: Final = re.compile(
     r"\{#.*?#\}|<(script|style)\b.*?</\1>|<!--.*?-->|\{%.*?%\}|<[^<>]*>|\{\{.*?\}\}", re.S
 )
 _NO_MESSAGE: Final = re.compile(
-    r"(SELECT|COPY|CREATE|FORMAT) |\{#|<\w|\w+ = |\w+/\w+; charset=|width=device-width|[A-Z]+( [A-Z]+)+$|'?sha256-"
+    r"(SELECT|COPY|CREATE|FORMAT) |\{#|<\w|\w+ = (?:[\[\d…]|\w+ = )|\w+/\w+; charset=|"
+    r"width=device-width|[A-Z]+( [A-Z]+)+$|'?sha256-"
 )
 """Queries, elements, definitions of units, commands of instruments: a program reads these."""
 _LITERAL: Final = re.compile(r"\"([^\"\n]*)\"|'([^'\n]*)'|`([^`]*)`")

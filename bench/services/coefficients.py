@@ -265,7 +265,7 @@ def _covariance(data: Any, name: str) -> Floats:
     rows = _numbers(data[name])
     size = len(COEFFICIENTS)
     if [len(row) for row in rows] != [size] * size or len(data["order"]) != size:
-        raise ValueError(f"the number of coefficients is not {size}")
+        raise ValueError(f"expected {size} coefficients")
     return np.array(rows)[np.ix_(order, order)]
 
 
@@ -295,7 +295,7 @@ def _number(value: Any) -> float:
     except OverflowError:
         number = math.inf
     if not math.isfinite(number):
-        raise ValueError("a value is not a finite number")
+        raise ValueError("a value is infinite or not a number")
     return number
 
 

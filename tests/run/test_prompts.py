@@ -149,7 +149,7 @@ def test_a_wish_typed_at_a_prompt_is_heard_and_a_misspelt_one_explained():
     with pytest.raises(OperatorWish) as heard:
         person.ask(Prompt("1#1", PromptKind.ANGLE, "Turn"))
     assert heard.value.control == RunControl(Wish.SKIP, "the cable came loose", by_person=True)
-    assert ":rdo is unknown; possible are :pause, :continue, :redo" in shown.getvalue()
+    assert ":rdo is unknown; type one of :pause, :continue, :redo" in shown.getvalue()
     assert "give a reason" in shown.getvalue()
 
 
