@@ -2,10 +2,11 @@
 
     python -m benchmarks.control_chart_campaign --runs 1000000 --seed 1
 
-`--runs` are chart points of each row of the tables (a tenth in the second). Prints three tables, or one: false
-rejections of a chart whose baseline has few runs, for each kind of limits and for stated u that is right or not;
-what happens where stated u is wrong for one coefficient alone; mean run lengths of Shewhart, EWMA and MEWMA charts
-beside the published ones, by simulation and by the integral equation.
+Charts are of the nine numbers that do not depend on the mounting. `--runs` are chart points of each row of the
+tables (a tenth in the second). Prints three tables, or one: false rejections of a chart whose baseline has few
+runs, for each kind of limits and for stated u that is right or not; what happens where stated u is wrong for one
+number alone; mean run lengths of Shewhart, EWMA and MEWMA charts beside the published ones, by simulation and by
+the integral equation.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from typing import Final
 import numpy as np
 
 from bench.base.arrays import Floats
+from bench.calibration.intrinsic import INTRINSIC
 from bench.stats.control_charts import (
     ALIKE_P,
     Basis,
@@ -31,7 +33,7 @@ from bench.stats.control_charts import (
 )
 from benchmarks.campaign import arguments
 
-P: Final = 12
+P: Final = len(INTRINSIC)
 LATER: Final = 25
 """Runs after each baseline: many baselines count, as what is wrong with one is wrong for all its runs."""
 CHARTS: Final = 200
@@ -77,7 +79,7 @@ class Count:
 
 
 def stated_covariance(seed: int = 7) -> Floats:
-    """Return a covariance (12, 12) with correlations and sizes that differ ten times, as those of a block do."""
+    """Return a covariance (9, 9) with correlations and sizes that differ ten times, as those of a block do."""
     rng = np.random.default_rng(seed)
     mixed = np.eye(P) + 0.4 * rng.normal(size=(P, P))
     covariance = mixed @ mixed.T
@@ -86,7 +88,7 @@ def stated_covariance(seed: int = 7) -> Floats:
 
 
 def charts(rng: np.random.Generator, runs: int, points: int, root: Floats) -> Iterator[tuple[Floats, Floats]]:
-    """Yield baselines (b, runs, 12) with runs after them (b, LATER, 12), normal of covariance root root'."""
+    """Yield baselines (b, runs, 9) with runs after them (b, LATER, 9), normal of covariance root root'."""
     left = points
     while left > 0:
         count = min(CHARTS, -(-left // LATER))
@@ -100,7 +102,7 @@ def false_rejections(
 ) -> dict[str, Count]:
     """Return false rejections of each statistic and of all.
 
-    True u is `factor` times what is stated, and of one coefficient `one` times that.
+    True u is `factor` times what is stated, and of one number `one` times that.
     """
     rng = np.random.default_rng(seed)
     stated = stated_covariance()
@@ -161,10 +163,10 @@ def print_rejections(points: int, seed: int) -> None:
 
 
 def print_wrong(points: int, seed: int) -> None:
-    """Print the second table: one coefficient of twelve scatters more, or less, than stated."""
+    """Print the second table: one of the nine scatters more, or less, than stated."""
     points = max(points // 10, 1000)
     rates = nominal()
-    print(f"\nOne coefficient with another u than stated, {points} runs a row; ratio of T² to nominal:")
+    print(f"\nOne of the nine with another u than stated, {points} runs a row; ratio of T² to nominal:")
     print(
         "| limits | baseline | its u / stated | T² | baselines in which it is noticed |\n|---|---|---|---|---|"
     )

@@ -3,7 +3,7 @@
 A text is what stands between block elements and Jinja statements. Inline elements belong to it, and its
 expressions are numbered blanks: `<p>Page <b>{{ n }}</b> of {{ m }}</p>` has the text `Page <b>{0}</b> of {1}`. An
 expression such as `{{ "" if n == 1 else "s" }}` makes it a text with a plural. Within expressions, `_("…")` marks
-a text. English pages are rendered from the template as it stands.
+a text. English pages are rendered from the template as it is.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class _Segment:
 
 
 def texts_in(source: str) -> Iterator[Entry]:
-    """Yield the texts of a template with their blanks; none of a page marked `{# English only #}`."""
+    """Yield the texts of a template with their blanks; a page marked `{# English only #}`."""
     if source.startswith(ENGLISH_ONLY):
         return
     for part in _parts(source):
@@ -172,7 +172,9 @@ def _trimmed(segment: _Segment) -> tuple[str, _Segment, str]:
 
 
 class TranslatedTemplates(Extension):
-    """Replaces the texts of a template by look-ups in the catalogue of the language of views."""
+    """A Jinja extension that replaces the texts of a template by look-ups in the catalogue of the current
+    language.
+    """
 
     def __init__(self, environment: Environment) -> None:
         super().__init__(environment)

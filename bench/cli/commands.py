@@ -24,17 +24,17 @@ _VALUES: Final = {"int": "N", "int range": "N", "float": "X", "float range": "X"
 
 
 def ask_whole_help(ctx: Any) -> None:
-    """Make the help of a context's command, and of those below it, show all options."""
+    """Make the help of a context's command, and of its subcommands, show all options."""
     ctx.meta[_ASKED] = True
 
 
 def is_whole_help(ctx: Any) -> bool:
-    """Return whether the whole help is asked for."""
+    """Return whether the whole help is requested."""
     return bool(ctx.meta.get(_ASKED))
 
 
 def with_plain_help(ctx: Any, args: list[str]) -> list[str]:
-    """Return arguments with `--help-all` replaced by `--help`, after noting that the whole help is asked for."""
+    """Replace `--help-all` by `--help` in the arguments, and note that the whole help is requested."""
     options = args[: args.index("--")] if "--" in args else args
     if WHOLE not in options:
         return args
@@ -148,6 +148,7 @@ COMMANDS: Final = {
     "compare": "Compare calibrations of one block: E_n, a joint test, drift.",
     "learn": "Estimate the errors of a bench from many runs, for its bench file.",
     "fleet": "Compare many units on many benches: equivalence, priors, drift, CMC.",
+    "kit": "Compare laboratories by a travelling block: plan, sealed results, report.",
     "budget": "Compute what each error of the bench contributes to coefficients and accelerations.",
     "require": "Compute how large each error of the bench may be for a required accuracy.",
     "plan-points": "Find test points that reach an uncertainty in the least bench time.",

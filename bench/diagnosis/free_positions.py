@@ -130,8 +130,7 @@ def _fit(linear: FreeSystem, effects: Floats, fitted: Posterior) -> FreeFit:
         vector[UPPER] += fitted.mean[place_of(sensor)]
         blocks.append(Block.from_vector(vector))
         u[sensor, UPPER] = spread[place_of(sensor)]
-    design = np.column_stack([linear.fixed, linear.random, effects])
-    return FreeFit(tuple(blocks), u, linear.response - design @ fitted.mean)
+    return FreeFit(tuple(blocks), u, linear.response - linear.design(effects) @ fitted.mean)
 
 
 def _where(

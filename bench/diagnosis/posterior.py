@@ -41,10 +41,10 @@ class NoiseSize:
 
 @dataclass(frozen=True)
 class Posterior:
-    """Joint estimates of coefficients (less the first guess), stand and effects, with their covariance.
+    """Joint estimates of coefficients (minus the first guess), stand and effects, with their covariance.
 
-    Stand and effects are in units of their priors. Order: 12 coefficients of each block in their units; the
-    columns of `LinearSystem.random`; the effects' columns.
+    Stand and effects are in units of their priors. Order: 12 coefficients of each block in their units, the columns
+    of `LinearSystem.random`, the columns of the effects.
     """
 
     mean: Floats
@@ -92,7 +92,9 @@ def noise_size(whitened: Whitened, data: Data, known: tuple[int, ...]) -> NoiseS
 
 
 def posterior(linear: LinearSystem, effects: Floats, noise: NoiseSize, rows: Mask | None = None) -> Posterior:
-    """Return the estimates from `rows` (all by default) with the effects' columns (N, m), one size each."""
+    """Return the estimates from `rows` (all by default) with the m columns of the effects (N, m) and one prior size
+    for each.
+    """
     extra = effects.shape[1]
     normal, right = _normal(linear, effects, noise, rows)
     covariance = _inverse(normal + np.diag(_at_the_end(np.full(extra, 1.0 / KNOWN_SIZE**2), len(normal))))
@@ -182,9 +184,9 @@ def _normal(
     linear: LinearSystem, effects: Floats, noise: NoiseSize, rows: Mask | None = None
 ) -> tuple[Floats, Floats]:
     """Return normal matrix and right side, without a prior for the effects' columns (N, m)."""
-    mine = np.ones(len(linear), dtype=bool) if rows is None else rows
-    design = np.concatenate([linear.fixed, linear.random, effects], axis=1)[mine]
-    white = whiten_rows(linear, noise, np.column_stack([design, linear.response[mine]]), mine)
+    mine = slice(None) if rows is None else rows
+    columns = np.column_stack([linear.design(effects), linear.response])[mine]
+    white = whiten_rows(linear, noise, columns, rows)
     normal = white[:, :-1].T @ white[:, :-1]
     first, random = linear.fixed.shape[1], linear.random.shape[1]
     normal[range(first, first + random), range(first, first + random)] += 1.0
@@ -201,12 +203,13 @@ def _inverse(normal: Floats) -> Floats:
     return np.asarray(np.linalg.inv(normal * np.outer(scale, scale)) * np.outer(scale, scale))
 
 
-def whiten_rows(linear: LinearSystem, noise: NoiseSize, columns: Floats, rows: Mask) -> Floats:
-    """Return R^(-1/2) times the columns, R the noise covariance. The `rows` must contain whole settings."""
-    relative = linear.relative[rows][:, None]
+def whiten_rows(linear: LinearSystem, noise: NoiseSize, columns: Floats, rows: Mask | None = None) -> Floats:
+    """Return R^(-1/2) times the columns, R the noise covariance of all rows, or of `rows` with whole settings."""
+    chosen = slice(None) if rows is None else rows
+    relative = linear.relative[chosen][:, None]
     columns = columns / relative
-    slope = linear.slope[rows][:, None] / relative
-    setting = linear.setting[rows]
+    slope = linear.slope[chosen][:, None] / relative
+    setting = linear.setting[chosen]
     factor = (noise.setting_rad / noise.reading) ** 2
     oriented = setting >= 0
     d = slope[oriented].reshape(-1, 3)
@@ -226,7 +229,7 @@ def predicted_error(
 
     The covariance is that of the noise and of all that was estimated.
     """
-    design = np.concatenate([linear.fixed, linear.random, effects], axis=1)[rows]
+    design = linear.design(effects)[rows]
     error = linear.response[rows] - design @ fitted.mean
     white = whiten_rows(linear, noise, np.column_stack([design, error]), rows)
     spread = np.eye(len(error)) + white[:, :-1] @ fitted.covariance @ white[:, :-1].T
@@ -461,7 +464,9 @@ def with_other_shapes(linear: LinearSystem, others: tuple[AppliedEffect, ...]) -
 
 
 class OpenSize(NamedTuple):
-    """One open size: its effect, parameter and channel (None: all), and the `column` (N,) of one prior u."""
+    """One open size: its effect, parameter and channel (None: all), and its `column` (N,): the change of the rows
+    by one prior u.
+    """
 
     applied: AppliedEffect
     parameter: str

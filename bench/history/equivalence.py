@@ -52,7 +52,9 @@ class Participants:
 
     @cached_property
     def between_dof(self) -> int:
-        """Degrees of freedom between benches: the number of benches less that of connected sets of benches."""
+        """Degrees of freedom between benches: the number of benches minus the number of connected sets of
+        benches.
+        """
         both = np.linalg.matrix_rank(np.concatenate([self.Z_unit, self.Z_bench], axis=1))
         return int(both) - int(self.unit.max()) - 1
 
@@ -77,9 +79,9 @@ class Equivalence:
     """The reference value of each unit and the degree of equivalence of each bench, for one coefficient.
 
     `reference` (U,) has the standard uncertainties `u_reference`. `degree` (B,) are the degrees of equivalence d
-    with `covariance` (B, B). `dark` is the dark uncertainty of benches (1 σ). The variance of d includes it for all
-    benches but the one that d belongs to, whose stated u is kept. `chi2` with `dof` tests the stated uncertainties;
-    `map` (B, n) is the matrix that maps `y` to d.
+    with `covariance` (B, B). `dark` is the dark uncertainty of benches (1 σ). The variance of d includes the dark
+    uncertainty of all benches except the bench of d itself, whose stated u is kept. `chi2` with `dof` tests the
+    stated uncertainties; `map` (B, n) is the matrix that maps `y` to d.
     """
 
     method: str
@@ -264,7 +266,7 @@ def together(
 
 @dataclass(frozen=True)
 class BenchesIn:
-    """The comparison of benches in m numbers `names`: the nine, or the twelve coefficients.
+    """The comparison of benches in m numbers `names`: the nine intrinsic numbers or the twelve coefficients.
 
     `found` has the degrees of equivalence and `pairs` the differences between benches, by number. `together` tests
     the degrees of equivalence of each bench in all numbers jointly, `pairs_together` the differences of each pair.
@@ -289,7 +291,7 @@ class BenchesIn:
 
 @dataclass(frozen=True)
 class BenchComparison:
-    """The comparison of benches with one another, in the `nine` and in the `twelve`.
+    """The comparison of benches with one another, in the `nine` intrinsic numbers and in the `twelve` coefficients.
 
     `benches` and `units` are the participants; `alone` are benches that share no unit with another.
     """
@@ -362,3 +364,78 @@ def _pairs_together(by_coefficient: Sequence[Sequence[Pair]], joint: Joint) -> t
     u = np.array([[pair.u for pair in one] for one in each])
     errors = np.array([joint.of_sums(np.array([pair.map for pair in one])) for one in each])
     return together(np.array([[pair.difference for pair in one] for one in each]), u, errors, u)
+
+
+# --- one unit that travels between laboratories -------------------------------------------------------
+
+
+LEAST_LABORATORIES: Final = 3
+
+
+@dataclass(frozen=True)
+class LaboratoryJudged:
+    """A laboratory's m numbers against the Mandel-Paule consensus of all others.
+
+    `difference` (m,) has the standard uncertainties `u` (m,): the laboratory's own as stated, without a term
+    between laboratories, and that of the others' consensus, which holds their `dark` uncertainty (m,). `chi2` tests
+    the m jointly, `p_all_looks` is its p-value after Holm's correction over laboratories.
+    """
+
+    difference: Floats
+    u: Floats
+    dark: Floats
+    chi2: float
+    p: float
+    p_all_looks: float
+
+    @property
+    def en(self) -> Floats:
+        """The E_n numbers of the differences, k = 2, (m,)."""
+        return np.asarray(np.abs(self.difference) / (COVERAGE_FACTOR * self.u))
+
+    @property
+    def off(self) -> bool:
+        """Whether the laboratory differs significantly from the others."""
+        return self.p_all_looks < APART_P
+
+
+def against_others(values: Floats, covariances: Floats) -> tuple[LaboratoryJudged, ...]:
+    """Return each of n laboratories, `values` (n, m) with `covariances` (n, m, m), against the others.
+
+    Raises `CalibrationError` for fewer than three laboratories: of two, nobody can say which is off.
+    """
+    n, m = values.shape
+    if n < LEAST_LABORATORIES:
+        raise CalibrationError(
+            f"{n} laboratories; {LEAST_LABORATORIES} or more are needed to say which is off"
+        )
+    found = []
+    for own in range(n):
+        rest = np.arange(n) != own
+        weights, dark = consensus_weights(values[rest], covariances[rest])
+        difference = values[own] - np.einsum("km,km->m", weights, values[rest])
+        joint = covariances[own] + np.einsum("ka,kb,kab->ab", weights, weights, covariances[rest])
+        joint[np.diag_indices(m)] += dark**2 * np.sum(weights**2, axis=0)
+        u = u_of(joint)
+        scaled = difference / u
+        chi2 = float(scaled @ np.linalg.solve(joint / np.outer(u, u), scaled))
+        found.append((difference, u, dark, chi2))
+    p = np.asarray(special.chdtrc(m, np.array([chi2 for *_, chi2 in found])))
+    return tuple(
+        LaboratoryJudged(*one, alone, looks)
+        for one, alone, looks in zip(found, p.tolist(), holm(p).tolist(), strict=True)
+    )
+
+
+def consensus_weights(values: Floats, covariances: Floats) -> tuple[Floats, Floats]:
+    """Return the Mandel-Paule weights (n, m) of n laboratories' numbers, and their dark uncertainty (m,)."""
+    variances = np.diagonal(covariances, axis1=1, axis2=2)
+    own = np.arange(len(values))
+    dark = np.array(
+        [
+            mandel_paule(Participants(y, np.diag(v), np.zeros_like(own), own))
+            for y, v in zip(values.T, variances.T, strict=True)
+        ]
+    )
+    weights = 1.0 / (variances + dark**2)
+    return weights / weights.sum(axis=0), dark

@@ -224,6 +224,15 @@ def _risk(told: Mapping[str, Any]) -> str:
 
 def _calibration(told: Mapping[str, Any]) -> CalibrationTold:
     unit = str(told["unit"])
+    if "channels" in told:  # of a record at a known input
+        rows = [
+            CoefficientRow(f"{called} {channel}", *_shown(one[key]), of)
+            for channel, one in told["channels"].items()
+            for key, called, of in (("gain", "gain", "V/V"), ("offset_v", "offset", "V"))
+            if one[key] is not None
+        ]
+        hidden, notes = (tuple(map(str, told.get(name, ()))) for name in ("not_observable", "notes"))
+        return CalibrationTold(tuple(rows), hidden, "", notes, fits=True)
     rows = []
     for name in map(str, told["order"]):
         one = told["coefficients"][name]
@@ -247,6 +256,11 @@ def _calibration(told: Mapping[str, Any]) -> CalibrationTold:
         tuple(map(str, told.get("notes", ()))),
         fits,
     )
+
+
+def _shown(of: Mapping[str, Any]) -> tuple[str, str]:
+    value, expanded = float(of["value"]), float(of["U"])
+    return rounded(value, expanded), uncertainty(expanded)
 
 
 _WORDS: Final = {

@@ -66,6 +66,10 @@ def prompt_of(asked: AskedPrompt, seen: RunView, installations: Mapping[str, Ins
             told["drawing"] = turn(mounted, at_rad, target_rad, direction)
         case "mount" if (installation := installations.get(str(action.get("installation")))) is not None:
             told["drawing"] = mounting(installation)
+        case "wait":
+            told["text"] = message(
+                "Paused: nothing on the bench moves. Continue here, or redo a point first."
+            )
     told["buttons"] = _buttons(told)
     return told
 
@@ -75,7 +79,7 @@ def _buttons(told: Mapping[str, Any]) -> list[dict[str, str]]:
     default = told["default"]
     buttons = [] if default is None else [{"text": "", "label": _label(told, str(default))}]
     match told["kind"]:
-        case PromptKind.CONFIRM:
+        case PromptKind.CONFIRM if told["do"] != "wait":
             pressed = [("yes", message("Yes, it is done")), ("no", message("No, not yet"))]
             if told["do"] in {"answer", "ask"}:
                 pressed = [("yes", "Yes"), ("no", "No")]
@@ -172,7 +176,7 @@ DRIFTS: Final = 0.01
 
 @dataclass(frozen=True)
 class About:
-    """The constant part of a run's snapshot: texts of its manifest, and the installations of its bench.
+    """The constant part of a run's snapshot: texts from its manifest, and the installations of its bench.
 
     `chamber` says whether the bench has a thermal chamber.
     """
@@ -237,6 +241,8 @@ def _doing(seen: RunView, *, alive: bool) -> str:
             return message(f"The run is {seen.state}.")
         case RunState.FAILED:
             return message("The run failed. It can be resumed.")
+        case RunState.INTERRUPTED if seen.stopped_by:
+            return message(f"{seen.stopped_by} stopped the run. It can be resumed.")
         case RunState.INTERRUPTED:
             return message("The run was interrupted. It can be resumed.")
         case _ if not alive:
@@ -254,8 +260,8 @@ def _doing(seen: RunView, *, alive: bool) -> str:
 def alarm_of(seen: RunView, asked: AskedPrompt | None, *, alive: bool) -> dict[str, str] | None:
     """Return the alarm of a run: `cause` in one line, `action` to take, `details`; None without one.
 
-    `do` is "resume" where the action is to resume the run, else empty. A question that waits is no alarm; an early
-    warning that stopped the run before this question is one.
+    `do` is "resume" if the action is to resume the run, else empty. An open question is no alarm, but an early
+    warning that stopped the run is one.
     """
     if seen.state is RunState.ABORTED or seen.state is RunState.FINISHED:
         return None

@@ -34,6 +34,7 @@ RESULTS: Final = {
     "fleet-drift": "fleet.DriftResult",
     "fleet-effects": "fleet.EffectsResult",
     "fleet-prior": "fleet.PriorResult",
+    "kit": "interlaboratory.KitResult",
     "learn": "learning.LearnResult",
     "monitor": "monitor.MonitorResult",
     "commission": "records.CommissionResult",

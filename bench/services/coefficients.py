@@ -69,8 +69,13 @@ def read_coefficients(path: Path, unit: str) -> Coefficients:
     """
     taken = coefficients_of(_read(path), str(path))
     if taken.unit != unit:
-        raise Refused(f"{path}: coefficients in {taken.unit}/g, but the readings are in {unit}")
+        raise Refused(f"{path}: coefficients in {taken.unit}/g, but the readings are in {unit}; use one unit")
     return taken
+
+
+def is_of_record(data: Any) -> bool:
+    """Return whether parsed JSON is a calibration of meters from a record at a known input."""
+    return isinstance(data, dict) and "channels" in data and "level_v" in data
 
 
 def coefficients_of(data: Any, where: str) -> Coefficients:
@@ -79,6 +84,11 @@ def coefficients_of(data: Any, where: str) -> Coefficients:
     Raises `Refused`, naming the file `where`, if the data are not such a result or hold an invalid number or
     covariance.
     """
+    if is_of_record(data):
+        raise Refused(
+            f"{where}: calibrates meters from a record at a known input, without coefficients of a block; give "
+            "the calibration of a block"
+        )
     try:
         values = np.array([_number(data["coefficients"][name]["value"]) for name in COEFFICIENTS])
         covariance = _covariance(data, "covariance")
@@ -167,7 +177,9 @@ def _temperature(data: Any) -> str:
 
 
 def require_temperature(results: Sequence[BlockResult], *, without: bool) -> None:
-    """Raise `Refused` if a result used temperature, which no form holds, unless it is asked for `without`."""
+    """Raise `Refused` if a result used temperature, which no form can hold, unless the user asks for the form
+    `without` it.
+    """
     for result in results:
         if result.temperature and not without:
             raise Refused(
@@ -253,7 +265,7 @@ def _covariance(data: Any, name: str) -> Floats:
     rows = _numbers(data[name])
     size = len(COEFFICIENTS)
     if [len(row) for row in rows] != [size] * size or len(data["order"]) != size:
-        raise ValueError(f"it has not {size} coefficients")
+        raise ValueError(f"the number of coefficients is not {size}")
     return np.array(rows)[np.ix_(order, order)]
 
 
@@ -283,7 +295,7 @@ def _number(value: Any) -> float:
     except OverflowError:
         number = math.inf
     if not math.isfinite(number):
-        raise ValueError("it has a value that is not a number")
+        raise ValueError("a value is not a finite number")
     return number
 
 
@@ -331,10 +343,11 @@ def results_in(path: Path) -> list[tuple[Any, str]]:
 
 def snapshots_in(path: Path) -> list[Snapshot]:
     """Return the calibrations in a result of `calibrate --json`. Raises `Refused` for another file."""
-    return [_snapshot(data, name) for data, name in results_in(path)]
+    return [snapshot_of(data, name) for data, name in results_in(path)]
 
 
-def _snapshot(data: Any, name: str) -> Snapshot:
+def snapshot_of(data: Any, name: str) -> Snapshot:
+    """Return the calibration in a parsed result of `calibrate --json`. Raises `Refused` for other data."""
     from bench.history.comparison import Snapshot
 
     found = coefficients_of(data, name)
@@ -367,7 +380,10 @@ def _least_dof(data: Any) -> float:
 
 
 def date_of(text: str | None, where: str) -> datetime | None:
-    """Return an ISO 8601 date, in UTC if it names no zone; None for no text. Raises `Refused` for another text."""
+    """Return an ISO 8601 date, in UTC if it names no zone; None for no text.
+
+    Raises `Refused` for a text that is no date.
+    """
     if not text:
         return None
     try:
@@ -383,7 +399,9 @@ ALL: Final = "all"
 
 
 def forms_of(names: list[str]) -> list[ExportForm]:
-    """Return the requested forms, each once, in their order; "all" stands for all forms. Raises `Refused`."""
+    """Return the requested forms, each once, in the requested order; "all" stands for all forms. Raises
+    `Refused`.
+    """
     from bench.exchange.forms import FORMS
 
     strange = [name for name in names if name not in FORMS and name != ALL]

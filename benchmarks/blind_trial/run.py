@@ -84,7 +84,6 @@ FULL: Final[tuple[Row, ...]] = (
     *(Row("single", rho=rho) for rho in QUIETER_RHO),
     *(Row("single", design, rho) for design in ("both", "turn-12") for rho in QUIETER_RHO),
     *(Row("single", design, 10) for design in ("return", "remount-180", "reordered")),
-    *(Row("single", "oven", rho) for rho in (8, 10)),
     Row("single", rho=8, noise_v=30e-6),
     Row("single", rho=8, noise_v=100e-6),
     Row("single", rho=8, noise_factor=0.7),
@@ -108,7 +107,9 @@ FULL: Final[tuple[Row, ...]] = (
 SHORT: Final[tuple[Row, ...]] = (
     Row("null", count=60), Row("null", noise_factor=1.3, count=30),
     *(Row("single", rho=rho, count=27) for rho in (5, 10, 20)), Row("single", "both", 10, count=27),
-    Row("single", "turn-12", 10, count=27), Row("pair", rho=10, count=20), Row("outside", rho=20, count=20),
+    Row("single", "turn-12", 10, count=27),
+    *(Row("single", "oven", rho, count=27) for rho in (8, 10)), Row("pair", rho=10, count=20),
+    Row("outside", rho=20, count=20),
     Row("own", rho=10, count=12), Row("hidden", count=10), Row("equal_k2", rho=12, count=5),
     Row("mounting_roll", rho=10, count=5), *(Row("null", noise=noise, count=10) for noise in NOISES[1:]),
     *(Row(kind, "return" if kind in RETURNS else "paper", 30, count=5) for kind in SLIPS),

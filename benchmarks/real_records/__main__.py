@@ -27,10 +27,13 @@ from bench.diagnosis.record_calibration import calibrate_record
 from bench.diagnosis.record_diagnosis import RecordDiagnosis, diagnose_record
 from bench.readings.csv import read_csv
 from bench.results.diagnosis_words import parameter_in_words
-from bench.stats.repeats import Ratio, Repeats
+from bench.stats.repeats import Ratio, Repeats, compare_repeats
 from benchmarks.real_records.cases import ROOT, Case, cases, require_sealed, twin_of
 
 PAGE: Final = ROOT / "docs/real-records.md"
+JUMP: Final = "voltmeter_move"
+WRONG, MISSED, UNTOLD = "wrong lone name", "missed", "a jump that nobody noted"
+"""Words of the column `judged`."""
 
 
 @dataclass(frozen=True)
@@ -51,15 +54,21 @@ class Row:
 
     @property
     def judged(self) -> str:
-        """Whether the names agree with the publisher's: right, missed, wrong, tie, or nothing to find."""
-        right = set(self.case.right)
-        if any(len(group) == 1 and group[0] not in right for group in self.groups):
-            return "wrong lone name"
+        """Whether the names agree with the publisher's: right, missed, wrong, tie, or nothing to find.
+
+        A jump counts apart: it says when, and not why.
+        """
+        right, alone = set(self.case.right), {group[0] for group in self.groups if len(group) == 1}
+        if alone - right - {JUMP}:
+            return WRONG
         if right and not any(right & set(group) for group in self.groups):
-            return "missed"
-        if not right and self.groups:
-            return "a tie, nothing told"
-        return "right" if right else "nothing named"
+            return MISSED
+        jumps = f", {UNTOLD}" if JUMP in alone - right else ""
+        if right:
+            return "right" + jumps
+        return (
+            "a tie, nothing told" if any(len(group) > 1 for group in self.groups) else "nothing named"
+        ) + jumps
 
     @property
     def cells(self) -> list[str]:
@@ -132,8 +141,9 @@ def verdicts(found: Sequence[Row]) -> str:
     ]  # fmt: skip
     judged = [row.judged for row in found]
     counts = (
-        f"Lone names that are wrong: {judged.count('wrong lone name')} of {len(found)} records; missed: "
-        f"{judged.count('missed')} of {sum(bool(row.case.right) for row in found)}."
+        f"Lone names that are wrong: {judged.count(WRONG)} of {len(found)} records; missed: "
+        f"{judged.count(MISSED)} of {sum(bool(row.case.right) for row in found)}; jumps that nobody noted: "
+        f"{sum(UNTOLD in one for one in judged)}."
     )
     return "\n".join([*_table(headings, [row.cells for row in found]), "", counts])
 
@@ -141,13 +151,25 @@ def verdicts(found: Sequence[Row]) -> str:
 def repeats(found: Sequence[Row]) -> str:
     """Return the table of repeats in Markdown."""
     headings = ["set", "state", "scatter / u", "left out, u as stated", "term", "left out, with the term"]
-    lines = []
+    listed: list[tuple[str, str, Repeats | None]] = []
     for row in found:
-        for state, one in (("before naming", row.before), ("after naming", row.after)):
-            if one is not None:
-                term = "–" if one.term is None else one.term.name
-                cells = [row.case.title, state, f"{one.scatter:.2g}", _ratio(one.held_before), term]
-                lines.append([*cells, _ratio(one.held_after)])
+        listed += [
+            (row.case.title, "before naming", row.before),
+            (row.case.title, "after naming", row.after),
+        ]
+    betweens = [one for row in found if isinstance(row.found, FreeDiagnosis) and (one := row.found.between)]
+    pooled = compare_repeats(
+        *(np.concatenate([getattr(b, name) for b in betweens]) for name in ("zero", "u"))
+    )
+    listed.append(("MIMU board, the four sensors pooled", "before naming", pooled))
+    lines = [
+        [
+            title, state, f"{one.scatter:.2g}", _ratio(one.held_before), "–" if one.term is None else one.term.name,
+            _ratio(one.held_after),
+        ]
+        for title, state, one in listed
+        if one is not None
+    ]  # fmt: skip
     return "\n".join(_table(headings, lines))
 
 

@@ -18,11 +18,11 @@ _ENDINGS: Final = ("Section", "Form", "Truth")
 _INTRODUCTION: Final = """\
 # Bench files
 
-A bench file says which instruments there are and where, how large the errors of the stand are, what the
-block is, what is accepted. It is YAML: `bench init` writes copies of the shipped ones to start from, `bench
-check PROCEDURE --bench FILE` lists every mistake in one at once, each with its line. An unknown key is a
-mistake; a number has its unit with it ([units](../units.md)). What stands below is read from the program
-when this site is built: *left out* says what a key is where it is not written.
+A bench file describes the instruments and their addresses, the errors of the stand, the block and the limit of
+its verification. It is YAML. `bench init` writes copies of the shipped ones to start from; `bench check
+PROCEDURE --bench FILE` lists all mistakes at once, each with its line. An unknown key is a mistake; every
+number has its unit ([units](../units.md)). This page is made from the program when the site is built. *Default*
+is the value of a key that you do not write.
 """
 
 

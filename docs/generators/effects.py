@@ -28,16 +28,18 @@ the size, one standard deviation, that the diagnosis takes for usual before it h
 is no size but a form (a time constant, a period): readings are not linear in it, a diagnosis tries the
 values listed. [Writing an effect](../writing-an-effect.md) adds one.
 
-They act one after another, stage by stage:
+They act one after another, stage by stage.
 """
 
 _MODEL_FILES: Final = """\
 # Model files
 
-A model file lists effects with their values; `bench diagnose` writes one, `--model FILE` of `calibrate`,
-`budget`, `run --dry-run`, `simulate` and the next diagnosis takes it. The section `simulation` of
-a bench file takes the same lists `formulas`, `effects`, `left_open`. A parameter is written in any unit of its
-dimension, for all channels alike or for each; a shape has one value and no `u`:
+A model file lists effects with their values. `bench diagnose` writes one; `calibrate`, `budget`, `run
+--dry-run`, `simulate` and the next diagnosis use it (`--model FILE`). `bench calibrate` **fits** the sizes: a
+value with `u` is the prior of its size, a value without `u` only a start (its prior is ten times the plausible
+size). So give a known effect a small `u`. `bench confirm` and the simulation **keep** the values. The section
+`simulation` of a bench file has the same lists `formulas`, `effects`, `left_open`. Write a parameter in any
+unit of its dimension, for all channels alike or for each; a shape has one value and no `u`:
 
 ```yaml
 model_file: 1
@@ -60,7 +62,7 @@ parameters are those of the [effects](effects.md), or of the file's own `formula
 
 def page() -> str:
     """Return the page on effects."""
-    parts = [_INTRODUCTION, prose(Stage).split("\n\n", 1)[1]]
+    parts = [_INTRODUCTION]
     for stage in Stage:
         held = [effect for effect in CATALOGUE.values() if effect.stage is stage]
         parts.append(f"## Stage: {stage.value}")

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from typing import Final
 
 from benchmarks.messages import messages
 from docs.generators.markdown import code, table
 
 AREAS: Final = {
-    "drivers": ("Instruments", "Check power, cable and address; `--wire-log FILE` records what was sent."),
+    "drivers": ("Instruments", "–"),
     "bench/run": (
         "Runs and their records",
         "`bench show RUN` shows the record, `bench resume RUN` continues it.",
@@ -43,6 +44,8 @@ AREAS: Final = {
     "sim": ("Simulated instruments", "The instrument refused a command; correct the program that sent it."),
 }
 """By folder: the heading of its errors, and what to do where they do not say it; empty if stated before."""
+_LEAST_OF_A_PART: Final = 4
+"""A text that other messages contain is listed from so many words on: shorter ones say nothing by themselves."""
 
 
 def fragment() -> str:
@@ -50,14 +53,24 @@ def fragment() -> str:
     remedies = {title: remedy for title, remedy in reversed(AREAS.values()) if remedy}
     rows: dict[str, dict[str, tuple[str, str, str]]] = {title: {} for title, _ in AREAS.values()}
     for one in messages():
-        if one.kind in ("error", "part"):
+        part = one.kind == "part" or (one.path.startswith("drivers/") and not one.remedy)
+        if one.kind in ("error", "part") and not (part and _short(one.text)):
             title = next(words for top, (words, _) in AREAS.items() if one.path.startswith(f"{top}/"))
             cause = one.text.removesuffix(f"; {one.remedy}")
             rows[title].setdefault(
-                one.text, (code(cause.replace("`", "'")), one.remedy or remedies[title], one.path)
+                one.text,
+                (
+                    code(cause.replace("`", "'")),
+                    one.remedy or ("–" if one.kind == "part" else remedies[title]),
+                    one.path,
+                ),
             )
     head = ("what happened", "what to do", "where")
     parts = [
         f"### {title}\n\n{table(head, sorted(found.values()))}" for title, found in rows.items() if found
     ]
     return "\n\n".join(parts)
+
+
+def _short(text: str) -> bool:
+    return len(re.findall(r"[^\W\d_]{2,}", text)) < _LEAST_OF_A_PART

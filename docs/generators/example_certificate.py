@@ -11,14 +11,28 @@ from typing import Final
 _PAGE: Final = """\
 # An example of a certificate
 
-It is made when this site is built: a dry run of the paper's procedure, the laboratory and order files that
-`bench init` writes, in two languages, signed with a key that is made for it and thrown away. So it says on every
-page that it is simulated, and its number is one of the series `SIM-`. [Certificates](../certificates.md) says
-what stands where.
+The build of this site makes this certificate from a dry run of the paper's procedure and the laboratory and order
+files that `bench init` writes, in two languages, and signs it with a key that it then deletes. So every page says that
+the run is simulated, and the number is of the series `SIM-`. See [Certificates](../certificates.md).
 
 ```{include} _example-certificate.md
 ```
-"""
+
+## What is in the XML
+
+| where | what |
+| --- | --- |
+| `administrativeData` | number, dates, laboratory, customer, unit, who authorises, the record with its seal |
+| `usedMethods` | procedure with the hash of its plan, estimator, model formula |
+| `measuringEquipments` | each instrument, its answer, its certificate (hash `none`) and validity |
+| `statements` | `bench_signed` or `bench_unsigned`; sampling, external providers, the customer's data |
+| `influenceConditions` | temperature of the block, chamber, supply, local gravity |
+| `bench_coefficients` | the twelve coefficients with U, k and **the full 12 × 12 covariance**; K in `\\volt`, per local g |
+| `bench_coefficients_si` | the same per m/s²: K in `\\volt\\metre\\tothe{-1}\\second\\tothe{2}`, with the uncertainty of gravity |
+| `bench_inverse`, `bench_misalignments` | N = K⁻¹ with U0; the six angles; each with its covariance |
+| `bench_delta_g` | Δg at the verification points with U, covariance, statements, limit and risk |
+| `bench_readings`, `bench_file` | the readings; the result as `bench calibrate --json` writes it, with the verdict |
+"""  # noqa: E501 - rows of a table
 _FILES: Final = "example"
 _PART: Final = """\
 `bench certificate verify` says of it: *{headline}*. The files: [PDF]({files}/certificate.pdf) with all that is

@@ -57,12 +57,12 @@ def _described(model: type[BaseModel]) -> str:
 
 
 def keys(model: type[BaseModel], title: Title) -> str:
-    """Return the table of a model's keys: what each holds, and what it is where it is left out."""
+    """Return the table of a model's keys: what each holds, and its default."""
     rows = [
         (code(field.alias or name), what(field.annotation, field.metadata, title), default(field))
         for name, field in model.model_fields.items()
     ]
-    return table(("key", "holds", "left out"), rows)
+    return table(("key", "holds", "default"), rows)
 
 
 def reachable(root: type[BaseModel]) -> list[type[BaseModel]]:
@@ -90,16 +90,16 @@ def models_in(annotation: Any) -> Iterator[type[BaseModel]]:
 
 
 def chosen_from(model: type[BaseModel]) -> list[type[BaseModel]]:
-    """Return what may stand where a model does: the sections of all instruments for the form of their role."""
+    """Return the models that may replace a model: the sections of all instruments for the form of their role."""
     alternatives = getattr(model, "alternatives", tuple)
     return list(alternatives()) or [model]
 
 
 def default(field: FieldInfo) -> str:
-    """Return what a key is where it is left out, as written in files as far as that is one word."""
+    """Return the default of a key, as written in files as far as that is one word."""
     value = field.get_default(call_default_factory=True, validated_data={})
     if value is PydanticUndefined:
-        return "**must stand**"
+        return "**required**"
     if value is None or value in ((), {}):
         return "–"
     if isinstance(value, BaseModel):

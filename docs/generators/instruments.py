@@ -34,11 +34,11 @@ _RESOURCES: Final = (
 _INTRODUCTION: Final = """\
 # Instruments
 
-What stands under `driver` in a [bench file](bench-files.md), by role, with an example of each. All but those that
-a person works can be simulated: `bench run … --dry-run` and `bench simulate` serve them on TCP ports and speak with
-them through the same drivers. An instrument that is not here is [a page of work](../writing-a-driver.md), in a
-folder of your own if you like. How each is connected and set is in [From wiring to result](../real-bench.md).
-`bench check` holds a procedure against the limits below before anything is sent.
+The values of `driver` in a [bench file](bench-files.md), by role, with an example of each. Every instrument
+that is not worked by a person can be simulated: `bench run … --dry-run` and `bench simulate` serve it on a TCP
+port, and the same driver talks to it. [Bringing an instrument](../writing-a-driver.md) shows how to add
+another. [From wiring to result](../real-bench.md) shows how to connect and set them. `bench check` compares a
+procedure with the limits below before anything is sent.
 """
 
 
@@ -77,7 +77,7 @@ def _section(device: Device) -> str:
 def _facts(device: Device, facts: ModuleType | None) -> Iterator[tuple[str, str]]:
     """Yield label and text of each fact known of an instrument."""
     if device.simulation is None:
-        yield "connected by", "a person; nothing stands for it in a dry run but the scripted operator"
+        yield "connected by", "a person; in a dry run the scripted operator answers"
     else:
         yield "connected by", ", ".join(_wires(device))
     for name, told, unit in (
@@ -95,7 +95,10 @@ def _facts(device: Device, facts: ModuleType | None) -> Iterator[tuple[str, str]
         least = getattr(facts, "LEAST_SAMPLES", 1)
         yield "samples of a reading", f"{least} to {most:,} for one channel"
     if device.simulated:
-        yield "its simulation heeds", ", ".join(code(key) for key in device.simulated)
+        yield (
+            "keys of `simulation` that its simulation uses",
+            ", ".join(code(key) for key in device.simulated),
+        )
     source = _source(facts)
     if source:
         yield "source", source

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 from typing import Final
 
+from pydantic import BaseModel
+
+from bench.config.foreign_log import LogColumn, LogColumns
 from bench.readings import csv
 from bench.readings.table import UNITS
+from docs.generators.forms import sections
 from docs.generators.markdown import code, table
 
 COLUMNS: Final[dict[str, tuple[str, str]]] = {
@@ -31,19 +35,20 @@ COLUMNS: Final[dict[str, tuple[str, str]]] = {
     "since_power_on_s": ("s", "since the block was switched on, for `warm_up`; may be empty"),
     "scan_order": ("–", "in which order the channels were read, such as `xyz`"),
     "reference_v": ("V", "voltage at a reference input, for `R`"),
+    "reference_sd_v": ("V", "scatter of the meters that read `reference_v`, counts as its u; may be empty"),
     "temperature_source": ("–", "what told `temperature_c`, where that was a thermometer at the block"),
     "chamber_c": ("°C", "air of the chamber, beside it"),
     "meter_temperature_c": (
         "°C",
         "of the voltmeters, for `voltmeter_thermal_gain` and `_offset`; may be empty",
     ),
-    "room_c": ("°C", "of the room; stands for the voltmeters' where their own is not recorded"),
+    "room_c": ("°C", "of the room; used for the voltmeters if their own is not recorded"),
     "alpha1_arcsec": ("″", "tilt of the shaft's axis in this mounting, as a level showed it"),
     "alpha2_arcsec": ("″", "as `alpha1_arcsec`, about the shaft: what the head's zero is off the vertical"),
     "u_alpha1_arcsec": ("″", "standard uncertainty of `alpha1_arcsec`"),
     "u_alpha2_arcsec": (
         "″",
-        "standard uncertainty of `alpha2_arcsec`; the four stand together or not at all",
+        "standard uncertainty of `alpha2_arcsec`; a file has all four or none",
     ),
     "drift_alpha1_arcsec_h": (
         "″/h",
@@ -67,9 +72,9 @@ installation,pass,point,angle_deg,ux_v,uy_v,uz_v
 V,1,1,44.999722222,-0.990108,0.909860,-1.927747
 ```
 
-Columns stand in any order, in small or large letters. Unknown columns are kept and ignored, with a note.
-Every row that cannot be read is listed with file, line, column and what was expected, and nothing is
-computed until it is mended or left out with `--skip-bad-rows`.
+Columns may be in any order, in small or large letters. Unknown columns are kept and ignored, with a note.
+Every row that cannot be read is listed with file, line, column and what was expected. Nothing is computed
+until you correct the row, or leave it out with `--skip-bad-rows`.
 
 Of each rail that feeds the block there may be three columns: `rail_NAME_v` and `rail_NAME_a`, what was measured,
 in V and A, and `rail_NAME_nominal_v`, from which the effect `supply_sensitivity` counts; empty where nothing was
@@ -78,17 +83,30 @@ measured.
 A **record at a known input** has rows `R` alone: `installation,time_s,reference_v,ux_v,uy_v,uz_v`. `pass` and
 `point` may be absent, and one or two of the signals may be absent or empty throughout.
 
-A text in an unknown column, or its name, that begins like a formula (`=`, `+`, `-`, `@`, a tab or a line end)
-is exported with an apostrophe in front, so that a spreadsheet keeps it as text; control characters are exported
-as escapes such as `\\x1b`, backslashes in such a cell twice. Reading the file undoes both. Numbers stay numbers.
+If the text or the name of an unknown column begins like a formula (`=`, `+`, `-`, `@`, a tab or a line end), the
+export puts an apostrophe before it, so that a spreadsheet keeps it as text. Control characters become escapes such
+as `\\x1b`, and a backslash in such a cell is doubled. Reading the file undoes both. Numbers stay numbers.
 
 `bench export RUN --csv NAME.csv` writes `NAME.csv.json` beside it: whether the instruments were simulated, the
 run, the unit, the bench file with its SHA-256, the identities of the instruments, and the SHA-256 of the
-readings file. As long as this is the readings file's, an analysis of the file is as marked as one of the run, and
-takes the bench file that the run had (its copy in the run's folder, or where it was) unless `--bench` or
-`BENCH_FILE` names another. If a readings file changed since its export, a note says so, and nothing
-is taken over. The first line that an analysis prints names the bench file and why it was taken; the result has
-it, too (`bench`).
+readings file. As long as this hash fits the readings file, an analysis of the file is marked as simulated (or not)
+exactly like the run, and uses the run's bench file (the copy in the run's folder, or the original) unless `--bench`
+or `BENCH_FILE` names another. If the readings file changed since its export, a note says so, and the analysis
+uses nothing from `NAME.csv.json`. The first line that an analysis prints names the bench file and the reason for
+the choice; the result has it too (`bench`).
+"""
+
+
+_LOGS: Final = """\
+## A log of another program
+
+`bench import LOG --columns MAPPING.yaml` makes a readings file of a log
+([example](../real-records.md#use-your-own-log)). The log is UTF-8 text with one header line and one line for
+each row. Lines that begin with `comment` are ignored, also before the header. With `decimal: ","` numbers have
+a decimal comma; the separator must then be another character. A cell that is no number is listed with line and
+column, and nothing is imported; `--skip-bad-rows` leaves such rows out. An empty cell stays empty, except a
+time. Without `time_format` times are numbers; with `iso` or a format of `strptime` they become seconds since
+the first row.
 """
 
 
@@ -105,7 +123,7 @@ def page() -> str:
             f"columns of readings files: {sorted(set(known) ^ COLUMNS.keys())} in one place only"
         )
     rows = [
-        (code(name), COLUMNS[name][0], "must stand" if name in csv.REQUIRED else "may", COLUMNS[name][1])
+        (code(name), COLUMNS[name][0], "required" if name in csv.REQUIRED else "optional", COLUMNS[name][1])
         for name in known
     ]
     signals = [
@@ -119,12 +137,19 @@ def page() -> str:
 
 ## Signals
 
-The suffix is the unit, all three alike; results are then per that unit. A standard deviation of the samples
-of a reading may stand beside each signal.
+The suffix is the unit, all three alike; results are then per that unit. Each signal may have a column with the
+standard deviation of the samples of the reading.
 
 {table(("signals", "unit", "standard deviations"), signals)}
 
 ## A static record
 
 For `bench stability`: a CSV with `time_s` and the three signal columns only.
+
+{_LOGS}
+{sections(LogColumns, _title)}
 """
+
+
+def _title(model: type[BaseModel]) -> str:
+    return {LogColumns: "Keys of a mapping", LogColumn: "A column of a mapping"}[model]

@@ -49,9 +49,9 @@ def fragment() -> str:
         (
             "Each room may import those on floors below it, and no other:",
             table(("floor", "room", "what it holds"), rows),
-            "Beside `bench` stand two houses:",
+            "Beside `bench` there are two packages:",
             table(("room", "what it holds"), outside),
-            "What else `make lint` holds the imports to:",
+            "Further rules of imports that `make lint` checks:",
             table(("rule", "of"), others),
         )
     )

@@ -91,6 +91,7 @@ def test_what_is_done_is_not_done_again(runs, tmp_path):
     }  # fmt: skip
 
 
+@pytest.mark.slow
 def test_rows_of_a_program_that_is_killed_are_those_of_whole_parts(runs, tmp_path, monkeypatch):
     monkeypatch.setattr(course_module, "PART_ROWS", 2)
     monkeypatch.setattr(PartWriter, "_write", _written_when_full(PartWriter._write))
@@ -115,11 +116,13 @@ def _written_when_full(write):
     return only_full
 
 
+@pytest.mark.slow
 def test_a_part_is_written_in_time_however_few_rows_it_has(runs, tmp_path):
     carried_out(tmp_path / "out", runs, Rows(), clock=Hours())
     assert len(list((tmp_path / "out" / "parts").glob("*.parquet"))) == 6
 
 
+@pytest.mark.slow
 def test_a_run_that_changed_is_computed_again_and_counts_once(runs, tmp_path):
     carried_out(tmp_path / "out", runs, Rows())
     (tmp_path / "runs" / "run-3" / "verify.json").write_text("{}")
@@ -131,6 +134,7 @@ def test_a_run_that_changed_is_computed_again_and_counts_once(runs, tmp_path):
     assert counted(tmp_path / "out") == dict.fromkeys(runs, 1)
 
 
+@pytest.mark.slow
 def test_runs_that_came_and_went_are_told(runs, tmp_path):
     carried_out(tmp_path / "out", runs[:-1], Rows())
     shutil.rmtree(runs[0])

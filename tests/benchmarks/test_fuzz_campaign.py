@@ -15,6 +15,7 @@ SEED = 20261122
 QUICK = 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", fuzz_campaign.KINDS)
 def test_a_few_inputs_of_each_kind_bring_sentences_alone(kind: str, tmp_path: Path) -> None:
     for number in range(QUICK):
@@ -22,6 +23,7 @@ def test_a_few_inputs_of_each_kind_bring_sentences_alone(kind: str, tmp_path: Pa
             assert tried(kind, SEED, number) == []
 
 
+@pytest.mark.slow
 def test_the_inputs_are_made_of_good_ones(tmp_path: Path) -> None:
     good = {
         "r.csv": as_csv(readings()),

@@ -1,5 +1,7 @@
 """The report on the house: what it says of circles and of who imports whom."""
 
+import pytest
+
 from benchmarks.house import ROOT, Module, circles, modules
 
 
@@ -20,6 +22,7 @@ def test_an_import_inside_a_function_is_told_apart_from_one_of_the_module():
     assert sorted(known["a"].imported(known, inner=True)) == ["b", "c", "d"]
 
 
+@pytest.mark.slow
 def test_the_program_is_found_whole():
     known = modules()
     assert {"bench", "bench.base.arrays", "drivers.clock", "sim.world"} <= set(known)

@@ -79,6 +79,7 @@ def test_it_agrees_with_the_loop(noise_v):
     assert batch.dof == one.noise.dof
 
 
+@pytest.mark.slow
 def test_more_units_than_a_chunk_keep_their_order():
     signals = simulate_many(3, 450, 1e-4)
     whole = calibrate_batch(signals, CONDITIONS, MODEL, STAND_U)

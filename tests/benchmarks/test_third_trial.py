@@ -38,6 +38,7 @@ def test_forms_have_the_size_asked_for_and_their_own_name_explains_them():
             assert left_by([name], left(seen, 1), 1) < 0.3, name
 
 
+@pytest.mark.slow
 def test_cases_follow_from_their_seed_in_the_stated_shares():
     cases = [main_case(3, number) for number in range(50)]
     assert {case.group for case in cases} == set(SHARES)

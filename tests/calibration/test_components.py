@@ -36,6 +36,7 @@ def test_a_walk_is_seen_as_large_as_it_is_and_seldom_taken_for_hardly_any():
     assert np.sqrt(np.mean(found**2)) < 2 * true
 
 
+@pytest.mark.slow
 def test_without_a_walk_what_is_left_open_is_a_part_of_the_noise():
     """Noise of 100 uV in 54 readings leaves open a wander of some 20 uV: never nothing, seldom as much as half."""
     found = wander_of("stand")

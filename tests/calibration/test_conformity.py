@@ -256,6 +256,7 @@ def after(measured, u, dof, population, limit):
     return outside / (inside + outside)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dof", [np.inf, 20.0, 4.0])
 @pytest.mark.parametrize(("mean", "deviation", "u"), [(0.0, 1.0, 0.7), (0.5, 0.6, 0.9), (-1.5, 0.4, 0.3)])
 def test_a_population_is_the_prior_of_the_risk(mean, deviation, u, dof):

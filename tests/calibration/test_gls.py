@@ -380,6 +380,7 @@ def test_every_command_takes_every_estimator_by_each_of_its_names(bench, reading
     assert find_estimator("h").name == "halved"
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("a_further_one")
 def test_every_command_refuses_another_and_its_help_names_all(bench, readings):
     for command in commands(readings):

@@ -53,6 +53,7 @@ def test_angles_in_radians_on_the_command_line(bench, tmp_path):
     assert err.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_a_poor_fit_alone_is_not_called_a_wrong_unit():
     """A quadratic term of 5 % is no unit of angle."""
     readings = simulate(np.random.default_rng(2), 1e-4, K2=0.05)

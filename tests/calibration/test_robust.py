@@ -133,6 +133,7 @@ def test_gross_slip_of_a_degree_leaves_the_truth():
     assert np.all(np.abs(result.block.vector - TRUTH) < 4 * result.u)
 
 
+@pytest.mark.slow
 def test_command_line(bench, tmp_path):
     readings = run([68, 1])
     readings.signal[13, 1] += 0.01

@@ -347,6 +347,7 @@ def test_the_header_compiles_and_computes_what_the_table_says(compiled, table, d
     assert found == pytest.approx(table.specific_force(signal, temperature), abs=4e-6)
 
 
+@pytest.mark.slow
 def test_what_is_exported_tests_itself_with_temperature(model, table, tmp_path):
     """C to 1e-12 in double precision; CSV and JSON by their three lines; each fails once a digit changes."""
     header = c_header(model, table, "block 1")

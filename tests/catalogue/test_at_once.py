@@ -28,6 +28,7 @@ def runs(tmp_path, monkeypatch):
     return tmp_path / "runs"
 
 
+@pytest.mark.slow
 def test_two_syncs_at_once_write_what_one_alone_writes(runs, tmp_path):
     def synced(_):
         with open_catalogue(tmp_path / "both") as catalogue:
@@ -41,6 +42,7 @@ def test_two_syncs_at_once_write_what_one_alone_writes(runs, tmp_path):
     assert rows_of(tmp_path / "both") == rows_of(tmp_path / "alone")
 
 
+@pytest.mark.slow
 def test_a_sync_that_was_ended_goes_on_where_it_was(runs, tmp_path, monkeypatch):
     write, batches = syncing._write, []
 
@@ -71,6 +73,7 @@ def test_folders_read_by_processes_are_the_same(runs, tmp_path, monkeypatch):
     assert not multiprocessing.active_children()
 
 
+@pytest.mark.slow
 def test_a_register_tells_which_certificate_was_issued_of_which_run(runs, tmp_path):
     with open_catalogue(tmp_path / "file") as catalogue:
         sync(catalogue, [runs], processes=1)

@@ -214,6 +214,7 @@ def test_a_changed_input_is_told(catalogue, tmp_path):
     assert row_of(catalogue, "one")["problem"] == "bench.yaml was changed since the run began"
 
 
+@pytest.mark.slow
 def test_a_result_of_another_state_of_the_record_is_told_from_its_own(catalogue, tmp_path):
     folder = write_run(tmp_path / "runs" / "one")
     events = events_of("2026-03-01T08:00:00+00:00", ("MY1", "MY2", "MY3"))

@@ -54,6 +54,7 @@ def test_the_same_content_gives_the_same_bytes(certificate, body):
     assert body_of(certificate, DCC) == body
 
 
+@pytest.mark.slow
 def test_it_is_what_it_claims_to_be_before_and_after_it_is_signed(body):
     assert faults_of(body) == ()
     signed = sign_pdf(body, a_signatory(), NOW, "Calibration certificate", "Kyiv")

@@ -70,6 +70,7 @@ def test_a_key_that_others_may_read_does_not_sign(tmp_path):
         signatory_of(str(file), None, no_passphrase, NOW)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["P-384", "RSA"])
 def test_a_chain_of_a_laboratory_stands_for_it_by_its_root_alone(tmp_path, kind):
     key = (

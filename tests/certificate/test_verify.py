@@ -58,6 +58,7 @@ def looked_at(file, trust=None, runs=Path("nowhere")):
     return verify_certificate(file, trust, runs)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["c.pdf", "c.xml"])
 def test_without_a_trust_file_it_is_intact_and_the_signer_unknown(written, name):
     verdict = looked_at(written / name)
@@ -69,6 +70,7 @@ def test_without_a_trust_file_it_is_intact_and_the_signer_unknown(written, name)
     assert any("beside it has the same content" in text for text in verdict.agreed)
 
 
+@pytest.mark.slow
 def test_with_one_it_is_of_the_signer_or_of_another(written):
     own = trust_in(written, a_signatory().chain[0])
     verdict = looked_at(written / "c.pdf", own)
@@ -79,6 +81,7 @@ def test_with_one_it_is_of_the_signer_or_of_another(written):
     assert (verdict.headline, verdict.accepted) == ("intact, signer not trusted", False)
 
 
+@pytest.mark.slow
 def test_what_is_shown_is_what_was_signed(made, written):
     shown = looked_at(written / "c.pdf").shown
     found = made.certificate.found
@@ -104,6 +107,7 @@ def test_comments_are_told_and_not_shown(made, tmp_path):
     assert "1 comments" in verdict.not_signed[0]
 
 
+@pytest.mark.slow
 def test_the_record_is_held_against_it(written, tmp_path):
     shutil.copytree(RECORDED, tmp_path / "runs" / "finished")
     verdict = looked_at(written / "c.pdf", runs=tmp_path / "runs")
@@ -135,6 +139,7 @@ def test_what_another_computer_rounds_otherwise_is_no_change(made, tmp_path, by_
     assert any("gives another result" in text for text in verdict.wrong) is not intact
 
 
+@pytest.mark.slow
 def test_a_run_of_the_same_name_is_no_record_of_it(written, tmp_path):
     folder = shutil.copytree(RECORDED, tmp_path / "runs" / "finished")
     (folder / "run.json").write_text((folder / "run.json").read_text().replace("A. Person", "B. Person"))
@@ -184,6 +189,7 @@ def no_certificate(made):
     return made.paper(sign_xml(b"<nothing/>", a_signatory(), NOW))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("make", "words"),
     [
@@ -204,6 +210,7 @@ def test_forms_that_do_not_agree_are_refused_whoever_signed_them(made, tmp_path,
     assert verdict.result().signed is None
 
 
+@pytest.mark.slow
 def test_another_certificate_beside_it_is_told(made, written):
     theirs = sign_xml(document_of(made.certificate), a_signatory(OTHER), NOW)
     (written / "c.xml").write_bytes(theirs)
@@ -290,6 +297,7 @@ def nowhere(folder, forms):
     return folder / f"{NUMBER}.pdf", None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("signed", "happened", "headline", "accepted"),
     [

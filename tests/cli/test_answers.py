@@ -58,6 +58,7 @@ def points(bench, monkeypatch):
     return answered
 
 
+@pytest.mark.slow
 def test_typed_or_left_in_the_folder_the_same_answers_make_the_same_readings(points, bench):
     run, (status, out, err) = points("away", *RUN, "--name", "away", "--answers", "folder")
     assert (status, err) == (0, "")
@@ -72,6 +73,7 @@ def test_typed_or_left_in_the_folder_the_same_answers_make_the_same_readings(poi
     assert {e.data["where"] for e in here.history.events if e.type == "answered"} == {"terminal"}
 
 
+@pytest.mark.slow
 def test_a_typed_angle_is_where_the_simulated_head_stands_and_a_wrong_one_is_refused(points):
     class Careless(Hands):
         def _act(self, prompt):
@@ -93,6 +95,7 @@ def test_a_typed_angle_is_where_the_simulated_head_stands_and_a_wrong_one_is_ref
     assert max(abs(moved_v)) > 20e-6  # of about 2 V/g, by 25″ and as much again as the other was off
 
 
+@pytest.mark.slow
 def test_a_run_that_was_stopped_in_the_panel_goes_on_with_a_living_person(points):
     class Stopping(Hands):
         def _act(self, prompt):

@@ -30,6 +30,7 @@ def calibrate(bench, *more):
     return bench("batch", "calibrate", "--over", "runs/*", "--out", "out", *more)
 
 
+@pytest.mark.slow
 def test_nothing_changes_where_nothing_is_other(bench, runs):
     status, out, err = calibrate(bench, "--json", "result.json")
     assert (status, err) == (0, "")
@@ -42,6 +43,7 @@ def test_nothing_changes_where_nothing_is_other(bench, runs):
     assert json.loads(Path("out/summary.json").read_text()) == told
 
 
+@pytest.mark.slow
 def test_verdicts_that_would_be_different_are_told_counted_and_listed(bench, runs):
     shutil.rmtree(runs[2])
     (runs[1] / "verify.json").unlink()
@@ -58,6 +60,7 @@ def test_verdicts_that_would_be_different_are_told_counted_and_listed(bench, run
     keeps_to("batch", json.loads(Path("out/summary.json").read_text()))
 
 
+@pytest.mark.slow
 def test_a_bad_run_is_listed_and_does_not_stop_the_others(bench, runs):
     (runs[1] / "events.jsonl").write_text("{}\n")
     out = printed(calibrate(bench), status=1)
@@ -67,12 +70,14 @@ def test_a_bad_run_is_listed_and_does_not_stop_the_others(bench, runs):
     keeps_to("batch", json.loads(Path("out/summary.json").read_text()))
 
 
+@pytest.mark.slow
 def test_strict_takes_a_fit_that_is_judged_otherwise(bench, runs):
     edited(runs[0] / "calibrate.json", lambda told: told["residual"].update(p=1e-5))
     assert calibrate(bench)[0] == 0
     printed(calibrate(bench, "--strict"), "lack of fit: 2 judged the same, 1 otherwise", status=1)
 
 
+@pytest.mark.slow
 def test_the_table_has_each_run_once_in_every_form(bench, runs):
     import duckdb
 
@@ -84,6 +89,7 @@ def test_the_table_has_each_run_once_in_every_form(bench, runs):
     assert found == [(row["run"], 144) for row in rows]
 
 
+@pytest.mark.slow
 def test_ctrl_c_says_what_is_done_and_the_same_command_goes_on(bench, runs, monkeypatch):
     def stopped(job, runs, count):
         yield worked(job, next(runs))
@@ -99,6 +105,7 @@ def test_ctrl_c_says_what_is_done_and_the_same_command_goes_on(bench, runs, monk
     assert "3 runs (3 simulated)" in out
 
 
+@pytest.mark.slow
 def test_another_command_in_the_folder_is_refused(bench, runs):
     calibrate(bench)
     err = refused(calibrate(bench, "--estimator", "robust"))
@@ -108,6 +115,7 @@ def test_another_command_in_the_folder_is_refused(bench, runs):
     refused(bench("batch", "diagnose", "--over", "runs/*", "--out", "out"), "the command was calibrate")
 
 
+@pytest.mark.slow
 def test_what_no_run_could_be_asked_is_refused_at_once(bench, runs):
     for options, told in {
         ("--estimator", "best"): "best",
@@ -121,6 +129,7 @@ def test_what_no_run_could_be_asked_is_refused_at_once(bench, runs):
     assert not Path("out").exists()
 
 
+@pytest.mark.slow
 def test_show_prints_what_has_come_of_it(bench, runs):
     before = calibrate(bench, "--limit", "1e-6")
     status, out, _ = bench("batch", "show", "out", "--json", "told.json")
@@ -129,6 +138,7 @@ def test_show_prints_what_has_come_of_it(bench, runs):
     assert bench("batch", "show", "nothing")[2] == "bench: nothing: no batch there (no batch.json in it)\n"
 
 
+@pytest.mark.slow
 def test_pages_go_into_the_folder_of_the_batch(bench, runs, monkeypatch):
     status, _, _ = bench("batch", "report", "--over", "runs/*", "--out", "out", "--rule", "guarded")
     assert status in {0, 1}

@@ -132,6 +132,7 @@ def test_a_head_that_was_not_turned_stops_the_run_which_asks_and_takes_the_point
     assert abs(run.readings().signal[1, 0]) > 2.0  # x is up only at the second try
 
 
+@pytest.mark.slow
 def test_a_second_stop_at_a_point_after_its_redo_says_so_and_proposes_the_pass(served, bench):
     """The head is forgotten at the redo, too; the resumed run remembers."""
     Path("forgotten").touch()

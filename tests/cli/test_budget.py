@@ -171,6 +171,7 @@ def test_a_procedure_of_several_temperatures_says_what_its_budget_takes_for_gran
     assert not any("temperatures," in note for note in result_of(bench, "--trials", 0)["notes"])
 
 
+@pytest.mark.slow
 def test_a_model_without_sizes_has_plausible_ones_and_leaves_the_priors_of_the_other_channels(bench):
     """K3 of x from the model, of y and z as before: alike in use, for the sizes are alike."""
     Path("model.yaml").write_text(
@@ -194,6 +195,7 @@ def test_robust_counts_as_generalised_least_squares(bench):
     assert result_of(bench, "--trials", 0, "--estimator", "robust")["estimator"] == "gls"
 
 
+@pytest.mark.slow
 def test_a_bench_without_gravity_is_told(bench):
     file = edited_stand(**{"gravity: {latitude: 50.449 deg, height: 180 m}": "# none"})
     refused(bench("budget", "--bench", file), "give --g 9.81")

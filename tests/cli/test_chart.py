@@ -122,6 +122,7 @@ def test_a_real_run_looks_for_real_checks(there):
         new_run(RunRequest("quick", "my.yaml", dry_run=False, seed=1))
 
 
+@pytest.mark.slow
 def test_with_warn_the_run_goes_on_and_its_result_says_so(laboratory, tmp_path, monkeypatch):
     import shutil
 
@@ -141,6 +142,7 @@ def test_a_bench_without_a_check_block_cannot_be_held_to_one(there):
         new_run(RunRequest("quick", "paper-stand", dry_run=True, seed=1, check_block=True))
 
 
+@pytest.mark.slow
 def test_the_command_draws_the_chart_and_its_status_is_the_verdict(there, bench, laboratory, monkeypatch):
     monkeypatch.chdir(laboratory)
     status, out, err = bench("chart", "runs", "--json", "chart.json", "--page", "chart.html")

@@ -42,6 +42,7 @@ def test_a_run_in_every_form_each_in_its_folder_with_what_it_loses(finished):
     assert pytest.approx(np.eye(3), abs=1e-14) == N @ K
 
 
+@pytest.mark.slow
 def test_a_result_and_the_readings_that_it_is_of_give_the_same_numbers(bench):
     shutil.copy(RECORDS / "readings.csv", "r.csv")
     assert bench("calibrate", "r.csv", "--json", "result.json")[0] == 0
@@ -194,6 +195,7 @@ def test_what_is_issued_and_signed_is_intact_until_it_is_changed(bench):
     assert bench("certificate", "verify", "none.pdf")[0] == 2
 
 
+@pytest.mark.slow
 def test_a_result_that_used_temperature_is_written_without_it_only_on_request(bench, tmp_path):
     told = json.loads((RECORDS / "calibrate.json").read_text())
     told["temperature_effects"] = ["thermal_bias"]

@@ -43,6 +43,7 @@ def named(bench):
     return json.loads(Path("d.json").read_text(encoding="utf-8"))
 
 
+@pytest.mark.slow
 def test_what_is_found_is_written_as_a_page_and_as_a_model_that_calibrate_and_confirm_take(bench, named):
     keeps_to("diagnose-free", named)
     first = named["effects"][0]
@@ -65,6 +66,7 @@ def test_what_is_found_is_written_as_a_page_and_as_a_model_that_calibrate_and_co
     assert "NOTHING FOUND" in bench("diagnose", "again.csv", "--model", named["model"])[1]
 
 
+@pytest.mark.slow
 def test_what_is_gone_or_was_found_in_these_is_no_proof(bench, named):
     printed(
         bench("confirm", measured("cold.csv", 3), "--model", named["model"]), "cold.csv: GONE: ", status=1
@@ -72,6 +74,7 @@ def test_what_is_gone_or_was_found_in_these_is_no_proof(bench, named):
     refused(bench("confirm", "warm.csv", "--model", named["model"]), "found in these same readings")
 
 
+@pytest.mark.slow
 def test_the_copy_without_what_stands_apart_is_searched_to_the_same_end(bench):
     measured("moved.csv", 5, moved=7)
     status, out, _ = bench("diagnose", "moved.csv", "--json", "m.json", "--out", "there")
@@ -86,6 +89,7 @@ def test_the_copy_without_what_stands_apart_is_searched_to_the_same_end(bench):
     assert again["noise"]["reading"] == pytest.approx(result["noise"]["reading"])
 
 
+@pytest.mark.slow
 def test_files_of_several_records_stand_beside_the_first_of_them(bench):
     Path("one").mkdir()
     Path("two").mkdir()
@@ -96,6 +100,7 @@ def test_files_of_several_records_stand_beside_the_first_of_them(bench):
     assert sorted(path.name for path in Path().iterdir()) == ["one", "two"]
 
 
+@pytest.mark.slow
 def test_from_python_it_is_the_same(bench, named):
     result = program.diagnose("warm.csv")
     assert isinstance(result, program.FreeDiagnosisResult)

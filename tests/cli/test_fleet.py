@@ -61,6 +61,7 @@ def result(bench, *words):
     return status, out, told
 
 
+@pytest.mark.slow
 def test_the_bench_that_is_off_is_named_and_the_blocks_are_not(laboratory):
     _, out, told = result(laboratory, "effects", "type=block A")
     assert told["answer"].startswith("both: benches differ in Kyy")
@@ -126,6 +127,7 @@ def test_a_units_history_and_what_is_expected_of_it(laboratory):
     refused(laboratory("fleet", "drift"), "a drift is of one unit, not 8: add unit=")
 
 
+@pytest.mark.slow
 def test_the_capability_holds_what_benches_differ_by(laboratory):
     _, _, told = result(laboratory, "cmc")
     rows = told["coefficients"]
@@ -179,7 +181,8 @@ def test_a_calibration_with_the_prior_of_its_type(empty_folder, monkeypatch, ben
     text["type"] = "another"
     Path("prior.yaml").write_text(yaml.safe_dump(text), encoding="utf-8")
     refused(
-        bench("calibrate", "first", "--prior", "prior.yaml"), "is of type 'another', the unit here is of type"
+        bench("calibrate", "first", "--prior", "prior.yaml"),
+        "is for type 'another', but this unit is of type",
     )
     text["covariance"][0][1] = 1.0
     Path("prior.yaml").write_text(yaml.safe_dump(text), encoding="utf-8")
@@ -296,6 +299,7 @@ def test_a_short_history_is_due_by_the_interval_and_says_so(synced):
     assert "block A 18" not in [one["unit"] for one in json.loads(out)["units"]]
 
 
+@pytest.mark.slow
 def test_real_calibrations_are_not_mixed_with_simulated_ones(synced):
     Path("laboratory.sqlite").unlink()
     assert "8 new" in synced("catalogue", "sync", "runs")[1]

@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 import bench as program
+from bench.panel.results import results_of
+from bench.run.folder import Run
 from tests.support.commands import refused
 from tests.support.schemas import keeps_to
 
@@ -64,6 +66,19 @@ def test_stability_handles_gaps_and_time_steps(bench, record):
         assert np.mean(channel["psd"]["density"]) == pytest.approx(2 * 21.5 * 0.09e-12, rel=0.2)
     assert result["reading"] is None
     assert any("have no reading; averages omit" in note for note in result["notes"])
+
+
+def test_its_result_is_no_calibration_of_a_block(bench, record):
+    """Neither for a command that takes coefficients, nor for panel and catalogue, which read its folder."""
+    assert bench("import", record, "--name", "meters")[0] == 0
+    assert bench("calibrate", "meters")[0] == 0
+    assert "calibrates meters" in refused(bench("coefficients", "runs/meters/calibrate.json"))
+    found = results_of(Run(Path("runs/meters")))
+    assert found.trouble == ()
+    assert [row.name for row in found.calibration.rows] == ["gain x", "offset x", "gain z", "offset z"]
+    status, out, _ = bench("catalogue", "sync", "runs")
+    assert status == 0
+    assert "problem" not in out
 
 
 @pytest.mark.parametrize("command", ["verify", "compensate", "tumble", "coefficients", "compare", "learn"])

@@ -42,6 +42,7 @@ def learn(bench, runs, *options):
     return bench("learn", *runs, "--bench", "plain.yaml", *options)
 
 
+@pytest.mark.slow
 def test_from_runs_to_a_smaller_honest_u(bench, runs):
     out = printed(learn(bench, runs, "--json", "learn.json"))
     assert out.index("r4.csv contradicts the others") < out.index("axis_tilt.mean")
@@ -59,6 +60,7 @@ def test_from_runs_to_a_smaller_honest_u(bench, runs):
     assert after.coefficients["Kyx"].u_readings < before.coefficients["Kyx"].u_readings
 
 
+@pytest.mark.slow
 def test_a_run_behind_the_file_never_uses_it_wherever_it_lies(bench, runs):
     learn(bench, runs)
     Path("elsewhere.csv").write_bytes(Path("r2.csv").read_bytes())
@@ -72,6 +74,7 @@ def test_a_run_behind_the_file_never_uses_it_wherever_it_lies(bench, runs):
     assert not any("is not used" in note for note in other.notes)
 
 
+@pytest.mark.slow
 def test_what_the_file_is_not_for_is_refused_or_told(bench, runs):
     learn(bench, runs)
     refused(learn(bench, runs), "is not overwritten")

@@ -38,6 +38,7 @@ def result_of(bench, *arguments):
 # --- said first, and in the result ------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["calibrate", "verify"])
 def test_the_bench_file_and_why_stand_in_the_first_line_and_in_the_result(bench, monkeypatch, command):
     assert command in COMMANDS
@@ -63,6 +64,7 @@ def test_the_bench_file_and_why_stand_in_the_first_line_and_in_the_result(bench,
         assert len(taken["sha256"]) == 64
 
 
+@pytest.mark.slow
 def test_several_sources_with_several_bench_files_have_a_line_each(exported):
     shutil.copy(RECORDS / "readings.csv", "r.csv")
     lines = exported("verify", "r.csv", "finished")[1].splitlines()
@@ -183,6 +185,7 @@ def test_a_bench_file_of_another_content_is_never_taken(exported):
     assert "was moved or changed" in out
 
 
+@pytest.mark.slow
 def test_another_file_is_not_written_over_and_what_an_import_is_of_is_kept(exported):
     Path("g.csv.json").write_text('{"my": "notes"}', encoding="utf-8")
     status, _, err = exported("export", "finished", "--csv", "g.csv")

@@ -45,6 +45,7 @@ def files(bench):
     return bench
 
 
+@pytest.mark.slow
 def test_a_model_that_names_it_is_read_with_the_option_alone(files, monkeypatch):
     refused(files("calibrate", "readings.csv", "--model", "model.yaml"), "unknown effect 'fourth_power'")
     asked = ("calibrate", "readings.csv", "--model", "model.yaml")

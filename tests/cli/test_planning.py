@@ -245,6 +245,7 @@ def test_the_third_mounting_angle_wants_a_further_installation(bench, result):
     assert set(found["mountings"]) & {"1T90", "2T90"}
 
 
+@pytest.mark.slow
 def test_goals_have_units_in_the_table(bench):
     goals = ("--u", "U0x=60 uV", "--modulus", "1e-3", "--up-to", "5")
     out = printed(bench("plan-points", *goals, "--no-verify", "--angles", 8))

@@ -31,6 +31,7 @@ def readings(polynomials, empty_folder, tmp_path):
     return path
 
 
+@pytest.mark.slow
 def test_a_run_over_temperature_is_compensated_and_written(bench, readings, polynomials, tmp_path):
     status, out, err = bench("compensate", readings, "--json", "model.json")
     assert (status, err) == (0, "")
@@ -48,6 +49,7 @@ def test_a_run_over_temperature_is_compensated_and_written(bench, readings, poly
     assert json.loads((tmp_path / "compensate" / "warm.json").read_text()) == result
 
 
+@pytest.mark.slow
 def test_json_on_standard_output_is_json_alone(bench, readings):
     status, out, err = bench("compensate", readings, "--json", "-", "--degree", "3", "--reference", "40")
     assert status == 0

@@ -68,6 +68,7 @@ def test_coefficients_of_another_place_are_compared_with_the_gravity_here(bench,
     assert bench("verify", "equator.csv", "--coefficients", "c.json", "--g", "9.81")[0] == 1
 
 
+@pytest.mark.slow
 def test_swapped_and_reversed_wires_are_named(bench, measured):
     write_csv(replace(measured, signal=measured.signal[:, [1, 0, 2]]), Path("swapped.csv"))
     write_csv(replace(measured, signal=measured.signal * [-1, 1, 1]), Path("reversed.csv"))
@@ -93,6 +94,7 @@ def test_readings_rounded_coarsely_do_not_make_a_small_uncertainty(bench, measur
         assert abs(found["value"] - value) < 5 * found["u"]
 
 
+@pytest.mark.slow
 def test_the_bench_file_of_the_run_is_used_unless_another_is_typed(bench, measured, monkeypatch):
     own = json.loads(bench("calibrate", "good", "--json", "-")[1])
     monkeypatch.setenv("BENCH_FILE", "bench-gpib")

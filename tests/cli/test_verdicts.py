@@ -34,6 +34,7 @@ def told(bench, *arguments):
     return status, result
 
 
+@pytest.mark.slow
 def test_the_bench_file_says_how_a_verdict_is_found(bench, unit):
     file = edited_stand(
         **{"limit: 3e-4 g   # Δg_A": "limit: 240 ug\n  rule: guarded\n  guard_band: 0.5\n"
@@ -64,6 +65,7 @@ def test_all_that_is_wrong_with_a_question_is_told_at_once(bench, unit):
     refused(bench(*unit, "--rule", "simple", "--guard-band", "0.5"), "simple acceptance has no guard band")
 
 
+@pytest.mark.slow
 def test_a_rule_that_nobody_states_accepts_five_per_cent_of_false_acceptance(bench, unit):
     """Pass, conditional and fail as the limit nears; simple acceptance is there for who says so."""
     status, result = told(bench, *unit)
@@ -84,6 +86,7 @@ def test_a_rule_that_nobody_states_accepts_five_per_cent_of_false_acceptance(ben
     assert told(bench, *unit, "--rule", "non-binary")[1]["guard_band"] == 1.0
 
 
+@pytest.mark.slow
 def test_readings_that_contradict_the_model_are_not_accepted(bench, unit):
     """Two channels exchanged in one installation: status 1 everywhere, and on to the diagnosis."""
     swapped = simulate(np.random.default_rng(2), 1e-4)
@@ -100,6 +103,7 @@ def test_readings_that_contradict_the_model_are_not_accepted(bench, unit):
     assert bench("report", "swapped.csv")[0] == 1
 
 
+@pytest.mark.slow
 def test_a_verdict_rests_on_coefficients_that_are_accepted(bench, unit):
     """The points pass by a wide limit, but the coefficients of the same readings are not accepted."""
     curved = simulate(np.random.default_rng(2), 1e-4)

@@ -71,10 +71,10 @@ def test_a_formula_is_read_in_si_and_written_back_the_same(tmp_path):
         ("lag: {grid: [0 min, 10 "
         "min]}", "lag: {grid: [1 V]}", 6, "state a time as the second argument of 'lagged'"),
         ("travelled / turns", "time * turns", 6, "exp needs a plain number or an angle, not s"),
-        ("+ B", "+ time * B", 6, "stand on both sides of '\\+'"),
+        ("+ B", "+ time * B", 6, "combines V\\S* with \\S+; give both the same unit"),
         ("travelled / turns", "turns * (time > 40 min)", None, None),
         ("travelled / turns", "turns * (time > 2400)", 6, "write the number with its unit, such as '2400 s'"),
-        ("travelled / turns", "turns * (time > 3 V)", 6, "s and V stand on both sides of '>'"),
+        ("travelled / turns", "turns * (time > 3 V)", 6, "'>' combines s with V; give both the same unit"),
         ("settling", "hysteresis", 3, "the bench already has an effect 'hysteresis'"),
         ("settling", "Settling!", 3, "small letters"),
         ("stage: block output", "stage: block", 5, "did you mean 'block output'"),

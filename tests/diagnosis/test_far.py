@@ -76,6 +76,7 @@ U_OF_POINT = 1.3
 """u of a modulus without itself, in units of the noise of a reading: stand and coefficients have a part in it."""
 
 
+@pytest.mark.slow
 def test_a_verification_point_that_is_off_is_far_from_the_model_whatever_its_size():
     sizes = []
     for times in (8, 12, 16, 24):
@@ -90,7 +91,7 @@ def test_a_verification_point_that_is_off_is_far_from_the_model_whatever_its_siz
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("times", [8, 12, 16, 24])
+@pytest.mark.parametrize("times", [8, 24])
 def test_a_verification_point_that_is_off_is_never_silent_and_no_name_alone(times):
     """Four moduli tell little: effects of their mounting may explain it, and the readings held out deny them."""
     found = diagnose(off_in_the_headline(times), MODEL, STAND, np.diag(K), OneThreshold())

@@ -75,6 +75,7 @@ def test_its_columns_are_differences_of_the_forward_model(terms):
             np.testing.assert_allclose(column, added, rtol=1e-7, atol=atol)
 
 
+@pytest.mark.slow
 def test_an_effect_of_the_catalogue_that_is_written_as_a_form_is_no_rival_of_it(terms):
     """The square of y is `quadratic_nonlinearity`, whatever it is called; a fourth power is no such thing.
 

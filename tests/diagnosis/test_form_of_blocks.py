@@ -40,6 +40,7 @@ def test_the_clock_and_the_turns_of_a_run_begin_with_it(system):
     assert set(turns.visit) == {1.0, 2.0, 3.0}  # the verification is the third
 
 
+@pytest.mark.slow
 def test_terms_are_those_of_one_run_and_add_the_same_to_every_block(system):
     listed, alone = list(dictionary(system)), list(dictionary(system.parts[0]))
     assert {term.family for term, _, _ in listed} == {term.family for term, _, _ in alone}

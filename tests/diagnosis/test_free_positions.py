@@ -38,6 +38,7 @@ def board(records=range(1, 10), sensors=range(4)):
     return [read_csv(MIMU / f"run{r}-sensor{s}.csv", labels) for r in records for s in sensors]
 
 
+@pytest.mark.slow
 def test_a_sensor_that_is_right_is_said_to_agree():
     verdicts = [diagnose_free([positions(seed)]).verdict for seed in range(20)]
     # 1 % or less of alarms: two of twenty would come by chance in 2 %
@@ -77,6 +78,7 @@ def test_a_position_in_motion_stands_apart_and_is_left_out():
     assert not found.found
 
 
+@pytest.mark.slow
 def test_zeros_of_each_record_are_found_and_their_ratio_held_out_by_record():
     rng = np.random.default_rng(4)
     records = [positions(seed, 25, zeros=rng.normal(0.0, 2e-3, 3)) for seed in range(6)]
@@ -94,6 +96,7 @@ def test_zeros_of_each_record_are_found_and_their_ratio_held_out_by_record():
     assert found.between.in_bench_file().startswith("uncertainty: {zero_repeats: {restart: [")
 
 
+@pytest.mark.slow
 def test_zeros_that_stay_are_not_said_to_change():
     found = diagnose_free([positions(seed, 25) for seed in range(6)])
     assert found.verdict == "agrees"

@@ -89,6 +89,7 @@ def test_a_step_at_a_remount_ends_with_its_run():
     assert not np.any(column[run == 1])
 
 
+@pytest.mark.slow
 def test_many_runs_need_no_more_candidates_than_grow_with_their_number():
     """What one run alone may have (steps, single readings) is no candidate of all."""
     counts = []

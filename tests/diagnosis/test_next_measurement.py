@@ -270,6 +270,7 @@ def test_where_nothing_on_the_menu_helps_nothing_is_proposed(drifting):
         assert propose(replace(drifting, verdict=verdict), BENCH) is None
 
 
+@pytest.mark.slow
 def test_what_is_hidden_is_shown_by_the_shortest_procedure_that_shows_it(agreeing):
     assert agreeing.verdict == "agrees"
     menu = {name: find_procedure(name) for name in MENU}
@@ -281,6 +282,7 @@ def test_what_is_hidden_is_shown_by_the_shortest_procedure_that_shows_it(agreein
     assert "wrong_gravity" not in propose(agreeing, BENCH).shows
 
 
+@pytest.mark.slow
 def test_what_the_bench_cannot_do_is_left_out_and_said(drifting, agreeing, tmp_path):
     text = find_bench("paper-stand").read_text(encoding="utf-8")
     (tmp_path / "bench.yaml").write_text(
@@ -350,6 +352,7 @@ def fake_diagnosis(monkeypatch, *proposed):
     return seen
 
 
+@pytest.mark.slow
 def test_a_dry_run_is_followed_by_what_is_proposed_and_both_are_diagnosed(bench, monkeypatch, tmp_path):
     path = tmp_path / "short.yaml"
     path.write_text(SHORT)

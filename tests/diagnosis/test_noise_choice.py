@@ -54,6 +54,7 @@ def test_slow_noise_is_found_at_its_size(made):
     assert 1.2 < np.median([one.size for one in found]) / NOISE_V < 2.8
 
 
+@pytest.mark.slow
 def test_white_noise_is_seldom_slow(made):
     """60 draws (seed 4), three channels: 200 others gave 4 of 600; at 2 %, 10 of 180 come once in 200 times."""
     assert sum(len(one.channels) for each in drawn(made, 60, 4, 0.0) for one in each) < 10

@@ -38,6 +38,7 @@ def test_without_effects_it_is_what_calibrate_and_verify_give():
         assert mine.u == pytest.approx(theirs.u, rel=0.1)
 
 
+@pytest.mark.slow
 def test_the_effect_is_taken_off_at_the_verification_points():
     # 3 mg/g^2 in channel y, noise hardly any: the modulus is out by far without it and right with it
     readings = paper_run(np.random.default_rng(4), K2=LARGE, noise_v=1e-6)

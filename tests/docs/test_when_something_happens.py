@@ -99,7 +99,7 @@ HELD_BY = {
         ("run/test_living_runs.py", "test_stop_is_heard_in_the_middle_of_a_movement"),
         ("run/test_asking.py", "test_a_wish_to_stop_leaves_a_question_as_ctrl_c_does"),
     ),
-    "second, stale or ill-fitting answer": (
+    "second, late or unsuitable answer": (
         ("run/test_asking.py", "test_the_first_answer_counts_and_the_other_place_says_so"),
         (
             "run/test_asking.py",

@@ -265,6 +265,7 @@ def formulas(book):
     return lambda cell: float(value("a from U", cell))
 
 
+@pytest.mark.slow
 def test_the_workbook_computes_a_and_u_of_its_modulus_from_signals_that_are_typed(drawn):
     signal, ours = drawn
     book = load_workbook(io.BytesIO(text_of("excel")))

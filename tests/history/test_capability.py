@@ -100,6 +100,7 @@ def test_refusals_of_a_prior():
         prior_of(two)
 
 
+@pytest.mark.slow
 def test_a_capability_has_scatter_over_time_and_benches_in_it():
     rng = np.random.default_rng(12)
     table, _ = measured(rng, 12, 6, 3.0, benches=4, excess=1.0, days=400)
@@ -190,6 +191,7 @@ def of_column(made, k):
     return Within(of, made.vector[:, k], made.variance[:, k])
 
 
+@pytest.mark.slow
 def test_of_long_histories_in_a_large_laboratory_a_part_is_taken_and_that_is_said(monkeypatch):
     made = laboratory(np.random.default_rng(3), 3, 40, 2, (1.0, 0.0, 0.0, 0.5))
     monkeypatch.setattr(unit_histories, "MOST_WORK", 3 * 20.0**3)

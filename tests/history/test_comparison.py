@@ -83,6 +83,7 @@ def test_a_bias_that_wanders_during_a_run_goes_on_between_runs():
     np.testing.assert_allclose(added[:9], 0.0, atol=1e-18)
 
 
+@pytest.mark.slow
 def test_of_unchanged_blocks_about_one_in_twenty_is_told_changed():
     """300 pairs: a change is told with 5 %, by the joint test of the nine."""
     told = 0
@@ -309,6 +310,7 @@ def test_mistakes_are_one_line(bench, tmp_path, arguments, told):
     assert err.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_one_set_of_readings_written_and_read_again_is_recognised(bench, tmp_path):
     """Rounded to a microvolt, the same readings give the same coefficients but for a part of their u."""
     table = simulate(np.random.default_rng(5), 1e-4)

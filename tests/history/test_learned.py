@@ -104,6 +104,7 @@ def test_three_turns_of_one_block_have_a_closed_form():
         assert u == pytest.approx(np.sqrt(2 / 3 * (SIGMA**2 + found.gain.between**2)), rel=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("extra", [0.0, SIGMA, 5 * SIGMA])
 def test_differences_are_as_sure_as_they_say(extra):
     """Seed 5: 100 benches, three turns of one block or two of two blocks; blocks repeat worse than stated.

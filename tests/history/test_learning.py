@@ -83,6 +83,7 @@ def test_no_size_is_further_from_its_truth_than_its_u_and_dof_allow(learned):
     assert not learned.contradicting
 
 
+@pytest.mark.slow
 def test_what_installations_1_and_2_do_not_tell_keeps_its_prior():
     """Seed 12: the roll shows in neither, the zero offset only beside the mounting error."""
     found = learn(fits(simulate(np.random.default_rng(12), TRUTH, 8)), STATED)
@@ -95,6 +96,7 @@ def test_what_installations_1_and_2_do_not_tell_keeps_its_prior():
     assert any("absolute gain" in sentence for sentence in found.not_identified())
 
 
+@pytest.mark.slow
 def test_with_means_of_their_own_installations_tell_less(turned):
     """The roll of installation 1 and that of 2 are in Kyz and Kzy, and are told by the turns alone."""
     found = learn(fits(turned), STATED, by_installation=True)
@@ -109,6 +111,7 @@ def without_run_4():
     return learn(others, STATED), others
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("own", [{"K2": {3: 1.5e-4}}, {"drift": {3: 1.2e-3}}])
 def test_what_one_block_has_is_named_and_not_charged_to_the_bench(own, without_run_4):
     """Run 4 alone has K2, or a bias that runs away."""
@@ -121,6 +124,7 @@ def test_what_one_block_has_is_named_and_not_charged_to_the_bench(own, without_r
         assert one.value == pytest.approx(other.value, rel=1e-3, abs=1e-7)
 
 
+@pytest.mark.slow
 def test_a_run_on_another_stand_contradicts_by_its_angles():
     """Seed 14: run 1 has its block mounted 5 arcmin off."""
     off = Bench(

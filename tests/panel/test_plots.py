@@ -47,6 +47,7 @@ def rows_of(reply):
     return list(csv.DictReader(io.StringIO("\n".join(lines))))
 
 
+@pytest.mark.slow
 def test_the_residuals_are_those_of_the_calibration(told, runs):
     (source,) = load_sources(Request([str(runs / "later")], runs))
     found = calibration_of(source).calibration
@@ -115,6 +116,7 @@ def test_a_table_reads_back_to_the_numbers_of_the_json(anna, told, name):
     assert sheet.oddHeader.center.text == "SIMULATED"
 
 
+@pytest.mark.slow
 def test_the_live_plot_has_its_table_and_the_previous_runs_points(anna):
     rows = rows_of(anna.get("/runs/later/plots/live.csv"))
     assert len(rows) == 58
@@ -136,6 +138,7 @@ def test_a_table_that_is_not_there_is_not_found(anna, path):
     assert anna.get(f"/runs/earlier/plots/{path}").status_code == 404
 
 
+@pytest.mark.slow
 def test_pages_lead_to_the_plots_and_a_run_without_results_says_so(anna, runs):
     assert 'href="/runs/later/plots"' in anna.get("/runs/later/verdict").text
     assert 'href="/runs/later/plots">Plots</a>' in anna.get("/runs/later/").text

@@ -146,6 +146,7 @@ def test_every_step_that_has_lines_of_its_own_can_be_copied_and_removed(name):
 # --- the page ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_procedure_is_picked_changed_checked_and_saved_under_a_new_name(anna):
     page = anna.get("/procedures").text
     assert 'href="/procedures/form?start=calibration"' in page
@@ -209,6 +210,7 @@ def test_a_text_written_by_hand_is_taken_and_a_double_change_is_asked_about(anna
     assert 'role="alert"' in send(anna, {**sent, "typed": "a: [b"}, do="text").text
 
 
+@pytest.mark.slow
 def test_steps_are_copied_and_removed_by_buttons(anna):
     sent, _ = opened(anna, "start=calibration")
     page = send(anna, sent, do="remove:steps[3].installation").text
@@ -242,6 +244,7 @@ def test_no_text_breaks_the_table(anna, text):
     assert not Path("procedures").exists()
 
 
+@pytest.mark.slow
 def test_nobody_writes_over_the_change_of_another(anna, runs):
     sent, _ = opened(anna, "start=quick")
     send(anna, sent, new_name="mine", do="write")
@@ -253,6 +256,7 @@ def test_nobody_writes_over_the_change_of_another(anna, runs):
     assert "nplc: 1" in Path("procedures/mine.yaml").read_text()
 
 
+@pytest.mark.slow
 def test_only_operators_and_only_files_of_the_list(anna, runs):
     assert Browser(runs, "eve", Role.VIEWER).get("/procedures").status_code == 403
     for query in ("start=../x", "file=calibration", "file=", "start=none"):

@@ -251,6 +251,7 @@ def test_without_its_package_a_page_says_what_installs_it(viewer, monkeypatch):
     assert "the package sqlalchemy is not installed: pip install" in shown.text
 
 
+@pytest.mark.slow
 @pytest.mark.figures
 def test_a_unit_has_its_coefficients_runs_and_date(viewer):
     text = viewer.get("/catalogue/unit/17").text

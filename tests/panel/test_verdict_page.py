@@ -57,6 +57,7 @@ def test_the_verdict_stands_with_its_uncertainty_limit_and_risk(anna, judged):
     assert "Simulated instruments" in said
 
 
+@pytest.mark.slow
 @pytest.mark.figures
 def test_report_and_figures_stand_apart_and_nothing_of_them_acts(anna, judged, bench):
     assert bench("report", judged)[0] in (0, None)  # the run of all tests has empty figures
@@ -177,7 +178,7 @@ def test_a_diagnosis_is_a_process_of_its_own(anna, judged, monkeypatch):
     begun = []
     monkeypatch.setattr("bench.panel.pages.verdict.begin", lambda run: begun.append(run.name) or Started())
     for _ in range(2):
-        assert anna.post("/runs/run/diagnose").headers["location"] == "/runs/run/verdict"
+        assert anna.post("/runs/run/diagnose").headers["location"] == "/runs/run/verdict#diagnosis"
     assert begun == ["run"]
     assert "data-waiting" in anna.get("/runs/run/verdict").text
     Started.status = 2

@@ -78,6 +78,7 @@ def test_moves_choose_what_a_full_calculation_would():
         assert chosen == pytest.approx(after(change).min(), rel=1e-9)
 
 
+@pytest.mark.slow
 def test_exchanges_come_to_the_best_of_all_designs():
     """Five angles in two mountings, eight settings: the least of all 24,310 multisets, to 0.2 %."""
     candidates = sites(angles=5).candidates((0, 1))

@@ -159,6 +159,7 @@ def test_a_balanced_set_has_equal_parts():
     np.testing.assert_allclose(parts[bound], parts[bound].mean(), rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_a_set_by_cost_costs_less_than_any_other_that_is_as_good():
     weights = {"mounting_error": 5.0, "voltmeter_error": 0.5}
     asked = required("closed-form", of_coefficient("Kyx"), 6e-4)

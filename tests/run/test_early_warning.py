@@ -254,6 +254,7 @@ def test_a_swap_that_is_mended_and_taken_again_leaves_no_trace():
     assert not [number for number, _ in signs if number > 3]
 
 
+@pytest.mark.slow
 def test_a_mount_that_the_rows_do_not_show_can_be_told():
     """After a resume the block sits 100″ otherwise in the same installation: within the stand's limits."""
     off = np.where(np.arange(N) >= 9, np.radians(100 / 3600), 0.0)[:27]
@@ -285,6 +286,7 @@ def test_temperature_may_change_the_block_by_what_is_plausible():
     assert watch([*cold, *warm[:6]], EarlyWarning(NOMINAL, MODEL, BENCH_U, readings=2 * N))
 
 
+@pytest.mark.slow
 def test_effects_of_the_model_are_expected():
     K2 = np.array([1e-3, -2e-3, 1e-3])
     effect = AppliedEffect(CATALOGUE["quadratic_nonlinearity"], {"K2": K2})

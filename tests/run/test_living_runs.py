@@ -118,6 +118,7 @@ def test_a_pause_is_a_question_wherever_it_came_from(living):
     ]
 
 
+@pytest.mark.slow
 def test_a_wish_at_a_question_takes_the_last_point_again_by_who_had_it(living):
     history, keys = living({"m2": Wish.REPEAT_POINT, "m1": Wish.REPEAT_PASS})
     assert keys == [*READS[:3], READS[2], *READS[3:]]

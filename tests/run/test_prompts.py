@@ -47,9 +47,9 @@ def test_a_number_is_asked_until_it_fits():
     person = Script("many", "9", "31", "15,5")
     assert ask(person, NUMBER) == "15,5"
     assert [p.id for p in person.seen] == [f"0007/ask#{n}" for n in (1, 2, 3, 4)]
-    assert person.seen[1].text.startswith("A number in V is wanted, not 'many'. Supply")
-    assert "below the least, 10 V" in person.seen[2].text
-    assert "above the most, 30 V" in person.seen[3].text
+    assert person.seen[1].text.startswith("Type a number in V, not 'many'. Supply")
+    assert "ype a number of 10 or more, not 9 V" in person.seen[2].text
+    assert "ype a number of at most 30, not 31 V" in person.seen[3].text
 
 
 def test_a_stale_answer_is_ignored():

@@ -98,6 +98,7 @@ def test_coefficients_of_another_day_are_a_result_or_its_file(readings):
     assert by_result != program.verify("later.csv").to_dict()
 
 
+@pytest.mark.slow
 def test_a_budget_is_that_of_the_command(bench):
     found = program.budget(procedure="paper", trials=0, estimator="closed-form")
     _, out, _ = bench(

@@ -60,6 +60,7 @@ def test_a_budget_keeps_the_rules_of_a_calibration(empty_folder):
         program.budget("mine.yaml", "paper", trials=0)
 
 
+@pytest.mark.slow
 def test_a_goal_below_the_floor_of_the_limits_is_reached_with_what_was_learned(empty_folder):
     """Kyx hangs on the zero offset, which no number of readings lowers."""
     leave()
@@ -106,6 +107,7 @@ def measured(empty_folder, monkeypatch):
     return run
 
 
+@pytest.mark.slow
 def test_a_chart_keeps_to_what_was_learned_when_the_check_was_measured(measured):
     """What is kept goes by the head of the record, in which the copy of the learned file is bound."""
     leave()

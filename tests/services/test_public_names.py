@@ -35,6 +35,7 @@ for name in COMMANDS:
 """
 
 
+@pytest.mark.slow
 def test_neither_the_package_nor_the_help_nor_a_command_that_has_not_begun_imports_anything_heavy():
     """What is imported is told by a fresh interpreter, one step after the other."""
     command = [sys.executable, "-c", IMPORTS]

@@ -239,6 +239,7 @@ def test_another_program_finds_the_same_multivariate_run_length():
     assert mewma_arl(0.1, 12.73, 4) == pytest.approx(199.78, rel=5e-3)
 
 
+@pytest.mark.slow
 def test_in_many_dimensions_it_is_that_of_simulated_charts():
     """Seed 5, 20,000 charts of 20 dimensions; that program's Markov chain of 25 states gives 199.09 there."""
     rng, charts, smoothing, limit, p = np.random.default_rng(5), 20_000, 0.1, 37.01, 20

@@ -110,6 +110,7 @@ def written_out(log_variances, scatter, freedom, slope):
     return total
 
 
+@pytest.mark.slow
 def test_each_channel_has_its_own_where_they_differ():
     """Seed 31, 4 runs: the greatest likelihood by Nelder-Mead from the true sizes."""
     scatter, freedom, slope = drawn(31, 4)
@@ -145,6 +146,7 @@ def test_without_any_noise_the_floor_is_believed():
     np.testing.assert_allclose(np.sqrt(found[:, :3]), 1e-9, rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_few_repeats_never_give_a_channel_hardly_any_noise():
     """Seed 35, 4,000 runs of equal channels: the setting error can take all of x, so that alone x goes to zero.
 

@@ -18,7 +18,8 @@ DOCS = ROOT / "docs"
 ELLIPSIS = "…"
 
 _BLOCK = re.compile(
-    r"(?:^<!-- (?P<mark>[^>]*) -->\n)?^```(?P<kind>\S*)[^\n]*\n(?P<text>.*?)^```$", re.M | re.S
+    r"(?:^<!-- (?P<mark>[^>]*) -->\n)?^```(?P<kind>\S*) ?(?P<argument>[^\n]*)\n(?P<text>.*?)^```$",
+    re.M | re.S,
 )
 
 
@@ -60,9 +61,17 @@ def blocks(page: Path) -> list[Block]:
     """Return the blocks of a page in their order."""
     text = page.read_text(encoding="utf-8")
     return [
-        Block(page.name, m["kind"], m["text"], m["mark"] or "", text.count("\n", 0, m.start()) + 1)
+        Block(page.name, *_shown(m), m["mark"] or "", text.count("\n", 0, m.start()) + 1)
         for m in _BLOCK.finditer(text)
     ]
+
+
+def _shown(block: re.Match[str]) -> tuple[str, str]:
+    """Return kind and text of a block, or of the file that it includes."""
+    if block["kind"] == "{literalinclude}":
+        path = DOCS / block["argument"]
+        return {".py": "python", ".yaml": "yaml"}[path.suffix], path.read_text(encoding="utf-8")
+    return block["kind"], block["text"]
 
 
 def commands(block: Block) -> Iterator[Command]:

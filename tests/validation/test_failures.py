@@ -38,6 +38,7 @@ def test_failures_are_collected_once(call):
     assert "0 of them new" in printed(call())
 
 
+@pytest.mark.slow
 def test_persons_note_state_and_remedy_and_only_the_authorised_close(call):
     printed(call())
     number = next(word for word in printed(call()).split() if word.startswith("F2"))

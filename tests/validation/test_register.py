@@ -158,6 +158,7 @@ def test_who_demands_nothing_is_not_asked(tmp_path, monkeypatch):
     validated.refuse_unvalidated_certificate(laboratory)
 
 
+@pytest.mark.slow
 def test_the_fingerprint_is_of_files_packages_and_python():
     found = validated.fingerprint()
     assert "bench/calibration/gls.py" in found.files

@@ -118,7 +118,7 @@ FITS: Final = 4.0
 LEAST_OF_TWO: Final = 0.25
 """Least misfit of two mistakes, g^2 over all readings; positions tilted by a degree give a tenth of it."""
 RAISED: Final = 2.0
-"""Most factor by which correcting only the first of two mistakes may increase the cost."""
+"""Most factor by which correcting only the first of two mistakes may increase the cost; it saves time."""
 
 LEAST_P: Final = sys.float_info.min
 """Lower limit of p-values, so that none is 0."""
@@ -291,10 +291,7 @@ class GrossSearch:
     def _first_of_two(
         self, table: OrientedRows, supposed: Sequence[Reinterpretation], cost: Floats
     ) -> tuple[int, OrientedRows, int]:
-        """Return the first of two mistakes that make the readings fit (0 for none), both put right, and the looks.
-
-        One that by itself makes the misfit much larger is no first step.
-        """
+        """Return the first of two mistakes that make the readings fit, or 0; both put right; and the looks."""
         looks = 0
         if cost[0] * self.gross_g**2 < LEAST_OF_TWO:
             return 0, table, looks

@@ -36,8 +36,6 @@ REFLECTED_RAD: Final = float(np.radians(0.5))
 """Least change of the head angle that counts as a reflection."""
 SLIP_PART: Final = 0.01
 """Relative uncertainty of the shift by a wrong setting, because effects outside the model change it a little."""
-SLIP_G: Final = 5e-4
-"""Upper limit of this uncertainty, g."""
 MOST: Final = 1 / 8
 """Largest part of the readings that may be single mistakes."""
 
@@ -140,11 +138,10 @@ def _classify(seen: Seen, row: int, slips: Sequence[tuple[Floats, Floats]], p: f
     precision = block / noise**2
     channels, outlier_p = _outlier(shift, precision)
     off, least = None, float(special.chdtri(3, HARDLY_EVER))
-    slope = float(np.linalg.norm(table.slope[row])) / table.unit
     for offs, moved in slips:
         expected = moved[row] / table.unit
         size = float(np.linalg.norm(expected))
-        known = min(SLIP_PART * size, SLIP_G * slope)
+        known = SLIP_PART * size
         missed = shift - expected
         chi2 = float(missed @ np.linalg.solve(np.linalg.inv(precision) + known**2 * np.eye(3), missed))
         if np.isfinite(offs[row]) and chi2 < least:

@@ -99,7 +99,7 @@ async def diagnose(request: Request) -> Response:
         for old in [name for name, one in panel.diagnosing.items() if one.status is not None][:-MOST_TOLD]:
             del panel.diagnosing[old]
         panel.diagnosing[run.name] = await run_in_threadpool(begin, run)
-    return RedirectResponse(f"/runs/{quote(run.name)}/verdict", status_code=303)
+    return RedirectResponse(f"/runs/{quote(run.name)}/verdict#diagnosis", status_code=303)
 
 
 def _certificates(request: Request, run: Run) -> tuple[tuple[Issued, ...], str]:

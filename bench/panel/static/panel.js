@@ -16,6 +16,7 @@
   let sentFor = "";                   /* the question that was answered here and still stands */
   let shownPrompt = null, shownDrawing = "";
   let checkTimer = 0, checkNumber = 0, sureOf = "";
+  let held = false;                   /* whether this person was in control */
   let called = "", outcomeAsked = 0;  /* the question that was announced; how often the outcome was asked for */
 
   const put = (id, told) => { const at = $(id), text = _(told); if (at.textContent !== text) at.textContent = text; };
@@ -45,6 +46,7 @@
     const control = state.control || {}, asking = control.asking || [];
     show("who", !state.ended);
     put("who", holding() ? _("You are in control") : holder() ? _(`${holder()} is in control`) : _("Nobody is in control"));
+    $("control").parentElement.classList.toggle("asked", holding() && asking.length > 0 && !state.ended);
     const key = JSON.stringify([control, state.ended]);
     if ($("control").dataset.key === key) return;
     $("control").dataset.key = key;
@@ -71,9 +73,11 @@
         if (me.role === "supervisor") button(_("Take over by force"), "force");
       }
     }
-    const focused = $("control").contains(document.activeElement);
+    const focused = $("control").contains(document.activeElement), gained = holding() && !held;
+    held = holding();
     $("control").replaceChildren(...offered);
-    if (focused && offered.length) (holding() && !asking.length && !$("typing").hidden ? $("typed") : offered[0]).focus();
+    if (gained && (focused || document.activeElement === document.body) && !$("typing").hidden) $("typed").focus();
+    else if (focused && offered.length) offered[0].focus();
   };
 
   const allow = () => {
@@ -88,9 +92,9 @@
     show("wishes", going);
     show("stopping", going);
     show("look-back", state.ended);
-    show("controls", !state.ended || state.to_do.length > 0);
+    show("controls", going || state.to_do.length > 0);
     show("resume", !state.alive && !state.ended && me.role !== "viewer");
-    $("resume-button").disabled = $("alarm-resume").disabled = cut;
+    $("resume-button").disabled = $("alarm-resume").disabled = cut || (holder() && !holding());
     const may = holding() && !cut && state.prompt && sentFor !== state.prompt.id;
     for (const button of $("buttons").querySelectorAll("button")) button.disabled = !may;
     $("typed").readOnly = !may;
@@ -343,6 +347,7 @@
     if (state.ended) askOutcome(); else if ($("end").firstElementChild) { $("end").replaceChildren(); outcomeAsked = 0; }
     show("todo", !state.ended || !$("end").textContent.trim());
     const notes = [];
+    if (!state.alive && !state.ended && me.role !== "viewer" && holder() && !holding()) notes.push(_(`${holder()} is in control: ask for control, then resume.`));
     if (prompt && !holding()) notes.push(holder() ? _(`${holder()} answers here, or somebody at the terminal.`) : _("Take control to answer here; the terminal answers too."));
     if (state.refused && state.refused.why) notes.push(_(`Not taken: “${state.refused.answer}” – ${state.refused.why}.`));
     else if (state.answered) notes.push(_(`Last answer: “${state.answered.answer}”${state.answered.by ? ` by ${state.answered.by}` : ""}${state.answered.place ? ` (${state.answered.place})` : ""}.`));

@@ -292,6 +292,41 @@ class VerifyCertificate:
 
 
 @dataclass(frozen=True)
+class PlanKit:
+    """The plan of an interlaboratory comparison."""
+
+    plan: Annotated[Path, Option("Plan to write (YAML).", argument=True)]
+    _: KW_ONLY
+    laboratory: Annotated[
+        list[str], Option("A laboratory, the pilot first (repeatable).", metavar="NAME", common=True)
+    ]
+    block: Annotated[str, Option("Type and serial number of the block.", metavar="TEXT", common=True)] = (
+        "block"
+    )
+    seed: Annotated[int, Option("Draws the order and the blind codes.", least=0, common=True)] = 1
+
+
+@dataclass(frozen=True)
+class SealKit:
+    """Seals of results, before any is opened."""
+
+    plan: Annotated[Path, Option("Plan of the comparison.", argument=True)]
+    results: Annotated[
+        list[str], Option("Code and result file, or its SHA-256.", metavar="CODE=FILE…", argument=True)
+    ]
+
+
+@dataclass(frozen=True)
+class EvaluateKit(SealKit):
+    """The evaluation of all sealed results."""
+
+    _: KW_ONLY
+    g: Annotated[
+        float | None, Option("Local gravity of the stated K, for a foreign certificate.", metavar="M/S2")
+    ] = None
+
+
+@dataclass(frozen=True)
 class ReadCertificate:
     """A certificate whose coefficients and covariance are to be read."""
 

@@ -14,6 +14,7 @@ from benchmarks.blind_trial.stand import make_run
 from tests.support.blind_cases import SEED, said
 
 
+@pytest.mark.slow
 def test_the_whole_trial_has_cases_enough():
     for rows in (FULL, SHORT):
         assert len({row.key for row in rows}) == len(rows)
@@ -30,6 +31,7 @@ def agrees_or_fails(case) -> dict:
     return said("agrees")
 
 
+@pytest.mark.slow
 def test_the_trial_counts_failures_and_seals_its_cases(tmp_path, capsys):
     arguments = ["--short", "--only", "null", "--rows", "20", "--workers", "1", "--json", str(tmp_path / "s")]
     ledger = tmp_path / "ledger.jsonl"
@@ -49,6 +51,7 @@ def test_the_trial_counts_failures_and_seals_its_cases(tmp_path, capsys):
     assert seal(case, answer) == sealed[0]
 
 
+@pytest.mark.slow
 def test_a_trial_that_was_interrupted_goes_on_where_it_stopped(tmp_path, capsys):
     kept, made = tmp_path / "kept", []
 

@@ -26,6 +26,7 @@ def hand_set(seed, tilt_deg, *, each_trial, trials=3, scale=K, zero=U0):
     return make_readings(labels, number, [1, 2, 3, 4, 1, 2] * trials, phi, signal)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("each_trial", [True, False])
 @pytest.mark.parametrize("nominal", [NOMINAL, None])
 def test_positions_that_tilt_by_up_to_degrees_are_no_mistake(each_trial, nominal):

@@ -22,6 +22,7 @@ def every(table: Readings) -> np.ndarray:
     return np.ones(len(table), dtype=bool)
 
 
+@pytest.mark.slow
 def test_each_mistake_is_named_with_its_run_and_put_right():
     good = [run([81, number]) for number in range(3)]
     swapped = with_signal(good[1], every(good[1]), lambda signal: signal[:, [1, 0, 2]])

@@ -18,6 +18,7 @@ def scaled(readings, rows, channels, factor):
     return replace(readings, signal=signal)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("factor", [1e3, 1e-3, 10.0, 0.1, 100.0])
 @pytest.mark.parametrize("scope", ["run", "installation", "pass"])
 def test_a_channel_in_another_unit_is_named_with_its_rows_and_put_right(factor, scope):
@@ -39,12 +40,14 @@ def test_a_channel_in_another_unit_is_named_with_its_rows_and_put_right(factor, 
         np.testing.assert_allclose(found.corrected.signal, good.signal, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_one_reading_with_another_decimal_point_is_an_outlier():
     good = run(93)
     bad = scaled(good, np.arange(len(good)) == 30, [2], 10.0)
     assert [mistake.name for mistake in find(bad).mistakes] == ["outlier"]
 
 
+@pytest.mark.slow
 def test_a_wrong_unit_is_found_beside_another_mistake_of_the_same_run():
     good = run(94)
     mixed = scaled(good, (good.installation == "2") & (good.pass_number == 3), [1], 1e3)

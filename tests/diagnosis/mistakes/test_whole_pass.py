@@ -34,6 +34,7 @@ def turned(readings, where, off_rad):
     return replace(readings, signal=signal), rows
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("off_arcmin", [10.0, -10.0, 60.0, -60.0])
 def test_an_angle_read_wrong_in_a_pass_is_put_right(off_arcmin):
     """An exact mark has odds of 20 or more against any zero, of 7 in one case of 20: it is likelier in all 12."""
@@ -52,6 +53,7 @@ def test_an_angle_read_wrong_in_a_pass_is_put_right(off_arcmin):
         assert mistake.evidence.after < 1.25
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("off_arcsec", [20.0, 60.0, 300.0, 560.0, 3500.0])
 def test_another_zero_of_the_head_that_is_no_mark_stays_an_effect(off_arcsec):
     """40 arcsec off a mark are 25 standard deviations."""
@@ -60,6 +62,7 @@ def test_another_zero_of_the_head_that_is_no_mark_stays_an_effect(off_arcsec):
         assert find(bad).mistakes == (), seed
 
 
+@pytest.mark.slow
 def test_another_block_in_a_pass_is_named_and_its_pass_left_out():
     for seed in range(4):
         where = of_a_pass(np.random.default_rng([105, seed]))
@@ -82,9 +85,10 @@ EFFECTS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("effect", EFFECTS)
 def test_a_slip_of_the_block_in_a_pass_is_no_other_block(effect):
-    for seed in range(6):
+    for seed in range(3):
         rng = np.random.default_rng([107, seed])
         where, vector = of_a_pass(rng), EFFECTS[effect](rng)
         size = np.linalg.norm(vector)
@@ -100,6 +104,7 @@ def test_a_slip_of_the_block_in_a_pass_is_no_other_block(effect):
         ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("channels", [1, 2, 3])
 def test_other_voltmeters_in_a_pass_are_no_other_block(channels):
     for seed in range(4):
@@ -112,11 +117,12 @@ def test_other_voltmeters_in_a_pass_are_no_other_block(channels):
         assert "another_block" not in [m.name for m in find(run([110, seed], added=meters)).mistakes]
 
 
+@pytest.mark.slow
 def test_a_channel_that_is_stuck_in_a_pass_is_named_and_its_pass_left_out():
     """At each value that it may have had, in a channel that moves with the head or across it."""
-    for seed in range(6):
+    for seed in range(3):
         rng = np.random.default_rng([112, seed])
-        good, (label, number), channel = run([111, seed]), of_a_pass(rng), seed % 3
+        good, (label, number), channel = run([111, seed]), of_a_pass(rng), seed
         rows = (good.installation == label) & (good.pass_number == number)
         signal = good.signal.copy()
         signal[rows, channel] = signal[rng.choice(np.flatnonzero(rows)), channel]

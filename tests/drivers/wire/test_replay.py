@@ -491,7 +491,7 @@ def test_control_characters_come_back(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("line", "mistake"),
     [
-        (b"", "'' is not 'time instrument > text', or with < or !"),
+        (b"", "'' is not a line of a log; write 'time instrument > text', or < or ! instead of >"),
         (b"2026-11-21T09:00:00+00:00 m = A", "'2026-11-21T09:00:00+00:00 m = A' is not"),
         (b"2026-11-21T09:00:00+00:00 m > \xc3\xa9", "is not 'time"),
         (b"2026-11-21T09:00:00+00:00 m > \xff", "can't decode byte 0xff"),

@@ -147,6 +147,7 @@ def test_a_wire_that_is_dead_and_lives_again() -> None:
         assert client.ask(b"VOLT:NPLC?\n") == b"+1.000000E+01\r\n"
 
 
+@pytest.mark.slow
 def test_without_the_modules_of_a_terminal_everything_still_imports() -> None:
     """As on Windows: neither `pty` nor `tty` nor `termios`, and no `os.openpty`."""
     program = (

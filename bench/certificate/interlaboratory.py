@@ -1,0 +1,186 @@
+"""An interlaboratory comparison: a travelling block's plan, sealed results, and their evaluation."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import yaml
+
+from bench.base.arrays import u_of
+from bench.base.files import read_given, to_text, write_whole
+from bench.calibration.intrinsic import INTRINSIC
+from bench.certificate.dcc.reading import coefficients_in
+from bench.history.comparison import Snapshot, compare
+from bench.history.equivalence import against_others, consensus_weights
+from bench.history.measured import STANDARD_GRAVITY
+from bench.results.interlaboratory import KitResult, laboratories_of, render_kit
+from bench.results.parts import ValuePart
+from bench.services.coefficients import snapshot_of, snapshots_in
+from bench.services.errors import Refused
+
+LETTERS: Final = "ACDEFHJKLMNPQRTUVWXY34679"
+CHECK: Final = "monitor-4 on arrival and before departure; both accompany the result"
+"""What each stop measures so that a change in transport shows."""
+CHANGED_P: Final = 0.05
+SHA256: Final = re.compile(r"[0-9a-f]{64}")
+
+
+@dataclass(frozen=True)
+class Stop:
+    """One stop of the block: its blind `code`, the laboratory, whether this is the pilot, and the seal if given."""
+
+    code: str
+    laboratory: str
+    pilot: bool = False
+    seal: str = ""
+
+
+@dataclass(frozen=True)
+class Kit:
+    """The plan of a comparison: the block and its stops in order."""
+
+    block: str
+    stops: tuple[Stop, ...] = field(default_factory=tuple)
+
+    def stop(self, code: str) -> Stop:
+        """Return the stop of a code. Raises `Refused` for an unknown one."""
+        found = next((stop for stop in self.stops if stop.code == code), None)
+        if found is None:
+            raise Refused(f"{code}: no such code; the plan has {', '.join(s.code for s in self.stops)}")
+        return found
+
+
+def plan_kit(block: str, laboratories: Sequence[str], seed: int) -> Kit:
+    """Return the plan: the first laboratory is the pilot, which measures first, after every two others, and last.
+
+    `seed` draws the order of the others and the codes. Raises `Refused` for fewer than three laboratories, or a
+    name given twice.
+    """
+    if len(laboratories) < 3 or len(set(laboratories)) < len(laboratories):
+        raise Refused("--laboratory: name three or more, each once, the pilot first")
+    rng = np.random.default_rng(seed)
+    pilot, *others = laboratories
+    route = [pilot]
+    for k, at in enumerate(rng.permutation(len(others)), 1):
+        route += [others[at], *([pilot] if k % 2 == 0 or k == len(others) else [])]
+    codes: list[str] = []
+    while len(codes) < len(route):
+        code = "".join(rng.choice(list(LETTERS), 4))
+        codes += [code] * (code not in codes)
+    stops = (Stop(code, name, name == pilot) for code, name in zip(codes, route, strict=True))
+    return Kit(block, tuple(stops))
+
+
+def write_kit(path: Path, kit: Kit) -> None:
+    """Write the plan as YAML; the coordinator keeps it, since it says whose each code is."""
+    stops = [
+        {"code": s.code, "laboratory": s.laboratory, "pilot": s.pilot, "check": CHECK, "seal": s.seal}
+        for s in kit.stops
+    ]
+    text = yaml.safe_dump(
+        {"kit_file": 1, "block": kit.block, "stops": stops}, sort_keys=False, allow_unicode=True
+    )
+    write_whole(path, text)
+
+
+def load_kit(path: Path) -> Kit:
+    """Read a plan that `write_kit` wrote. Raises `Refused` for another file."""
+    try:
+        data = yaml.safe_load(read_given(path))
+        stops = tuple(
+            Stop(str(s["code"]), str(s["laboratory"]), bool(s["pilot"]), str(s["seal"]))
+            for s in data["stops"]
+        )
+        if data["kit_file"] != 1 or not stops:
+            raise ValueError
+        return Kit(str(data["block"]), stops)
+    except OSError as error:
+        raise Refused(f"{path}: cannot be read ({error.strerror}); check the name") from error
+    except (yaml.YAMLError, UnicodeDecodeError, KeyError, TypeError, ValueError):
+        raise Refused(f"{path}: not a plan of 'bench kit plan'; give the file that it wrote") from None
+
+
+def seal_of(result: str) -> str:
+    """Return the seal of a result: the SHA-256 of its file, or the seal itself if it is one."""
+    if SHA256.fullmatch(result):
+        return result
+    try:
+        return hashlib.sha256(read_given(Path(result))).hexdigest()
+    except OSError as error:
+        raise Refused(f"{result}: cannot be read ({error.strerror}); give a file or its SHA-256") from error
+
+
+def sealed(kit: Kit, given: Mapping[str, str]) -> Kit:
+    """Return the plan with the seals of results by code. Raises `Refused` for a code that is sealed already."""
+    for code in given:
+        if kit.stop(code).seal not in {"", seal_of(given[code])}:
+            raise Refused(f"{code}: is sealed already with another result; agree on a new code")
+    return replace(
+        kit, stops=tuple(replace(s, seal=seal_of(given[s.code])) if s.code in given else s for s in kit.stops)
+    )
+
+
+def evaluate_kit(kit: Kit, given: Mapping[str, str], g_m_s2: float | None = None) -> KitResult:
+    """Return the evaluation of results by code: files of `calibrate --json`, or DCCs (XML, PDF) of any program.
+
+    `g_m_s2` is the local gravity of certificates that do not state it. Raises `Refused` if a seal is missing or
+    broken, or a stop has no result.
+    """
+    problems = [f"{s.code}: no result is given" for s in kit.stops if s.code not in given]
+    problems += [
+        f"{s.code}: has no seal; seal every result before any is opened" for s in kit.stops if not s.seal
+    ]
+    for code, result in given.items():
+        if kit.stop(code).seal and seal_of(result) != kit.stop(code).seal:
+            problems.append(f"{code}: {result} is not the file that was sealed")
+    if problems:
+        raise Refused("\n".join(problems))
+    there = {s.code: _read(Path(given[s.code]), g_m_s2) for s in kit.stops}
+    pilots = [s.code for s in kit.stops if s.pilot]
+    once = [s.code for s in kit.stops if s.code not in pilots[1:]]
+    units = sorted({one.unit for one in there.values()})
+    if len(units) > 1:
+        raise Refused(f"results in {', '.join(units)}: compare signals of one unit")
+    nine = [there[code].per(STANDARD_GRAVITY).in_nine() for code in once]
+    values, covariances = (np.array([getattr(one, of) for one in nine]) for of in ("vector", "covariance"))
+    judged = against_others(values, covariances)
+    weights, dark = consensus_weights(values, covariances)
+    joint = np.einsum("ka,kb,kab->ab", weights, weights, covariances)
+    u = np.sqrt(u_of(joint) ** 2 + dark**2 * np.sum(weights**2, axis=0))
+    transport = compare([there[code] for code in pilots]).nine.p_constant if len(pilots) > 1 else None
+    off = [code for code, one in zip(once, judged, strict=True) if one.off]
+    return KitResult(
+        block=kit.block, unit=units[0], g_m_s2=STANDARD_GRAVITY,
+        consensus={
+            name: ValuePart(value=float(v), u=float(s))
+            for name, v, s in zip(INTRINSIC, np.sum(weights * values, axis=0), u, strict=True)
+        },
+        dark=dict(zip(INTRINSIC, dark.tolist(), strict=True)), laboratories=laboratories_of(once, judged),
+        transport_p=transport, off=off, accepted=not off and (transport is None or transport >= CHANGED_P),
+        notes=[f"{code}: {note}" for code in once for note in _notes(there[code])],
+    )  # fmt: skip
+
+
+def _read(path: Path, g_m_s2: float | None) -> Snapshot:
+    if path.suffix.lower() in {".xml", ".pdf"}:
+        found: Any = coefficients_in(path, g_m_s2, "0 V").result
+        return snapshot_of(found, str(path))
+    (one,) = snapshots_in(path)
+    return one
+
+
+def _notes(one: Snapshot) -> Iterator[str]:
+    if one.simulated:
+        yield "of simulated instruments"
+
+
+def files_of(result: KitResult, out: Path) -> Iterator[tuple[str, Path, str]]:
+    """Yield description, path and text of the result and the report in the folder `out`."""
+    yield "result", out / "kit.json", to_text(result.to_dict())
+    yield "report", out / "kit.html", render_kit(result)

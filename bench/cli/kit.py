@@ -1,0 +1,84 @@
+"""kit: laboratories compared by a travelling block."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import typer
+
+from bench.base.text import repeated
+from bench.cli import printing
+from bench.cli.commands import CommandGroup
+from bench.cli.options import JsonOption, OutOption, requested
+from bench.services.errors import Refused
+from bench.services.requests.documents import EvaluateKit, PlanKit, SealKit
+
+GROUP: Final = typer.Typer(
+    name="kit",
+    cls=CommandGroup,
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    epilog="Example: bench kit plan kit.yaml --laboratory Kyiv --laboratory Graz --laboratory Brno",
+    help="Compare laboratories by a travelling block: plan, sealed results, report.",
+)
+
+
+@GROUP.command(
+    epilog="Example: bench kit plan kit.yaml --laboratory Kyiv --laboratory Graz --laboratory Brno"
+)
+@requested
+def plan(request: PlanKit) -> int:
+    """Plan the route of the block, its transport checks, and a blind code for each stop."""
+    from bench.certificate.interlaboratory import CHECK, plan_kit, write_kit
+
+    if request.plan.exists():
+        raise Refused(f"{request.plan}: exists, and a plan is not overwritten; name another")
+    kit = plan_kit(request.block, request.laboratory, request.seed)
+    write_kit(request.plan, kit)
+    on = printing.console()
+    for number, stop in enumerate(kit.stops, 1):
+        on.print(f"{number}. {stop.laboratory} {'(pilot) ' if stop.pilot else ''}as {stop.code}")
+    on.print(f"at each stop: {CHECK}")
+    printing.written("plan", request.plan, on)
+    return 0
+
+
+@GROUP.command(epilog="Example: bench kit seal kit.yaml Q7FA=kyiv.json")
+@requested
+def seal(request: SealKit) -> int:
+    """Note the seal (SHA-256) of each result, before any is opened."""
+    from bench.certificate.interlaboratory import load_kit, sealed, write_kit
+
+    kit = sealed(load_kit(request.plan), _by_code(request.results))
+    write_kit(request.plan, kit)
+    left = [stop.code for stop in kit.stops if not stop.seal]
+    printing.console().print(f"not sealed yet: {', '.join(left)}" if left else "all results are sealed")
+    return 0
+
+
+@GROUP.command(epilog="Example: bench kit evaluate kit.yaml Q7FA=kyiv.json 9HLM=graz.xml … --out report")
+@requested
+def evaluate(request: EvaluateKit, json: JsonOption = None, out: OutOption = None) -> int:
+    """Judge each laboratory against the consensus of the others, in the nine numbers.
+
+    Exit status 1 if one is off, or the block changed.
+    """
+    from bench.certificate.interlaboratory import evaluate_kit, files_of, load_kit
+    from bench.results.interlaboratory import print_kit
+
+    result = evaluate_kit(load_kit(request.plan), _by_code(request.results), request.g)
+    on = printing.console(json=json)
+    print_kit(result, on)
+    if out is not None:
+        printing.write_files(files_of(result, out), on, asked=True)
+    printing.write_json([result.to_dict()], json)
+    return 0 if result.accepted else 1
+
+
+def _by_code(results: list[str]) -> dict[str, str]:
+    pairs = [one.partition("=") for one in results]
+    wrong = [one for one, (code, _, file) in zip(results, pairs, strict=True) if not code or not file]
+    twice = repeated([code for code, _, _ in pairs])
+    if wrong or twice:
+        raise Refused(f"{', '.join([*wrong, *twice])}: give each result once, as CODE=FILE")
+    return {code: file for code, _, file in pairs}

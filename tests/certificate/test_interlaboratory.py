@@ -1,0 +1,115 @@
+"""The interlaboratory kit from the plan to the report, with results as JSON and as a certificate of anybody."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bench.certificate.interlaboratory import load_kit, plan_kit
+from bench.history.equivalence import against_others
+from bench.model.geometry import COEFFICIENTS
+from bench.services.errors import Refused
+from benchmarks import interlaboratory_campaign
+from tests.certificate.dcc.test_reading import HEAD, real_list
+from tests.support.commands import refused
+from tests.support.paper_bench import TRUTH
+from tests.support.schemas import keeps_to
+
+U = np.array([2e-5] * 9 + [1e-5] * 3)
+NAMES = ["Kyiv", "Graz", "Brno", "Lviv", "Turin"]
+
+
+def result(rng, file, change=0.0):
+    """A laboratory's result, as `calibrate --json` has it, with independent errors of u."""
+    vector = TRUTH + rng.normal(0.0, U) + change
+    stated = zip(COEFFICIENTS, vector.tolist(), U.tolist(), strict=True)
+    data = {
+        "unit": "V", "g_m_s2": 9.80665, "noise": {"reading_v": 1e-4}, "order": list(COEFFICIENTS),
+        "covariance": np.diag(U**2).tolist(),
+        "coefficients": {name: {"value": v, "u": u, "U": 2 * u, "k": 2.0} for name, v, u in stated},
+    }  # fmt: skip
+    Path(file).write_text(json.dumps(data), encoding="utf-8")
+    return file
+
+
+@pytest.fixture
+def planned(bench, empty_folder):
+    arguments = [word for name in NAMES for word in ("--laboratory", name)]
+    status, out, err = bench("kit", "plan", "kit.yaml", *arguments, "--block", "17", "--seed", "3")
+    assert (status, err) == (0, "")
+    assert out.count("Kyiv (pilot)") == 3
+    return load_kit(Path("kit.yaml"))
+
+
+def measured(kit, wrong, change):
+    rng = np.random.default_rng(5)
+    return [
+        f"{stop.code}={result(rng, f'{stop.code}.json', change if stop.laboratory == wrong else 0.0)}"
+        for stop in kit.stops
+    ]
+
+
+@pytest.mark.parametrize("wrong", [None, "Brno"])
+def test_from_the_plan_to_the_report(bench, planned, wrong):
+    results = measured(planned, wrong, np.eye(12)[4] * 3e-4)
+    foreign = next(k for k, stop in enumerate(planned.stops) if stop.laboratory == "Graz")
+    code, file = results[foreign].split("=")
+    stated = json.loads(Path(file).read_text(encoding="utf-8"))["coefficients"]
+    Path("graz.xml").write_text(HEAD.format(real_list(values=[stated[n]["value"] for n in stated], u="4e-5")))
+    results[foreign] = f"{code}=graz.xml"
+    assert "all results are sealed" in bench("kit", "seal", "kit.yaml", *results)[1]
+    status, out, _ = bench(
+        "kit", "evaluate", "kit.yaml", *results, "--g", 9.80665, "--out", "report", "--json", "r.json"
+    )
+    found = json.loads(Path("r.json").read_text(encoding="utf-8"))
+    keeps_to("kit", found)
+    off = [stop.code for stop in planned.stops if stop.laboratory == wrong]
+    assert found["off"] == off
+    assert status == (1 if wrong else 0)
+    assert out.count("OFF") == len(off)
+    assert found["transport_p"] > 0.01
+    page = Path("report/kit.html").read_text(encoding="utf-8")
+    assert "<svg" in page
+    assert not any(name in page for name in NAMES)
+
+
+def test_a_result_opens_only_when_all_are_sealed_and_is_the_one_that_was_sealed(bench, planned):
+    results = measured(planned, None, 0.0)
+    bench("kit", "seal", "kit.yaml", *results[1:])
+    refused(bench("kit", "evaluate", "kit.yaml", *results), f"{planned.stops[0].code}: has no seal")
+    bench("kit", "seal", "kit.yaml", results[0])
+    code, _, file = results[2].partition("=")
+    Path(file).write_text(Path(file).read_text(encoding="utf-8") + " ", encoding="utf-8")
+    refused(bench("kit", "evaluate", "kit.yaml", *results), f"{code}: {file} is not the file that was sealed")
+    refused(bench("kit", "seal", "kit.yaml", results[2]), f"{code}: is sealed already")
+
+
+def test_the_plan_visits_everybody_once_and_the_pilot_between():
+    kit = plan_kit("17", NAMES, 3)
+    assert sorted(s.laboratory for s in kit.stops if not s.pilot) == sorted(NAMES[1:])
+    assert [s.pilot for s in kit.stops] == [True, False, False, True, False, False, True]
+    assert len({s.code for s in kit.stops}) == 7
+    assert [s.code for s in plan_kit("17", NAMES, 3).stops] == [s.code for s in kit.stops]
+    with pytest.raises(Refused, match="three or more"):
+        plan_kit("17", NAMES[:2], 3)
+
+
+def test_consensus_and_difference_are_those_of_the_textbook():
+    """Without scatter beyond u the consensus is the weighted mean, and nobody's u holds a term between them."""
+    u = np.array([1.0, 2.0, 1.0, 2.0])
+    values = np.array([0.0, 0.1, -0.1, 9.0])[:, None] * np.ones((4, 9))
+    covariances = u[:, None, None] ** 2 * np.eye(9)
+    last = against_others(values, covariances)[3]
+    weights = 1 / u[:3] ** 2
+    assert last.difference == pytest.approx(9.0 - weights @ [0.0, 0.1, -0.1] / weights.sum())
+    assert last.u == pytest.approx(np.sqrt(4.0 + 1 / weights.sum()))
+    assert last.dark == pytest.approx(0.0)
+    assert last.chi2 == pytest.approx(np.sum((last.difference / last.u) ** 2))
+
+
+@pytest.mark.slow
+def test_the_campaign_in_short_keeps_its_promises(capsys):
+    """Seed 1, 6 rounds of `python -m benchmarks.interlaboratory_campaign`."""
+    assert interlaboratory_campaign.main(["--runs", "6", "--workers", "1"]) == 0
+    assert "the wrong one found: 1.000" in capsys.readouterr().out
