@@ -31,7 +31,6 @@ from bench.base.yaml_files import (
 from bench.config.bench_file.stand import StatedRule
 from bench.config.devices.device import Day
 from bench.services.errors import Refused
-from bench.services.persons import authorised_by
 from bench.services.requests.documents import Right
 
 SIMULATED_SERIES: Final = "SIM-"
@@ -247,6 +246,8 @@ class Laboratory(Contact, StatedRule):
 
         Raises `Refused`, naming the option, for anybody else.
         """
+        from bench.services.persons import authorised_by
+
         known = authorised_by(self._file, name, Right.AUTHORISE, option)
         if known is not None:
             return Person(name=known.name, role=known.role or None)
