@@ -18,6 +18,7 @@ from typing import Final
 
 import yaml
 
+from bench.certificate.signatures import ORIGINAL
 from benchmarks.campaign import ROOT, arguments
 
 ELLIPSIS: Final = "…"
@@ -32,17 +33,24 @@ _ERROR_TAKERS: Final = re.compile(
     "InstrumentLost|LimitExceeded|WentAstray|NotConnected|NoAnswer|SetOtherwise|NotSettled|RailFault|"
     "BadReading|BadCell|NotIntact|NotRead|NoTimeStamp"
 )
+_NOT_INTACT: Final = ("NotIntact", "NoCertificate")
+"""Errors of a certificate, to which `bench.certificate.verify` adds its remedy."""
 _BENCH_ERROR: Final = ("instrument", "cause", "remedy")
 _OF_PROBLEMS: Final = "problems"
 """A function whose docstring says that it returns or yields what is wrong: its texts become parts of errors."""
 _PROBLEMS: Final = re.compile(
-    r"\b(problem|mistake|wrong|fault|bad|failure|refus|contradict|caveat|doubt)", re.I
+    r"(?:\b|_)(problem|mistake|wrong|fault|bad|failure|refus|contradict|caveat|doubt)", re.I
 )
 _WORDLESS: Final = (ast.Name, ast.expr_context, ast.operator, ast.cmpop, ast.unaryop, ast.boolop, ast.alias)
 _WORD: Final = re.compile(r"[^\W\d_]{2,}")
 _TAG: Final = re.compile(
     r"\{#.*?#\}|<(script|style)\b.*?</\1>|<!--.*?-->|\{%.*?%\}|<[^<>]*>|\{\{.*?\}\}", re.S
 )
+_NO_MESSAGE: Final = re.compile(
+    r"(SELECT|COPY|CREATE|FORMAT) |\{#|<\w|\w+ = (?:[\[\d…]|\w+ = )|\w+/\w+; charset=|"
+    r"width=device-width|[A-Z]+( [A-Z]+)+$|'?sha256-"
+)
+"""Queries, elements, definitions of units, commands of instruments: a program reads these."""
 _LITERAL: Final = re.compile(r"\"([^\"\n]*)\"|'([^'\n]*)'|`([^`]*)`")
 
 
@@ -88,7 +96,8 @@ def _below(node: ast.AST, name: str, kind: str) -> Iterator[Message]:
     text = _text(node)
     if text is not None:
         words = " ".join(text.split())
-        if " " in words and len(_WORD.findall(words)) > (kind != "error") and "(?" not in words:
+        enough = " " in words and len(_WORD.findall(words)) > (kind != "error")
+        if enough and "(?" not in words and not _NO_MESSAGE.match(words):
             said = (
                 "error" if kind == "part" and "; " in words[2:] else "text" if kind == _OF_PROBLEMS else kind
             )
@@ -109,7 +118,7 @@ def _below(node: ast.AST, name: str, kind: str) -> Iterator[Message]:
 def _kind(node: ast.AST, child: ast.AST, kind: str) -> str:
     """Return the kind of the texts in a part of a node, whose own kind is given."""
     if isinstance(child, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef, ast.Lambda)):
-        told = "" if isinstance(child, ast.Lambda) else ast.get_docstring(child) or ""
+        told = "" if isinstance(child, ast.Lambda) else f"{child.name} {ast.get_docstring(child)}"
         return _OF_PROBLEMS if _PROBLEMS.search(told) else "text"
     if isinstance(node, ast.Raise):
         return "error"
@@ -139,6 +148,9 @@ def _text(node: ast.AST) -> str | None:
     ):
         who, cause, remedy = map(_text, node.args)  # `drivers.interfaces.BenchError` joins them so
         return f"{who or ELLIPSIS}: {cause or ELLIPSIS}; {remedy or ELLIPSIS}" if cause or remedy else None
+    if isinstance(node, ast.Call) and len(node.args) == 1 and _taker(node) in _NOT_INTACT:
+        cause = _text(node.args[0])
+        return f"{cause}; {ORIGINAL}" if cause else None
     if isinstance(node, ast.Call) and len(node.args) == 2 and _ERROR_TAKERS.search(_taker(node)):
         cause, remedy = map(_text, node.args)  # `drivers.wire.pyvisa_connection.WireError`
         return f"{cause}; {remedy}" if cause and remedy else None
@@ -173,7 +185,7 @@ def in_template(name: str, source: str) -> Iterator[Message]:
 
 def _of_page(name: str, source: str, at: int, text: str) -> Iterator[Message]:
     words = " ".join(text.split())
-    if " " in words and len(_WORD.findall(words)) > 1:
+    if " " in words and len(_WORD.findall(words)) > 1 and not _NO_MESSAGE.match(words):
         yield Message("page", name, source.count("\n", 0, at) + 1, words)
 
 

@@ -42,7 +42,7 @@ class ChamberLimits:
             raise ValueError(f"state a positive band for the chamber, not {self.band_c:g} °C")
 
     def check(self, name: str, target_c: float) -> None:
-        """Raise `LimitExceeded` for a set point outside the limits; `name` is the chamber's."""
+        """Raise `LimitExceeded` for a set point outside the limits; `name` is the name of the chamber."""
         if not (math.isfinite(target_c) and self.minimum_c <= target_c <= self.maximum_c):
             raise LimitExceeded(
                 name,
@@ -79,7 +79,7 @@ class ChamberLimits:
 def refuse_other_set_point(name: str, shown_c: float, target_c: float, resolution_c: float) -> None:
     """Raise `InstrumentRefused` if the set point read back, `shown_c`, is not `target_c`.
 
-    It may differ by half the controller's resolution; the excess over 0.5 is for floating-point rounding.
+    The two may differ by half the controller's resolution, plus a margin for floating-point rounding.
     """
     if abs(shown_c - target_c) > 0.51 * resolution_c:
         raise InstrumentRefused(
@@ -90,7 +90,7 @@ def refuse_other_set_point(name: str, shown_c: float, target_c: float, resolutio
 
 
 class ControlledChamber(ABC):
-    """The base class of chambers with a controller: a `ThermalChamber` whose `temperature` is that of the air.
+    """The base class of chambers with a controller: a `ThermalChamber` whose `temperature` is the air temperature.
 
     A subclass verifies its controller, sets, reads, starts and stops it. `identity` is the pattern of the
     controller's name, `write_gap_s` the pause that it needs after a command without reply.
@@ -142,8 +142,8 @@ class ControlledChamber(ABC):
     def set_temperature(self, target_c: float, key: str) -> None:
         """Send the set point, read it back, and start conditioning.
 
-        Raises `LimitExceeded` for the limits of the bench file before anything is sent, and for those of the
-        controller before anything is set; `InstrumentRefused` if the chamber is not ready or the set point is not
+        Raises `LimitExceeded` before anything is sent if the bench file forbids the set point, and before anything
+        is set if the controller does; `InstrumentRefused` if the chamber is not ready or the set point is not
         applied; `InstrumentLost`, `BadReading`.
         """
         self._limits.check(self.name, target_c)

@@ -18,7 +18,8 @@ from typing import Final, Literal, Protocol, runtime_checkable
 def message(text: str, context: str = "") -> str:
     """Return a text unchanged; the call marks it as read by people, so that it is translated where it is shown.
 
-    `text` is a literal or an f-string. `context` tells apart texts that English spells alike.
+    `text` is a literal or an f-string. `context` distinguishes texts that are equal in English but not in another
+    language.
     """
     return text
 
@@ -139,7 +140,7 @@ class VoltmeterSettings:
 class VoltmeterLimits:
     """The settings that a model supports: ranges in volts, integration in power-line cycles, samples per reading.
 
-    The module in `drivers.facts` is their only source; bench files and procedures are checked against them.
+    They come only from the meter's module in `drivers.facts`; bench files and procedures are checked against them.
     """
 
     ranges_v: tuple[float, ...]
@@ -257,8 +258,8 @@ class Inclination:
 class LevelSizes:
     """Standard uncertainties of a level: one reading (rad), the scale (relative) and the cross-sensitivity.
 
-    `cross` is the fraction of the inclination along the other axis that may leak into a reading, through
-    misaligned axes or an inexact half turn.
+    `cross` is the fraction of the other axis's inclination that may enter a reading, because the axes are
+    misaligned or the half turn is inexact.
     """
 
     reading_rad: float
@@ -418,7 +419,7 @@ def _span(span: tuple[float, float]) -> str:
 class SupplyLimits:
     """The limits of a supply's outputs, by name. `together`: a single switch controls all outputs.
 
-    The module in `drivers.facts` is their only source; bench files are checked against them.
+    They come only from the supply's module in `drivers.facts`; bench files are checked against them.
     """
 
     outputs: Mapping[str, OutputLimits] = field(default_factory=dict)

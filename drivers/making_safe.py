@@ -48,7 +48,7 @@ class Attempts:
     def refuse_failed(self, name: str, what: str, remedy: str) -> None:
         """Raise one error with the causes of all failed attempts, if any, for the instrument `name`.
 
-        It is `InstrumentLost` if every attempt failed with that error, else `InstrumentRefused`.
+        The error is `InstrumentLost` if every attempt failed with `InstrumentLost`, else `InstrumentRefused`.
         """
         self.end()
         if self._failures:

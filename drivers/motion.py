@@ -38,7 +38,8 @@ _LEAST_OF_SPEED: Final = 0.05
 class TravelWatch:
     """Supervision of one move of the head `name`, from `start_rad` to `target_rad`, begun at clock time `begun_s`.
 
-    Within half the back-off of its target the head may overshoot or stop: `Mover` decides whether it has settled.
+    Closer to its target than half the back-off, the head may overshoot or stop: `Mover` decides whether it has
+    settled.
     """
 
     name: str
@@ -171,8 +172,8 @@ class Mover:
     def check(self, target_rad: float, direction: Direction) -> None:
         """Raise `LimitExceeded` if the target or the start of its approach is outside the limits.
 
-        The final approach starts at least `backoff_rad` away, so this angle must be within the limits, too.
-        Nothing is sent.
+        The final approach starts at least `backoff_rad` before the target, so its start must be within the limits,
+        too. Nothing is sent.
         """
         if not math.isfinite(target_rad) or not self._travel.contains(target_rad):
             shown = format_dms(target_rad) if math.isfinite(target_rad) else f"{target_rad}"

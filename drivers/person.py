@@ -215,7 +215,7 @@ class _LooksAsTold(Protocol):
 
 @contextmanager
 def watching(person: Person, look: Callable[[], None], every_s: float, clock: Clock) -> Iterator[None]:
-    """Call `look` while questions to `person` are open, in addition to the person's present `meanwhile`.
+    """Call `look` while `person` has an open question, in addition to the `meanwhile` that is set already.
 
     The interval is `every_s`, s, if the person lets it be set. Only a `WatchingPerson` calls `look`.
     """
@@ -266,8 +266,8 @@ def ask_until(
     """Ask a question until `read` accepts the answer; return the value from `read`.
 
     `question(id, trouble)` makes the prompt; `trouble` says what was wrong with the last answer, at first "".
-    `read` takes the answer's text and raises `ValueError` with such a sentence. After `attempts` answers the last
-    sentence is raised as `ValueError`; `NoAnswer` is raised if nobody can answer.
+    `read` takes the answer's text and raises `ValueError` with a sentence for `trouble`. After `attempts` refused
+    answers, `ValueError` with the last sentence is raised; `NoAnswer` is raised if nobody can answer.
     """
     trouble = ""
     for attempt in range(1, attempts + 1):

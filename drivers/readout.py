@@ -98,7 +98,10 @@ class Track:
         self._backed_off = False
 
     def take(self, time_s: float, angle_rad: float) -> float | None:
-        """Add an angle at a time; return the size of a jump faster than any hand, rad, or None."""
+        """Add an angle read at a time.
+
+        If the angle jumped faster than a hand can turn the head, return the size of the jump, rad; else None.
+        """
         offset_rad = self._direction * wrapped_rad(angle_rad - self._target_rad)
         approach = self._approach
         if self._seen:

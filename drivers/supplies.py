@@ -36,7 +36,7 @@ _ERRORS_ASKED: Final = 32
 class WiredSupply(ABC):
     """The base class of remote-controlled supplies, a `PowerSupply`.
 
-    A subclass verifies the identity and reads, sets and switches the outputs. `limits` are those of the model.
+    A subclass verifies the identity and reads, sets and switches the outputs. `limits` are the limits of the model.
     """
 
     asks_person = False

@@ -113,7 +113,7 @@ class Configuration:
 
     @property
     def settings(self) -> FunctionSettings:
-        """The settings of the selected function; the ratio uses those of DC volts."""
+        """The settings of the selected function; the function ratio uses the settings of DC volts."""
         return self.by_function[self.function.settings_of or self.function.name]
 
     @property

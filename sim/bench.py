@@ -135,7 +135,9 @@ class SimulatedBench:
             elif isinstance(given, ScpiInstrument):
                 make = partial(_as_it_is, given)
             else:
-                raise ValueError(f"{name} cannot be put on a GPIB bus: only what speaks SCPI can")
+                raise ValueError(
+                    f"{name} does not speak SCPI and cannot be on a GPIB bus; give it a resource without adapter"
+                )
             address = self._on_bus[name][1]
             bus.let_through(address, self._add(name, bus.attach(address, make)))
 
@@ -167,7 +169,7 @@ class SimulatedBench:
 
     @contextmanager
     def aside(self) -> Iterator[None]:
-        """Let instruments be read without a change of the world; see `World.aside`."""
+        """Within this context, let instruments be read without changing the world; see `World.aside`."""
         with self.world.aside():
             yield
             self.traffic.settle()
@@ -211,7 +213,9 @@ class SimulatedBench:
             able = [name for name, faulty in self.faulty.items() if faulty.can_have(fault)]
             able = [name for name in able if not self._is_of_another_wire(name, fault)]
             if not able:
-                raise ValueError(f"no instrument of this bench can have '{fault.kind}'")
+                raise ValueError(
+                    f"no instrument of this bench can have the fault '{fault.kind}'; choose another fault"
+                )
         elif fault.instrument not in self.faulty:
             raise ValueError(
                 f"no instrument {fault.instrument} is served; choose from {', '.join(self.faulty)}"
@@ -219,7 +223,7 @@ class SimulatedBench:
         elif self._is_of_another_wire(fault.instrument, fault):
             adapter = self._on_bus[fault.instrument][0]
             raise ValueError(
-                f"{fault.instrument} has no wire of its own; '{fault.kind}' is for its {adapter}"
+                f"{fault.instrument} has no wire of its own; give the fault '{fault.kind}' to its {adapter}"
             )
         else:
             able = [fault.instrument]

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 class Counter(PlainDialect):
     """A counter that shows `zero_deg` at 0° of the scale; `falling` values fall while the angle rises.
 
-    Without `referenced` it was just switched on, and counts from the present angle of the head.
+    Unless `referenced`, it was just switched on and counts from the present angle of the head.
     """
 
     def __init__(

@@ -356,7 +356,7 @@ class Probe:
     """A temperature sensor on the block of a type in `SENSORS`, with a constant error `error_c`.
 
     `air_share` is the fraction of the chamber's temperature in its own, `noise_c` the standard deviation of its
-    noise. To a meter set to volts it is a short.
+    noise. A meter set to volts sees a short.
     """
 
     def __init__(

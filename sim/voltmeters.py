@@ -31,7 +31,7 @@ class Function:
 
     `integration` maps each resolution (fraction of the range) to the integration time in power-line cycles, or to
     the gate time in s. `keyword` is the SENSe node that sets it, empty if there is none. `settings_of` names
-    another function whose range and resolution this one uses. A `fixed` function has no settings. `expected`
+    another function whose range and resolution this function uses. A `fixed` function has no settings. `expected`
     bounds the expected signal in CONFigure, for functions whose range is that of the input voltage (frequency,
     period).
     """
@@ -58,7 +58,7 @@ class Function:
 
     @property
     def default_resolution(self) -> float:
-        """The resolution for DEF: that of 10 power-line cycles, or of 0.1 s gate time."""
+        """The resolution for DEF: the one that 10 power-line cycles, or a gate time of 0.1 s, give."""
         return 1e-5 if self.has_aperture else 1e-6
 
 

@@ -26,7 +26,9 @@ class CalibrationError(ValueError):
 
 @contextmanager
 def heard_by(listener: Listener | None) -> Iterator[None]:
-    """Report the progress of all `tracked` computations in this context to `listener`, or to nobody if None."""
+    """Within this context, report the progress of all `tracked` computations to `listener`, or to nobody if it is
+    None.
+    """
     before = _listener.set(listener)
     try:
         yield
@@ -54,7 +56,8 @@ THREADS: Final = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS", 
 
 
 def one_thread() -> None:
-    """Limit linear algebra to one thread unless the environment sets a number: threads slow small matrices down.
+    """Limit linear algebra to one thread unless the environment sets a number, because threads make computations
+    with small matrices slower.
 
     Call it before numpy is imported.
     """
@@ -64,7 +67,7 @@ def one_thread() -> None:
 
 @contextmanager
 def uncollected() -> Iterator[None]:
-    """Pause the garbage collector while many small objects are made and kept, to avoid its repeated passes.
+    """Pause the garbage collector while many small objects are made and kept, because its passes would take long.
 
     Objects without reference cycles are freed as usual. Also usable as a function decorator.
     """

@@ -36,7 +36,7 @@ def _at_once(path: str, flags: int) -> int:
 def open_regular(path: Path, mode: Literal["rb", "ab"] = "rb") -> BinaryIO:
     """Open a regular file for reading, or for unbuffered appending; never open or wait for a pipe or device.
 
-    Raises `OSError`, whose `strerror` says what the path is instead of a file.
+    Raises `OSError`, whose `strerror` says that the path is a folder, a pipe or the like.
     """
     try:
         if mode == "rb" or path.exists():
@@ -55,7 +55,8 @@ def open_regular(path: Path, mode: Literal["rb", "ab"] = "rb") -> BinaryIO:
 def read_regular(path: Path, most_bytes: int | None = None) -> bytes:
     """Return the content of a regular file; never open or wait for a pipe or device.
 
-    Raises `OSError`, whose `strerror` says what the path is instead, or that the file has over `most_bytes`.
+    Raises `OSError`, whose `strerror` says that the path is a folder, a pipe or the like, or that the file has over
+    `most_bytes`.
     """
     with open_regular(path) as file:
         content = file.read() if most_bytes is None else file.read(most_bytes + 1)
@@ -68,8 +69,8 @@ def read_regular(path: Path, most_bytes: int | None = None) -> bytes:
 def read_given(path: Path) -> bytes:
     """Return the content of a path that a person named: a file, the standard input, or a pipe with a writer.
 
-    A pipe can be read only once. Raises `OSError`, whose `strerror` says what the path is instead, or that a pipe
-    has no writer, for which it does not wait.
+    A pipe can be read only once. Raises `OSError`, whose `strerror` says that the path is a folder or the like, or
+    that the pipe has no writer; it does not wait for a writer.
     """
     try:
         about = path.stat()
@@ -188,7 +189,7 @@ def _opened_at_once(path: Path) -> BinaryIO:
         descriptor = os.open(path, os.O_WRONLY | getattr(os, "O_NONBLOCK", 0))
     except OSError as error:
         if error.errno == errno.ENXIO:
-            raise OSError(errno.ENXIO, "this is a pipe without a reader") from None
+            raise OSError(errno.ENXIO, "this is a pipe without a reader; start the reader first") from None
         raise
     os.set_blocking(descriptor, True)
     return os.fdopen(descriptor, "wb")

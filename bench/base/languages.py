@@ -34,7 +34,9 @@ _chosen: ContextVar[str | None] = ContextVar("language", default=None)
 
 
 def language() -> str:
-    """Return the language of views: the one set by `speaking`, else of `BENCH_LANGUAGE`, else English."""
+    """Return the current language of pages and prompts: set by `speaking`, else by `BENCH_LANGUAGE`, else
+    English.
+    """
     return _chosen.get() or known_language(os.environ.get(ENVIRONMENT, "")) or ENGLISH
 
 
@@ -45,7 +47,10 @@ def known_language(name: str) -> str:
 
 
 def speak(name: str | None) -> None:
-    """Set the language of views from here on; None leaves it. Raises `ValueError` for an unknown language."""
+    """Set the current language of pages and prompts; None leaves it unchanged.
+
+    Raises `ValueError` for an unknown language.
+    """
     if name is not None:
         if not known_language(name):
             raise ValueError(f"language {name!r}: choose one of {', '.join(LANGUAGES)}")
@@ -54,7 +59,10 @@ def speak(name: str | None) -> None:
 
 @contextmanager
 def speaking(name: str | None) -> Iterator[None]:
-    """Set the language of views within the context; None leaves it as it is. Raises as `speak`."""
+    """Set the current language within the context; None leaves it unchanged.
+
+    Raises `ValueError` for an unknown language.
+    """
     token = _chosen.set(_chosen.get())
     try:
         speak(name)
@@ -64,9 +72,9 @@ def speaking(name: str | None) -> Iterator[None]:
 
 
 def translated(text: str, context: str = "") -> str:
-    """Return a text made by the program in the language of views; a text without a translation comes back.
+    """Return a text of the program in the current language; a text without a translation is returned unchanged.
 
-    `context` tells apart texts that English spells alike, such as "pass" (a verdict, a round).
+    `context` distinguishes texts that are equal in English, such as "pass" (a verdict, a round).
     """
     name = language()
     return text if name == ENGLISH else catalogue(name).translate(text, context)
@@ -75,7 +83,7 @@ def translated(text: str, context: str = "") -> str:
 def shown(value: object) -> object:
     """Return a value for a page: a number with its decimal sign, a text of several words translated.
 
-    A single word comes back as it is, because it may be a name; `translated` also translates single words.
+    A single word is returned unchanged, because it may be a name; `translated` also translates single words.
     """
     name = language()
     if name == ENGLISH or hasattr(value, "__html__") or not isinstance(value, str | float):
@@ -110,12 +118,17 @@ _UNITS: Final = frozenset(
 
 
 def is_numeric(text: str) -> bool:
-    """Return whether a text is numbers, signs and units alone, such as "−2.177(16) V/g" or "22.8 … 23.1 °C"."""
+    """Return whether a text consists of numbers, signs and units only, such as "−2.177(16) V/g" or "22.8 … 23.1
+    °C".
+    """
     return bool(_DECIMAL.search(text)) and all(word in _UNITS for word in _WORDS.findall(text))
 
 
 def local_number(text: str) -> str:
-    """Return a text of numbers and units with the decimal sign of views; any other text comes back."""
+    """Return a text of numbers and units with the decimal sign of the current language.
+
+    Return any other text unchanged.
+    """
     name = language()
     return text if name == ENGLISH or not is_numeric(text) else catalogue(name).number(text)
 
@@ -142,7 +155,10 @@ class Entry:
 
     @property
     def of_modules(self) -> bool:
-        """Whether a module uses it, so that filled copies have to be recognised; templates look it up."""
+        """Whether a module uses the text.
+
+        Its filled copies must then be recognised; templates look the text up instead.
+        """
         return not self.files or any(not file.endswith((".j2", ".js")) for file in self.files.split())
 
     def patterns(self) -> Iterator[tuple[str, re.Pattern[str]]]:
@@ -186,7 +202,10 @@ class Catalogue:
         self.translate: Callable[..., str] = lru_cache(maxsize=20000)(self._translate)
 
     def number(self, text: str) -> str:
-        """Return a text with the decimal sign of the language in each decimal number; versions stay as they are."""
+        """Return a text with the decimal sign of the language in each decimal number.
+
+        Version numbers stay unchanged.
+        """
         return _DECIMAL.sub(rf"\1{self.decimal}\2", text)
 
     def fill(self, entry: Entry, values: Mapping[str, str], count: float | None = None) -> str:
@@ -276,7 +295,7 @@ _OF_PROMPTS: Final = ("drivers/", "procedures/")
 
 
 def texts_for_scripts(name: str) -> str:
-    """Return a script that gives the scripts of the panel the texts that they may have to show in a language."""
+    """Return a script with the translations that the scripts of the panel may show in a language."""
     found = catalogue(name)
     texts = [
         (one.english, one.plural, found.forms(one))

@@ -42,7 +42,7 @@ class Scale:
 
 
 def scale_for(largest: float, unit: str) -> Scale:
-    """Return the scale with the best prefix for `largest`: µV for 9.8e-5 V. Counts take no prefix."""
+    """Return the scale with the best prefix for `largest`: µV for 9.8e-5 V. Counts have no prefix."""
     printed = _PRINTED.get(unit, unit)
     if unit not in _TAKES_PREFIX or not math.isfinite(largest) or largest == 0.0:
         return Scale(printed, 1.0)
@@ -59,7 +59,7 @@ def read_number(text: str) -> float:
     Raises `ValueError` also for forms that `float` accepts: digits of other alphabets, `1_000`.
     """
     if "_" in text or not text.isascii():
-        raise ValueError("no number")
+        raise ValueError("not a number in plain digits")
     return float(text)
 
 
@@ -71,7 +71,10 @@ def places(u: float) -> int:
 
 
 def fixed(value: float, decimals: int, *, sign: bool = False) -> str:
-    """Return the number with so many decimals (-1 rounds to tens), "–" if not finite; `sign` also writes "+"."""
+    """Return the number with this many decimals (-1 rounds to tens), "–" if it is not finite.
+
+    `sign` also writes "+".
+    """
     if not math.isfinite(value):
         return "–"
     shown = round(value, decimals) if decimals < 0 else value
@@ -105,7 +108,7 @@ def uncertainty(u: float) -> str:
 
 
 def figures(value: float, digits: int = 3, *, down: bool = False) -> str:
-    """Return a number with so many significant digits, large numbers without a power of ten: "1860".
+    """Return a number with this many significant digits; large numbers have no power of ten: "1860".
 
     `down` rounds a positive number down, for a limit that must not be exceeded.
     """

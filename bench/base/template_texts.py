@@ -56,7 +56,7 @@ class _Segment:
 
 
 def texts_in(source: str) -> Iterator[Entry]:
-    """Yield the texts of a template with their blanks; none of a page marked `{# English only #}`."""
+    """Yield the texts of a template with their blanks; a page marked `{# English only #}`."""
     if source.startswith(ENGLISH_ONLY):
         return
     for part in _parts(source):
@@ -172,7 +172,9 @@ def _trimmed(segment: _Segment) -> tuple[str, _Segment, str]:
 
 
 class TranslatedTemplates(Extension):
-    """Replaces the texts of a template by look-ups in the catalogue of the language of views."""
+    """A Jinja extension that replaces the texts of a template by look-ups in the catalogue of the current
+    language.
+    """
 
     def __init__(self, environment: Environment) -> None:
         super().__init__(environment)

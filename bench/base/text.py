@@ -42,12 +42,14 @@ def visible(text: str) -> str:
 
 
 def shown_path(path: str) -> str:
-    """Return a path as a page shows it: an absolute path by its last name, since folders concern nobody else."""
+    """Return a path as a page shows it: of an absolute path only the last name, because its folders concern nobody
+    else.
+    """
     return PurePath(path).name if PurePath(path).is_absolute() else path
 
 
 def civil_minute(time: str) -> str:
-    """Return an ISO 8601 time as people write it: "2026-11-24 00:12 UTC"; another text comes back unchanged."""
+    """Return an ISO 8601 time as people write it: "2026-11-24 00:12 UTC"; any other text is returned unchanged."""
     try:
         when = datetime.fromisoformat(time)
     except ValueError:

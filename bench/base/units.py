@@ -226,7 +226,9 @@ def not_negative(kind: QuantityKind) -> BeforeValidator:
 
 
 def above_zero(why: str) -> AfterValidator:
-    """Return a validator that rejects 0 with the sentence `why`: `Annotated[SizeV, above_zero("no …")]`."""
+    """Return a validator that rejects 0 with the sentence `why`: `Annotated[SizeV, above_zero("state a drift above
+    0")]`.
+    """
 
     def check(size: float) -> float:
         if not size > 0.0:
@@ -256,7 +258,7 @@ SizeA = Annotated[float, not_negative(CURRENT)]
 
 
 def quantity_of(annotation: Any, metadata: Sequence[Any]) -> QuantityKind | None:
-    """Return the physical quantity as which a model reads an annotated number; None for a plain number."""
+    """Return the physical quantity that an annotated number of a model stands for; None for a plain number."""
     for entry in metadata:
         read = getattr(entry, "func", None)
         if read is None or not inspect.isfunction(read):

@@ -202,7 +202,7 @@ class TooDeep(yaml.MarkedYAMLError):
 class Written:
     """A parsed YAML text: `data` of mappings, lists and texts (None for empty values), the line of every place.
 
-    `slips` are forms that YAML allows but bench files do not, each with its line, place and a sentence.
+    `slips` are constructs that YAML allows but bench files do not, each with its line, place and a sentence.
     """
 
     data: Any = None
@@ -413,7 +413,9 @@ class FileModel(BaseModel):
 
     @classmethod
     def alternatives(cls) -> Iterable[type[FileModel]]:
-        """Return the models that a file may use in place of this one, such as one per driver; none by default."""
+        """Return the models that a file may use instead of this one, such as one model per driver; none by
+        default.
+        """
         return ()
 
 

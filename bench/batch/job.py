@@ -67,7 +67,10 @@ class Job:
         return VerdictOptions(self.limit_g, self.rule, self.guard_band, self.population)
 
     def checked(self) -> Job:
-        """Return the job with absolute paths. Raises as the commands do for options that suit no run."""
+        """Return the job with absolute paths.
+
+        Raises the errors of the commands for options that are invalid for every run.
+        """
         estimator = find_estimator(self.estimator).name
         check_gravity(self.g_m_s2)
         self.asked().check()
@@ -119,7 +122,7 @@ def _named(file: str) -> dict[str, str]:
 def program() -> Mapping[str, str]:
     """Return the identity of the program that makes the results: versions and the SHA-256 of its own code.
 
-    The hash is needed because the code of a checkout can change while its version stays the same.
+    The hash is needed because the code in a git checkout can change while the version stays the same.
     """
     package = Path(__file__).parents[1]
     files = sorted(package.rglob("*.py"))

@@ -137,7 +137,7 @@ class _Pool:
         """Count a process that died before it was ready. Raises `Refused` when this happens too often."""
         self._stillborn += 1
         if self._stillborn >= TRIES * self._count:
-            raise Refused(f"the worker processes end before they start ({how})")
+            raise Refused(f"the worker processes end before they start ({how}); try --workers 1")
 
     def _let_go(self, worker: _Worker) -> None:
         self._workers.remove(worker)
@@ -305,7 +305,8 @@ def _row(dask: Any, future: Any, run: str, address: str) -> Row:
     except Exception as problem:
         told = " ".join(str(problem).split())
         raise Refused(
-            f"--scheduler {address}: its workers cannot compute it ({type(problem).__name__}: {told})"
+            f"--scheduler {address}: its workers failed ({type(problem).__name__}: {told}); install the same "
+            "packages there"
         ) from None
 
 

@@ -40,7 +40,7 @@ _READ: Final = (
 
 @dataclass(frozen=True)
 class Listed:
-    """The runs of a batch (absolute paths, sorted, unique), and the paths found that are no runs."""
+    """The runs of a batch (absolute paths, sorted, unique), and the paths found that are not runs."""
 
     runs: tuple[str, ...]
     no_runs: tuple[str, ...] = ()
@@ -51,9 +51,9 @@ def list_runs(
 ) -> Listed:
     """Return the runs that `over` names: words of a query (`unit=Q-17`, all of which hold), or patterns.
 
-    Patterns are shell patterns (`*`, `?`, `[…]`, `**` for nested folders), matched in the working folder or
-    else in the folder `runs`. A folder that is no run represents the runs in it. Raises `Refused` if no run
-    is found; the message names the `option`.
+    Patterns are shell patterns (`*`, `?`, `[…]`, `**` for nested folders), matched in the working folder or else in
+    the folder `runs`. A folder that is not a run stands for the runs in it. Raises `Refused` if no run is found;
+    the message names the `option`.
     """
     words = [word for given in over for word in _words(given)]
     asked = [word for word in words if is_question(word)]
@@ -76,7 +76,7 @@ def _words(given: str) -> list[str]:
 
 
 def is_question(word: str) -> bool:
-    """Whether a word belongs to a query (`unit=Q-17`) and is no pattern of paths."""
+    """Whether a word is a query (`unit=Q-17`) and not a pattern of paths."""
     return _QUESTION.match(word) is not None and not Path(word).exists()
 
 

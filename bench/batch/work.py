@@ -210,7 +210,10 @@ class CalibrationValues:
 
     @classmethod
     def of_file(cls, told: Mapping[str, Any]) -> CalibrationValues:
-        """Return the values in a result, computed or read. Raises `KeyError`, `TypeError` … for another file."""
+        """Return the values in a result, computed or read.
+
+        Raises `KeyError`, `TypeError` and the like if the file is no such result.
+        """
         sizes = [told["coefficients"][name] for name in COEFFICIENTS]
         p = told["residual"]["p"]
         return cls(
@@ -240,7 +243,7 @@ class VerdictValues:
 
     @property
     def words(self) -> str:
-        """The verdict: accepted or not, and what is stated where that says more."""
+        """The verdict: accepted or not, and the statement if it says more."""
         word = "passed" if self.passed else "failed"
         plain = "pass" if self.passed else "fail"
         return word if self.statement == plain else f"{word} ({self.statement})"
@@ -313,11 +316,12 @@ def _read(file: Path, understood: Any, notes: list[str]) -> Any:
 
 
 def changes(before: CalibrationValues | None, now: CalibrationValues) -> Row:
-    """Return the columns of the earlier values, the new values and their changes; only the new if none was.
+    """Return the columns of the earlier values, the new values and their changes.
 
-    Both use the same readings, so a change is no random deviation. It is stated in units of the earlier u, or
-    of the new u where the earlier coefficient had none (fixed by convention). Where neither has a u,
-    the change is zero or unknown. Results in different units of the signals are not compared.
+    Or only the new values if there are no earlier ones. Both use the same readings, so a change is no random
+    deviation. It is stated in units of the earlier u, or of the new u where the earlier coefficient had none (fixed
+    by convention). Where neither has a u, the change is zero or unknown. Results in different units of the signals
+    are not compared.
     """
     row: Row = {**_columns(now, ""), **({} if before is None else _columns(before, "_stored"))}
     if before is None:
@@ -342,7 +346,7 @@ def changes(before: CalibrationValues | None, now: CalibrationValues) -> Row:
 
 
 def change_in_u(before: CalibrationValues, now: CalibrationValues) -> Floats:
-    """Return the change of each coefficient (12,) in units of its u; NaN if it changed and has no u."""
+    """Return the change of each coefficient (12,) divided by its u; NaN if a coefficient without u changed."""
     moved = now.values - before.values
     unit = np.where(before.u > 0, before.u, now.u)
     with np.errstate(divide="ignore", invalid="ignore"):

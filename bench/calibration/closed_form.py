@@ -19,7 +19,7 @@ FARTHEST_FROM_NOMINAL_RAD = np.radians(3 / 60)
 def closed_form(signals: Floats) -> Floats:
     """Return the 12 coefficients for signals (2 installations, 3 channels, 9 test points), g = 1.
 
-    Source: paper (7)-(8); U20z as one eighth of the sum over test points 1 to 8.
+    Source: paper (7)-(8); the bias U20z is one eighth of the sum over test points 1 to 8.
     """
     U1, U2 = signals[0], signals[1]
     root2 = np.sqrt(2.0)
@@ -60,8 +60,8 @@ def closed_form(signals: Floats) -> Floats:
 def closed_form_gain(readings: Readings) -> Floats:
     """Return the linear map (12, n, 3) from readings to coefficients: the mean over passes, then equation (8).
 
-    Raises `CalibrationError` if a test point of installations 1 and 2 is missing, a reading is from elsewhere, or
-    an angle is not the nominal one that these formulas assume.
+    Raises `CalibrationError` if a test point of installations 1 and 2 is missing, a reading belongs to no such test
+    point, or an angle differs from the nominal angle that these formulas assume.
     """
     cell, count = _cells(readings)
     unit = np.eye(2 * 3 * POINTS).reshape(2 * 3 * POINTS, 2, 3, POINTS)

@@ -40,10 +40,10 @@ DRIFT: Final = "drift"
 class SharedErrorFit:
     """A fit with the variance components that its readings share, and with the drift if one was found.
 
-    `covariance` (3n + m, 3n + m) is that of the n oriented readings and m moduli; None without components. `wander`
-    (3,) is the rms deviation of each bias from its mean over the run, in the unit of the signal. If a drift was
-    found it is the drift's size, widened for its few degrees of freedom; otherwise the posterior mean of a drift
-    too small to show. It is None if no drift was searched for.
+    `covariance` (3n + m, 3n + m) is the covariance of the 3n signals of n oriented readings and of m moduli; None
+    without components. `wander` (3,) is the rms deviation of each bias from its mean over the run, in the unit of
+    the signal. If a drift was found it is the drift's size, widened for its few degrees of freedom; otherwise the
+    posterior mean of a drift too small to show. It is None if no drift was searched for.
     """
 
     fit: Fit
@@ -253,8 +253,8 @@ def _walk(time_s: Floats) -> Floats:
 def walk_since(time_s: Floats, later_s: Floats) -> Floats:
     """Return the covariance (v, v) of a random walk at `later_s` (v,) about its mean over times `time_s` (n,).
 
-    Its unit is the walk's mean variance over `time_s`, the times of the readings, in which the size of a drift is
-    stated.
+    The unit is the mean variance of the walk over the readings' times `time_s`; the size of a drift is stated in
+    this unit, too.
     """
     begin = min(float(time_s.min()), float(later_s.min()))
     at, then = time_s - begin, later_s - begin

@@ -71,9 +71,10 @@ class DecisionRule:
     """A decision rule: `name` is one of `RULES`, the guard band is w = `guard_band` · U.
 
     Simple acceptance accepts up to the limit, and uses w = U only for its statements. The guarded rule accepts up
-    to limit − w. So does the non-binary rule; it leaves values up to the limit to the customer as conditional
-    passes, and rejects values beyond the limit, as conditional fails up to limit + w. If `guard_band` is None (the
-    default rule), w makes the probability of a false acceptance equal to `FALSE_ACCEPTANCE`.
+    to limit − w, and so does the non-binary rule. The non-binary rule calls values from there to the limit
+    conditional passes, which the customer decides on. It rejects values beyond the limit, up to limit + w as
+    conditional fails. If `guard_band` is None (the default rule), w makes the probability of a false acceptance
+    equal to `FALSE_ACCEPTANCE`.
     """
 
     name: str = NON_BINARY
@@ -150,8 +151,9 @@ class DecisionRule:
     def rejects(self, statement: Statement) -> bool:
         """Return whether the rule rejects a value with this statement, given that it does not accept the value.
 
-        It does not reject an inconclusive value, nor under the non-binary rule a conditional pass. A conditional
-        fail is rejected: nonconformity is the likelier, and its probability of a false rejection is stated.
+        It does not reject an inconclusive value, nor under the non-binary rule a conditional pass. It rejects a
+        conditional fail, because nonconformity is more likely than conformity; the result states the probability of
+        a false rejection.
         """
         left_open = statement is Statement.CONDITIONAL_PASS and self.name == NON_BINARY
         return statement is not Statement.INCONCLUSIVE and not left_open
@@ -232,9 +234,8 @@ def _largest_sure(limit: float, known: MeasuredValues) -> Floats:
 
 
 def coverage_factor(dof: ArrayLike) -> Floats:
-    """Return the coverage factor k for degrees of freedom of any shape: 2 if infinite, else of equal probability.
-
-    Source: JCGM 100:2008, G.3.
+    """Return the coverage factor k for degrees of freedom of any shape: 2 if they are infinite, else the k that has
+    the same coverage probability. Source: JCGM 100:2008, G.3.
     """
     nu = np.asarray(dof, dtype=np.float64)
     return np.where(np.isinf(nu), COVERAGE_FACTOR, _quantile(0.5 * (1.0 + _COVERAGE), nu))
@@ -315,8 +316,8 @@ def probability_one_outside(
     """Return the probability that at least one of n quantities lies outside ±limit.
 
     `value` (n,) has the covariance `covariance` (n, n); the least of `dof` holds for all, since they were estimated
-    together. `population` is the prior of each quantity. It does not state whether the points of one block share
-    one error: the values decide, with the prior `_ALIKE`.
+    together. `population` is the prior of each quantity. Whether the points of one block share one error is not
+    known in advance: the values decide, with the prior probability `_ALIKE`.
 
     The result is from `_DRAWS` draws with a fixed seed, hence reproducible; a probability of 0.01 is accurate to
     0.0003. Rare events are bounded by the single probabilities: at least the largest, at most their sum.

@@ -60,9 +60,10 @@ class StandUnknown:
 
 @dataclass(frozen=True)
 class EffectUnknown:
-    """An unknown parameter of an effect, for one channel or for all (None), with its prior in SI.
+    """An unknown parameter of an effect, for one channel or for all (None), with its prior in SI units.
 
-    `effect` indexes the model's effects. `stated` is false for the weak default prior.
+    `effect` indexes the model's effects. `stated` is false if nobody stated a prior and a weak default prior is
+    used.
     """
 
     effect: int
@@ -83,9 +84,9 @@ class FreeRows:
 
 @dataclass(frozen=True)
 class Linearisation:
-    """The linearised model: its predictions (n, 3) and their derivatives by all unknowns (n, 3, 12 + q).
-
-    `slope` (n, 3) is du/dphi, the sensitivity of the signals to a setting error of the head, unit/rad.
+    """The model linearised about a point: the predicted readings (n, 3), and their derivatives (n, 3, 12 + q) by
+    the 12 coefficients and the q other unknowns. `slope` (n, 3) is du/dphi, the sensitivity of the signals to a
+    setting error of the head, unit/rad.
     """
 
     predicted: Floats
@@ -97,9 +98,9 @@ class Linearisation:
 class Problem:
     """The unknowns of a fit: 12 coefficients, then stand angles, then parameters of effects.
 
-    `free` are readings that join by the modulus alone. `upper` constrains K to upper triangular, as a fit to free
-    readings alone needs. `hang` (q, q) is the lower Cholesky factor of the priors' correlation matrix, None if they
-    are independent. `noise` is prior knowledge of the noise, or None.
+    `free` are readings of which only the modulus |a| = 1 g is used. `upper` constrains K to be upper triangular, as
+    a fit to free readings alone requires. `hang` (q, q) is the lower Cholesky factor of the priors' correlation
+    matrix, None if they are independent. `noise` is prior knowledge of the noise, or None.
     """
 
     model: ForwardModel
@@ -128,7 +129,9 @@ class Problem:
 
     @property
     def prior_rows(self) -> Floats:
-        """The matrix (q, q) that whitens unknowns divided by their prior u: independent, with unit variance."""
+        """The matrix (q, q) that whitens the q unknowns, each divided by its prior u: it makes them independent,
+        with unit variance.
+        """
         q = len(self.stand) + len(self.effects)
         return np.eye(q) if self.hang is None else np.asarray(np.linalg.solve(self.hang, np.eye(q)))
 
@@ -138,7 +141,7 @@ class Problem:
         return off if self.hang is None else np.asarray(np.linalg.solve(self.hang, off))
 
     def by_prior(self, columns: Floats) -> Floats:
-        """Return derivatives (..., q) by the unknowns as derivatives by the whitened unknowns of the prior."""
+        """Convert derivatives (..., q) by the q unknowns to derivatives by the unknowns that the prior whitens."""
         scaled = columns * self.prior_u
         return scaled if self.hang is None else np.asarray(scaled @ self.hang)
 
@@ -196,7 +199,9 @@ class Problem:
         return (forward - back) / (2 * STEP_RAD)
 
     def jacobian(self, block: Block, others: Floats) -> Floats:
-        """Return the derivatives of the readings by all unknowns, shape (n, 3, 12 + q)."""
+        """Return the derivatives of the readings by the 12 coefficients and the q other unknowns, shape (n, 3, 12 +
+        q).
+        """
         return self.linear(block, others).jacobian
 
     def linear(self, block: Block, others: Floats) -> Linearisation:
@@ -221,8 +226,8 @@ class Problem:
     def forces(self, block: Block, others: Floats) -> tuple[Floats, Floats, dict[int, Floats]]:
         """Return specific forces (n, 3), and their derivatives by the head angle and by each unknown stand angle.
 
-        The last item maps a column of `STAND_ANGLES` to derivatives (n, 3) by that angle of the row's own
-        mounting. All steps go through the forward model in one call: each step adds a set of mountings.
+        The last item maps a column of `STAND_ANGLES` to the derivatives (n, 3) by this angle in the mounting of the
+        row. All steps go through the forward model in one call: each step adds a set of mountings.
         """
         n, used = len(self.conditions), self._columns
         stand = self.stand_matrix(others)

@@ -51,12 +51,13 @@ LEAST_NOISE: Final = 1e-11
 
 @dataclass(frozen=True)
 class Shift:
-    """An additional unknown without prior, which takes the weight of one observation from the fit.
+    """An additional unknown without prior that is added to one observation, so that this observation has no weight
+    in the fit.
 
-    `row` is the index of a reading, from 0. With `channel` 0, 1 or 2, the unknown is an offset of signal x, y
-    or z in an oriented reading, in the unit of the signal. With `SETTING` it is an error of the head's angle in
-    an oriented reading, rad, which moves all three signals along du/dphi. With `MODULUS` it is an offset of |a|
-    in a free reading, g.
+    `row` is the index of a reading, from 0. With `channel` 0, 1 or 2, the unknown is an offset of signal x, y or z
+    in an oriented reading, in the unit of the signal. With `SETTING` it is an error of the head's angle in an
+    oriented reading, rad, which moves all three signals along du/dphi. With `MODULUS` it is an offset of |a| in a
+    free reading, g.
     """
 
     row: int
@@ -69,10 +70,11 @@ MODULUS: Final = 4
 
 @dataclass(frozen=True)
 class Fit:
-    """Estimates of all unknowns of a problem and their joint covariance (12 + q, 12 + q).
+    """Estimates of the 12 coefficients and the q other unknowns of a problem, and their joint covariance (12 + q,
+    12 + q).
 
     `noise` has the estimated sizes; the covariance uses them widened for their degrees of freedom. `gain` (12 + q,
-    n, 3) and `free_gain` (12 + q, m, 3) are the linear maps from oriented and free readings to the unknowns.
+    n, 3) and `free_gain` (12 + q, m, 3) are the linear maps from n oriented and m free readings to the unknowns.
     `misfit` is the chi-square of residuals and priors, without shifted signals. `residuals` (n, 3) are in the unit
     of the signal, `modulus` (m,) is |a| - 1 of the free readings, g; both include the shifts. `slope` (n, 3) is
     du/dphi. `shift` and `u_shift` (k,) are the estimates of `shifts` and their u for the noise without widening.
@@ -158,10 +160,11 @@ def _not_converged(problem: Problem, system: System, unknown: int, moved: float)
 
 @dataclass(frozen=True)
 class System:
-    """The linear system of one step; its p unknowns are the active coefficients, the shifts, then the others.
+    """The linear system of one step.
 
-    `left` (n, 3) is measured minus predicted, `jacobian` (n, 3, p) are the derivatives of the readings, `slope` (n,
-    3) is du/dphi, `free` are the rows of moduli.
+    Its p unknowns are the active coefficients, the shifts, then the other unknowns of the problem. `left` (n, 3) is
+    measured minus predicted, `jacobian` (n, 3, p) are the derivatives of the readings, `slope` (n, 3) is du/dphi,
+    `free` are the rows of moduli.
     """
 
     left: Floats
@@ -212,9 +215,9 @@ def _places(problem: Problem, shifts: int, others: int) -> _Places:
 
 
 def finish(problem: Problem, fit: Fit, covariance: Floats, noise: Noise) -> Fit:
-    """Return the fit after repeating its last step with the covariance (3n + m, 3n + m) of its readings and moduli.
+    """Repeat the last step of a fit with the covariance (3n + m, 3n + m) of its 3n signals and m moduli.
 
-    `noise` has the sizes that belong to this covariance. The linearisation about the point of the fit is kept.
+    Return the fit. `noise` has the noise sizes that belong to this covariance. The linearisation does not change.
     """
     system, others = fit.system, fit.others
     places = _places(problem, len(fit.shifts), len(others))
@@ -327,9 +330,10 @@ def estimate_noise(problem: Problem, system: System, groups: Ints, others: Float
 
 @dataclass(frozen=True)
 class Solution:
-    """One step of the fit: the change of the unknowns (p,), their covariance (p, p), and factors of the gain.
+    """One step of the fit: the change (p,) of the p unknowns, their covariance (p, p), and the factors of the gain.
 
-    The change is `inverse` (p, p) times the transpose of `q` (3n + m + priors, p) times the whitened residuals.
+    The change is `inverse` (p, p) times the transpose of `q` times the whitened residuals. `q` has a row for each
+    of 3n signals, m moduli and the priors, and p columns.
     """
 
     step: Floats
@@ -338,7 +342,7 @@ class Solution:
     q: Floats
 
     def gain(self, system: System, noise: Noise) -> Floats:
-        """Return the linear map (p, 3n + m) from the rows of signals and moduli to the unknowns."""
+        """Return the linear map (p, 3n + m) from the 3n signals and m moduli to the p unknowns."""
         n, _, p = system.jacobian.shape
         whitened = (self.inverse @ self.q[: 3 * n].T).reshape(p, n, 3)
         gain = np.moveaxis(whiten_back(np.moveaxis(whitened, 0, 2), system.slope, noise), 2, 0)
@@ -348,7 +352,9 @@ class Solution:
 
 
 def solve(problem: Problem, system: System, noise: Noise, others: Floats) -> Solution:
-    """Return one step of the fit from the values `others` (q,), for noise of these sizes."""
+    """Return one step of the fit from the values `others` (q,) of the unknowns after the coefficients, for noise of
+    these sizes.
+    """
     return solve_rows(*whitened_rows(problem, system, noise, others))
 
 
@@ -365,10 +371,11 @@ def solve_rows(rows: Floats, target: Floats, scale: Floats) -> Solution:
 def whitened_rows(
     problem: Problem, system: System, noise: Noise, others: Floats
 ) -> tuple[Floats, Floats, Floats]:
-    """Return the rows (3n + m + q, p) of a step, their targets, and the scale of each unknown (p,).
+    """Return the whitened equations of one iteration: rows (3n + m + q, p), targets, and scale (p,) of the p
+    unknowns.
 
-    The rows are signals, moduli, then priors, each of unit noise. Column j belongs to unknown j divided by its
-    scale.
+    n readings give 3n rows; m moduli and q priors follow. Each row has unit variance. Column j belongs to unknown j
+    divided by its scale. `others` are the present values of the unknowns after the coefficients.
     """
     n, _, p = system.jacobian.shape
     free = system.free
@@ -445,10 +452,11 @@ class Estimator:
     """An estimator of the coefficients; `phrase` describes it in a few words, `also` are aliases.
 
     An estimator with fixed weights has `gain`, which returns its linear map (12, n, 3), and uses oriented readings
-    alone. Any other has `weigh`, which returns its fit. A budget uses the map of this fit to readings without
-    errors, in which nothing is an outlier: being linear, it shows the effect of usual errors, not of outliers. If
-    that map is another estimator's, `counts_as` names it. `angles_rad` returns the angles (n,) that the estimator
-    assumes, and raises `CalibrationError` for unsuitable readings; None stands for the angles of the readings.
+    alone. Any other estimator has `weigh`, which returns its fit. A budget uses the map of this fit to readings
+    without errors, in which nothing is an outlier: being linear, it shows the effect of usual errors, not of
+    outliers. If another estimator has the same map, `counts_as` names that estimator. `angles_rad` returns the
+    angles (n,) that the estimator assumes, and raises `CalibrationError` for unsuitable readings; None stands for
+    the angles of the readings.
     """
 
     name: str

@@ -30,16 +30,17 @@ JOINT_LEVEL: Final = 0.95
 
 
 def intrinsic_unit(name: str, unit: str) -> str:
-    """Return the unit of one of the nine, for signals in `unit`."""
+    """Return the unit of one of the nine intrinsic numbers (`INTRINSIC`), for signals in `unit`."""
     return f"{unit}/g" if name.startswith("S") else "deg" if name.startswith("theta") else "g"
 
 
 def intrinsic(block: Block, covariance: Floats) -> Derived:
-    """Return the nine with their covariance (9, 9), from a block and its covariance (12, 12).
+    """Return the nine intrinsic numbers (`INTRINSIC`) with their covariance (9, 9), from a block and its covariance
+    (12, 12).
 
     S_i = |row i of K| in unit/g, theta_ij = arccos(row_i row_j/(S_i S_j)) in degrees, b_i = U0_i/S_i in g. The
-    Jacobian (9, 12) is exact. Raises `numpy.linalg.LinAlgError` if two sensing axes are parallel, or a channel
-    has none.
+    Jacobian (9, 12) is exact. Raises `numpy.linalg.LinAlgError` if two sensing axes are parallel, or a channel has
+    none.
     """
     S = np.linalg.norm(block.K, axis=1)
     if not np.all(S > 0):
@@ -53,7 +54,9 @@ def intrinsic(block: Block, covariance: Floats) -> Derived:
     for at, (i, j) in enumerate(PAIRS, 3):
         cosine, sine = float(axes[i] @ axes[j]), float(np.linalg.norm(np.cross(axes[i], axes[j])))
         if sine == 0.0:
-            raise np.linalg.LinAlgError("two sensing axes are parallel")
+            raise np.linalg.LinAlgError(
+                "two sensing axes are parallel; check that each voltmeter has its own accelerometer"
+            )
         values[at] = np.degrees(np.arctan2(sine, cosine))
         for one, other in ((i, j), (j, i)):
             slope = -(axes[other] - cosine * axes[one]) / (S[one] * sine)
@@ -62,17 +65,18 @@ def intrinsic(block: Block, covariance: Floats) -> Derived:
 
 
 def through(jacobian: Floats, covariance: Floats) -> Floats:
-    """Return the covariance of linear combinations, symmetric to the last digit."""
+    """Return the covariance of linear combinations, made exactly symmetric."""
     found = jacobian @ covariance @ jacobian.T
     return np.asarray(0.5 * (found + found.T))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Intrinsic(Derived):
-    """The nine of a calibration: besides `Derived`, their `covariance_readings`, effective `dof` (9,) and unit.
+    """The nine intrinsic numbers of a calibration: in addition to `Derived`, `covariance_readings`, `dof` (9,) and
+    unit.
 
-    `held` names those that these readings leave to the limits of the bench file. `mounting` is a sentence on what
-    the mounting can change.
+    `held` names the numbers that depend on limits in the bench file rather than on these readings. `mounting` is a
+    sentence on which numbers the mounting can change.
     """
 
     covariance_readings: Floats
@@ -93,7 +97,10 @@ class Intrinsic(Derived):
 
 
 def intrinsic_of(found: Calibration) -> Intrinsic | None:
-    """Return the nine of a calibration; None for a block without nine, such as one with a dead channel."""
+    """Return the nine intrinsic numbers of a calibration.
+
+    None if they are undefined, as for a block with a dead channel.
+    """
     try:
         own = intrinsic(found.block, found.covariance)
     except np.linalg.LinAlgError:
@@ -107,7 +114,10 @@ def intrinsic_of(found: Calibration) -> Intrinsic | None:
 
 
 def least_dof(found: Calibration) -> float:
-    """Return the least of the effective degrees of freedom of the nine; infinite for a block without nine."""
+    """Return the smallest effective degrees of freedom of the nine intrinsic numbers.
+
+    Infinite if they are undefined.
+    """
     own = intrinsic_of(found)
     return float("inf") if own is None else float(np.min(own.dof))
 
@@ -139,7 +149,7 @@ def _mounting(found: Calibration, held: tuple[str, ...]) -> str:
 
 @dataclass(frozen=True)
 class JointFactor:
-    """The factor `k` of the ellipsoid that contains `count` numbers together with probability `level`."""
+    """The coverage factor `k` of an ellipsoid that contains `count` numbers jointly with probability `level`."""
 
     count: int
     k: float

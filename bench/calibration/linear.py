@@ -31,8 +31,8 @@ def linear_estimate(
 
     `fit` is the generalised least squares fit to the same readings. It provides the noise, and the point at which
     effects (at their stated values) and stand angles (as measured by a level) are subtracted. `shared` (3n, 3n) is
-    the covariance of the readings if they share errors. The misfit remains that of `fit`: fixed weights leave the
-    stand angles in the residuals, where they would look like a lack of fit.
+    the covariance of the readings if they share errors. The misfit is taken from `fit`: with fixed weights, stand
+    angles would remain in the residuals and look like a lack of fit.
     """
     others = problem.prior_mean
     taken_off = np.zeros_like(signal)

@@ -66,7 +66,7 @@ def _place(rows: Readings, mask: Mask) -> str:
 def refuse_wrong_angle_unit(problem: Problem, signal: Floats, residuals: Floats) -> None:
     """Raise `CalibrationError` if the angles fit poorly in degrees, but well in another unit.
 
-    `residuals` (n, 3) are those of ordinary least squares to `signal` (n, 3).
+    `residuals` (n, 3) are the residuals of ordinary least squares to `signal` (n, 3).
     """
     whole = float(np.sum((signal - signal.mean(axis=0)) ** 2))
     as_given = float(np.sum(residuals**2))
@@ -146,7 +146,9 @@ def _equal_where_forces_differ(columns: Floats, signal: Floats, sides: Floats) -
 
 
 def refuse_saturated_free(signal: Floats) -> None:
-    """Raise `CalibrationError` for many equal readings at an end: signals of free positions all differ."""
+    """Raise `CalibrationError` if many readings of free positions are equal at one end of their range: without
+    saturation they all differ.
+    """
     for i, axis in enumerate("xyz"):
         ends = (signal[:, i] == signal[:, i].max(), signal[:, i] == signal[:, i].min())
         there = max(ends, key=np.count_nonzero)
@@ -193,9 +195,10 @@ def refuse_singular(block: Block, u: Floats | None = None) -> None:
 
 
 def at_nominal_angles(rows: Readings) -> Readings:
-    """Return the rows with target angles in place of those read back; without a target, with the paper's angles.
+    """Return the rows with the target angles instead of the angles read back.
 
-    Raises `CalibrationError` for a row that has neither.
+    A row without a target angle gets the paper's angle of its point. Raises `CalibrationError` for a row that has
+    neither.
     """
     nominal = rows.target_rad.copy()
     missing = ~np.isfinite(nominal)
@@ -291,7 +294,8 @@ def in_another_unit(channels: Sequence[str], part: str, unit: str, tens: int) ->
 
 @dataclass(frozen=True)
 class WrongUnit:
-    """The signals in another unit than the rest: each is too large by 1000 to the `power` (n, 3).
+    """The signals in another unit than the rest: each is too large by a factor of 1000^`power`, with `power` (n,
+    3).
 
     `part` names the affected part of the table in words, empty for all rows; `channels` are the affected channels.
     `unit` is the stated unit, `size` the power of the affected signals. `pass_number` or `installation` is set if
@@ -464,5 +468,7 @@ def _of_other(readings: Readings, row: int, power: Ints, scaled: Floats, *, ever
 
 
 def sheet_of(unit: str, scale_factors: Sequence[float]) -> Sequence[float] | None:
-    """Return the nominal signal per g in a unit: `scale_factors` for V, constants for g and m/s^2, else None."""
+    """Return the nominal signal per g (3,) in a unit: `scale_factors` for V, constants for g and m/s^2, None for
+    any other unit.
+    """
     return {"V": scale_factors or None, "g": (1.0, 1.0, 1.0), "m/s^2": (9.81, 9.81, 9.81)}.get(unit)

@@ -33,8 +33,8 @@ class KnownNoise:
     """Prior knowledge of the noise: channels (3,) in the unit, setting in rad, each with degrees of freedom.
 
     Each variance has a scaled inverse chi-square distribution: it counts like repeats with as many degrees of
-    freedom. Those from other runs allow for the variation of noise between runs. Sizes that the bench file states
-    (`stated`) count only as far as the readings lack degrees of freedom.
+    freedom. The degrees of freedom of sizes from other runs allow for variation of the noise between runs. Sizes
+    that the bench file states (`stated`) count only if the readings have too few degrees of freedom.
     """
 
     channels: Floats
@@ -52,7 +52,7 @@ class KnownNoise:
         return cls(np.full(3, reading), np.full(3, LEAST_DOF), setting, LEAST_DOF, stated=True)
 
     def beside(self, signals: float) -> KnownNoise | None:
-        """Return the prior to combine with a number of residual signals; None if these suffice.
+        """Return the prior to combine with `signals` residual signals; None if these signals suffice.
 
         A stated prior keeps only the degrees of freedom that the signals lack; a prior of other runs counts in
         full.
@@ -135,7 +135,7 @@ class KnownStand:
     noise: KnownNoise | None = None
 
     def place(self, name: str, installation: str) -> int | None:
-        """Return the index in `keys` of an angle in an installation, or None if no mean is known."""
+        """Return the index in `keys` of an angle in an installation; None if its mean is unknown."""
         for key in ((name, ""), (name, installation)):
             if key in self.keys:
                 return self.keys.index(key)
@@ -169,8 +169,8 @@ def drifted(
 ) -> float:
     """Return the fraction of the meters' limits by which their errors may differ, from 0 (they cancel) to 1.
 
-    Each argument holds the identities of the meters and the time of use. Different or unnamed meters, and unknown
-    times, give 1.
+    Each argument states one use of the meters: their identities and the time. Different or unnamed meters, and
+    unknown times, give 1.
     """
     (meters, when), (other, then) = first, later
     if not meters or tuple(meters) != tuple(other) or when is None or then is None:
@@ -194,7 +194,8 @@ class RepeatScatter:
     """Scatter within groups of repeats.
 
     `matrix` (groups, 3, 3), unit^2, sums the outer products of a group's deviations from its mean. `freedom`
-    (groups,) is the number of its readings minus one, `slope` (groups, 3) its mean du/dphi, unit/rad.
+    (groups,) is the number of readings in a group minus one, `slope` (groups, 3) the mean du/dphi of a group,
+    unit/rad.
     """
 
     matrix: Floats
@@ -321,8 +322,8 @@ class LikelihoodResiduals:
     """Linearised residuals, for the restricted likelihood of reading noise and setting error.
 
     `columns` (n, 3, p + 1) are the derivatives by the p unknowns, then the residuals. Unknowns from index `fixed`
-    on are random effects, scaled to unit prior standard deviation. `slope` (n, 3) is du/dphi. `free` (m, p + 1) are
-    such columns of the moduli, in the unit of the signal; moduli have reading noise alone.
+    on are random effects, scaled to unit prior standard deviation. `slope` (n, 3) is du/dphi. `free` (m, p + 1) has
+    the same columns for m moduli, in the unit of the signal; moduli have reading noise only.
     """
 
     columns: Floats
@@ -392,8 +393,8 @@ class LikelihoodResiduals:
 def noise_from_residuals(of: LikelihoodResiduals, floor: float, known: KnownNoise | None = None) -> Noise:
     """Return reading noise and setting error by restricted maximum likelihood from the residuals of the model.
 
-    This serves data without enough repeats. A stated `known` prior counts with the degrees of freedom that the
-    residuals lack; one of other runs counts in full, unless the residuals contradict it.
+    This serves data without enough repeats. A `known` prior from the bench file counts with the degrees of freedom
+    that the residuals lack. A prior from other runs counts in full, unless the residuals contradict it.
     """
     signals = max(of.count - of.unknowns, 0)
     known = None if known is None else known.beside(signals)
@@ -471,7 +472,10 @@ def whiten(columns: Floats, slope: Floats, noise: Noise) -> Floats:
 
 
 def whiten_back(columns: Floats, slope: Floats, noise: Noise) -> Floats:
-    """Return W^T times columns (n, 3, p), W as in `whiten`; it makes a map of whitened readings one of raw ones."""
+    """Return W^T times columns (n, 3, p), with W as in `whiten`.
+
+    It converts a map of whitened readings to a map of raw readings.
+    """
     sizes = noise.by_channel
     return np.asarray(_shrunk(columns, slope / sizes, noise.setting_rad) / sizes[:, None])
 

@@ -38,9 +38,9 @@ class Direction:
     """A null direction: a change of unknowns that no reading shows.
 
     `members` maps names to changes, in SI and the unit of the signals: angles and effects before coefficients, the
-    largest first. They are for one radian of a turn, else for one unit of the first member. `axis` is the axis of a
-    turn, on block axes, up to its sign. `only` is the combination of two angles that the readings do show ("sum" or
-    "difference"), else empty.
+    largest first. They belong to a turn by one radian or, for other directions, to one unit of the first member.
+    `axis` is the axis of a turn, on block axes, up to its sign. `only` is the combination of two angles that the
+    readings do show ("sum" or "difference"), else empty.
     """
 
     kind: DirectionKind
@@ -247,9 +247,10 @@ _NO_COLUMN: Final = 1e-8
 
 @dataclass(frozen=True)
 class Observability:
-    """The rank of the columns of the unknowns `names`, and as many null directions as the rank falls short.
+    """The rank of the derivatives by the unknowns `names`, and the null directions.
 
-    `null` (p, d) is an orthonormal basis of the null space, in unknowns scaled to columns of unit length.
+    There are as many null directions as the rank is below the number of unknowns. `null` (p, d) is an orthonormal
+    basis of the null space, in unknowns scaled so that their columns have unit length.
     """
 
     names: tuple[str, ...]
@@ -435,7 +436,7 @@ _ASSUMED: Final = ("mounting_roll",)
 
 
 def unseen_coefficients(problem: Problem, block: Block) -> Floats:
-    """Return changes (12, d) of the coefficients that no reading tells from angles of the stand.
+    """Return d changes (12, d) of the coefficients that readings cannot distinguish from angles of the stand.
 
     The third mounting angle counts as unknown, too. Each change has the largest element of K as its size.
     """

@@ -72,12 +72,16 @@ def search(problem: Problem, fit: Fit, refit: Callable[[tuple[Shift, ...]], Fit]
 
 
 def looks(problem: Problem) -> int:
-    """Return the number of tests for an outlier: the signals and setting of each reading, and each modulus."""
+    """Return the number of candidates tested for an outlier: the signals and the setting of each reading, and each
+    modulus.
+    """
     return 4 * len(problem.conditions) + (0 if problem.free is None else len(problem.free.signal))
 
 
 def critical(candidates: int, dof: float) -> float:
-    """Return the studentised residual that chance exceeds among all candidates with probability `LEVEL`."""
+    """Return the limit for the largest studentised residual: by chance alone, it is exceeded with probability
+    `LEVEL`.
+    """
     p = 1.0 - LEVEL / (2 * candidates)
     return float(special.ndtri(p) if np.isinf(dof) else special.stdtrit(dof, p))
 

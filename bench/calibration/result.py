@@ -22,7 +22,7 @@ class SourceOfError:
 
     `size` is its size in words, `origin` the source of this size; `prior` marks a size not stated for this bench.
     `cancels` marks an error that cancels if the same meters read the block later. `of_block` (12, q) is set for an
-    error of the block itself: the change of the coefficients by each random draw of size u.
+    error of the block itself: column k is the change of the coefficients by draw k of size u.
     """
 
     name: str
@@ -69,9 +69,10 @@ class NoisePrior:
     """Prior sizes of the noise, which are combined with the estimates from the readings.
 
     Each variance has a scaled inverse chi-square distribution about its size: `reading` (unit of the signal) and
-    `setting_rad`, 1 sigma, with `dof` degrees of freedom. The residuals have `readings_dof`. `ratio` is their
-    scatter over the prior noise, `p` its two-sided p-value (both NaN without degrees of freedom). `stated` sizes
-    are from the bench file, others from other runs.
+    `setting_rad`, 1 sigma, with `dof` degrees of freedom. The residuals have `readings_dof` degrees of freedom.
+    `ratio` is the scatter of the residuals divided by the prior noise, `p` the two-sided p-value of this ratio
+    (both NaN without degrees of freedom). `stated` is true for sizes from the bench file, false for sizes from
+    other runs.
     """
 
     reading: float
@@ -120,8 +121,9 @@ class Noise:
     def reading_dof(self) -> float:
         """Degrees of freedom of the reading noise, counted in single signals.
 
-        Two of three signals determine it, the third the setting error; all three if the setting error is zero.
-        Channels of different size have the mean of theirs.
+        Two of three signals determine the reading noise and the third the setting error; if the setting error is
+        zero, all three determine the noise. If the channels differ, the result is the mean of their degrees of
+        freedom.
         """
         if self.channel_dof is not None:
             return float(np.mean(self.channel_dof))
@@ -167,7 +169,7 @@ class LackOfFit:
 
     @property
     def shown(self) -> bool:
-        """Whether the lack of fit is significant; False if it cannot be tested."""
+        """Whether the lack of fit is significant; False if there is no test of it."""
         return self.p < LACK_OF_FIT_P
 
     def accepted(self, *, strict: bool = False) -> bool:
@@ -250,7 +252,8 @@ class Component:
 class BiasWander:
     """Wander of the biases about their mean over a run of `hours`: `size` (3,) rms, in the unit of the signal.
 
-    `course` (n, 3) is the estimate at each reading, `per_hour` (3,) the slope of its straight-line fit.
+    `course` (n, 3) is the estimated deviation at each reading, `per_hour` (3,) the slope of a straight line through
+    it.
     """
 
     size: Floats
@@ -323,7 +326,9 @@ class Calibration(HasCovariance):
 
     @property
     def covariance_same_meters(self) -> Floats:
-        """Combined covariance (12, 12) without the errors that cancel when the same meters read the block."""
+        """Combined covariance (12, 12) for later readings with the same meters: it omits the errors that then
+        cancel.
+        """
         return self.covariance - sum((s.covariance for s in self.sources if s.cancels), np.zeros((12, 12)))
 
     @property

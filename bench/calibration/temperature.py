@@ -43,7 +43,7 @@ class ThermalReadings:
     """The oriented rows of one or several tables, sorted into mountings, visits and plateaus.
 
     `mounting` (n,) numbers the mountings from 1. `visit` (n,) numbers the stays at one temperature in one mounting,
-    from 0. `branch` (n,) and `level` (n,) are those of each row's plateau.
+    from 0. `branch` (n,) and `level` (n,) belong to the plateau of each row.
     """
 
     rows: Readings
@@ -203,7 +203,8 @@ class ThermalHysteresis(HasCovariance):
     def scatter(self) -> Floats:
         """Covariance (12, 12) of the coefficients if the branch is unknown.
 
-        It is that of half the size either way, less the part that noise alone explains (its chi-square is twelve).
+        The coefficients then deviate by half the size in either direction; the part of the size that noise alone
+        explains (chi-square twelve) is subtracted.
         """
         chi2 = float(self.size @ np.linalg.solve(self.covariance, self.size))
         real = max(1.0 - len(self.size) / chi2, 0.0) if chi2 > 0 else 0.0
@@ -328,9 +329,8 @@ LOOKS: Final = 16
 class TableError:
     """Largest differences found between the table and the polynomials, g.
 
-    `bias` is the interpolation error at 0 g, `per_g` its increase per g along any axis. `single` is the
-    additional error of single precision at accelerations up to `reach_g`. `looks` counts the temperatures
-    tested.
+    `bias` is the interpolation error at 0 g, `per_g` its increase per g along any axis. `single` is the additional
+    error of single precision at accelerations up to `reach_g`. `looks` is the number of temperatures tested.
     """
 
     bias: float

@@ -47,8 +47,9 @@ WEAKEST: Final = 1e-3
 class ThermalProblem:
     """The input of a fit: readings (n, 3), basis functions of their rows (n, m), and unknown terms (12, m).
 
-    `terms` is a mask. `problem` has the conditions, with a mount for each mounting, and the stand's angles.
-    `groups` (n,) numbers the repeats. `floor` is the lower limit of the noise, in the unit of the signal.
+    `terms` (12, m) is the mask of the unknown terms. `problem` has the conditions, with an index for each mounting,
+    and the stand's angles. `groups` (n,) numbers the repeats. `floor` is the lower limit of the noise, in the unit
+    of the signal.
     """
 
     problem: Problem
@@ -77,7 +78,7 @@ class ThermalProblem:
         return (forward - back) / (2 * STEP_RAD)
 
     def jacobian(self, values: Floats, others: Floats) -> Floats:
-        """Return the derivatives (n, 3, t + q) of the readings by the unknown terms, then by the angles."""
+        """Return the derivatives (n, 3, t + q) of the readings by the t unknown terms, then by the q angles."""
         one_each = coefficient_columns(self.force(others))
         coefficient, function = np.nonzero(self.terms)
         by_term = one_each[:, :, coefficient] * self.basis[:, None, function]
@@ -204,10 +205,9 @@ NEXT: Final = 2
 
 @dataclass(frozen=True)
 class DegreeChoice:
-    """The chosen `degrees` (12,), and `doubts` (2, 12, D + 1): the changes if one more term were kept.
-
-    The doubts are for the next two terms, one even and one odd in temperature. They are zero if no term is left
-    out.
+    """The chosen `degrees` (12,), and `doubts` (2, 12, D + 1): the changes of the terms (12, D + 1) if one more
+    term were kept. The two doubts are for the next even and the next odd power of temperature. They are zero if no
+    term is left out.
     """
 
     degrees: Ints

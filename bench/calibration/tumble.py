@@ -90,8 +90,8 @@ class Separable:
     """The requested terms of a channel, and which of them its orientations determine.
 
     Of the terms `asked`, those `kept` are estimated. A term of `inseparable` acts like the listed shares of kept
-    terms and is not estimated: their estimates contain these shares of it. A term without shares shows in no
-    reading.
+    terms. It is not estimated: the estimates of the kept terms contain these shares of it. A term without shares
+    affects no reading.
     """
 
     channel: str
@@ -163,7 +163,7 @@ MOVES: Final = 0.01
 class Quantity:
     """One estimated quantity of an accelerometer, in `unit`.
 
-    `u` is the combined u if `TumbleView.combined`; `u_readings` is that from the readings and the stated stand
+    `u` is the combined u if `TumbleView.combined`; `u_readings` is the part from the readings and the stated stand
     errors. `contains` are the terms that cannot be separated from it, with their shares: "K3" with {"Koq": 0.59} is
     an estimate of K3 + 0.59 Koq.
     """
@@ -426,7 +426,7 @@ NOT_IN_VOLTS: Final = (
 def combine(
     view: TumbleView, bench: BenchFile, model: ForwardModel, terms: Sequence[str], day: date | None = None
 ) -> TumbleView:
-    """Return the view with the combined covariance; it has no prior of the requested, estimated `terms`.
+    """Return the view with the combined covariance; it omits the priors of `terms`, which are estimated.
 
     `day` is the date of the readings, from which the drift since each certificate follows. The meters' errors are
     in volts: a view in another unit only gets a note.

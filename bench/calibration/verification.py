@@ -67,21 +67,23 @@ class VerificationPoint:
 
     @property
     def p_false_accept(self) -> float | None:
-        """Probability of a false acceptance, if the point is accepted or an open conditional pass; else None."""
+        """Probability of a false acceptance, for an accepted point or a conditional pass still to be decided.
+
+        Else None.
+        """
         left_open = self.statement is Statement.CONDITIONAL_PASS and not self.rejected
         return self.p_outside if self.passed or left_open else None
 
     @property
     def p_false_reject(self) -> float | None:
-        """Probability of a false rejection; None where the point is not rejected."""
+        """Probability of a false rejection; None unless the point is rejected."""
         return 1.0 - self.p_outside if self.rejected else None
 
 
 @dataclass(frozen=True)
 class LimitToPass:
-    """Two ways to make a verification pass: a larger limit of |delta g| (g), or u times a factor.
-
-    `u_times` is None if no factor suffices. `point` is the point that exceeds its acceptance limit most.
+    """The two changes that would each make a verification pass: a larger limit of |delta g| (g), or u multiplied by
+    a factor. `u_times` is None if no factor suffices. `point` is the point that exceeds its acceptance limit most.
     """
 
     limit_g: float
@@ -138,7 +140,7 @@ class Verification:
 
     @property
     def left_open(self) -> bool:
-        """Whether the verdict is a conditional pass that the rule neither accepts nor rejects."""
+        """Whether the verdict is a conditional pass, which the rule neither accepts nor rejects."""
         return self.statement is Statement.CONDITIONAL_PASS and not self.passed and not self.rejected
 
     @property
@@ -185,7 +187,10 @@ class Verification:
 
     @cached_property
     def to_pass(self) -> LimitToPass | None:
-        """The limit or u that would pass, all else equal; None if the verification passes or points are missing."""
+        """The limit, or the u, with which the verification would pass, all else equal.
+
+        None if it passes or points are missing.
+        """
         if self.passed or self.missing:
             return None
         u, sizes = np.array([point.u for point in self.points]), np.abs(self._errors)
@@ -230,9 +235,9 @@ def verify(
     block calibrated elsewhere. u of each delta g, with degrees of freedom `dof`, follows from the `covariance` (12,
     12) of the coefficients and from `reading_noise`, independent in each signal (unit of the signal; one size, or
     one per channel). `joint` replaces both: parts by name, (n, n) each, of the covariance of |a| at the points, in
-    the gravity of the coefficients. The setting of the head does not count, since the modulus does not depend on
-    it. `rule` is one of `RULES`, a `DecisionRule`, or None for the default. Raises `CalibrationError` if there is
-    no verification row, K is singular or the rule is unknown.
+    the gravity of the coefficients. The setting error of the head has no effect, because the modulus does not
+    depend on it. `rule` is one of `RULES`, a `DecisionRule`, or None for the default. Raises `CalibrationError` if
+    there is no verification row, K is singular or the rule is unknown.
     """
     rows = readings.verification()
     if len(rows) == 0:

@@ -167,7 +167,9 @@ class RecordSeen:
 
     @property
     def proved(self) -> str:
-        """How far the record was verified: "read" (every event), "chain" (hashes), "none" or "broken"."""
+        """How thoroughly the record was verified: "read" (every event), "chain" (hashes only), "none", or "broken"
+        if the check failed.
+        """
         if self.problem:
             return "broken"
         return ("read" if self.whole else "chain") if self.count else "none"
@@ -238,7 +240,7 @@ def read_folder(path: str, fingerprint: str, *, whole: bool = False) -> FolderEn
 def _rows(folder: Path, *, whole: bool) -> dict[str, list[Row]]:
     manifest = read_manifest(folder)
     if "files" not in manifest or "created" not in manifest:
-        raise RecordError(f"{MANIFEST} was written by another program: 'files' or 'created' is missing")
+        raise RecordError(f"{MANIFEST} lacks 'files' or 'created'; restore it from a copy")
     digest = sha256(read_regular(folder / MANIFEST))
     run = key_of("run", digest)
     record = RecordSeen(folder, manifest, digest)

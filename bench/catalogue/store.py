@@ -291,9 +291,9 @@ def open_catalogue(
 ) -> Catalogue:
     """Open a catalogue, given as a file or the URL of a database.
 
-    None is the one that TRIAXIAL_BENCH_CATALOGUE names, else `catalogue.sqlite` in the user's cache folder. A
-    missing catalogue is created, unless `existing` is True. With `renew`, tables of an older version are replaced
-    by empty ones, for `bench.catalogue.sync` to fill. Raises `Refused` with the reason and the remedy.
+    None means the catalogue that TRIAXIAL_BENCH_CATALOGUE names, else `catalogue.sqlite` in the user's cache
+    folder. A missing catalogue is created, unless `existing` is True. With `renew`, tables of an older version are
+    replaced by empty ones, for `bench.catalogue.sync` to fill. Raises `Refused` with the reason and the remedy.
     """
     named = str(where or os.environ.get(VARIABLE) or cache_folder(FILE))
     import sqlalchemy

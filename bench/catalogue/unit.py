@@ -264,7 +264,9 @@ def unit_calibrations(catalogue: Catalogue, unit: str) -> list[UnitCalibration]:
 
 
 def compared_of(catalogue: Catalogue, name: str) -> tuple[CoefficientTable, bool, list[str]]:
-    """Return the comparable calibrations of a unit, whether they are simulated, and notes on those left out."""
+    """Return the comparable calibrations of a unit, whether they are simulated, and notes on calibrations
+    left out.
+    """
     table = coefficient_table(catalogue, [f"unit={name}"])
     notes = [f"without {words}" for words in table.left_out]
     return *_compared(table, notes), notes
@@ -328,7 +330,10 @@ def _per_g(table: CoefficientTable, g_m_s2: float) -> CoefficientTable:
 
 
 def limit_of(catalogue: Catalogue, query: list[str]) -> float | None:
-    """Return the limit of the last verification among the runs of a question, local g; None if none states one."""
+    """Return the limit of the last verification among the runs of a question, local g.
+
+    None if no run states a limit.
+    """
     joined = RUNS.join(VERIFICATIONS, VERIFICATIONS.c.run == RUNS.c.id)
     asked = (
         select(VERIFICATIONS.c.limit_g)

@@ -134,10 +134,10 @@ MOST_COMPARED: Final = 400
 
 
 def measured_of(table: CoefficientTable) -> tuple[ComparedCalibrations, Mask, tuple[str, ...]]:
-    """Return the comparable calibrations of a table, their mask in it (n,), and notes on those omitted.
+    """Return the comparable calibrations of a table, their mask in it (n,), and notes on the others.
 
-    Comparable are calibrations of known units on known benches with a date and a full covariance. Raises
-    `Refused` if there are none, or if simulated and real runs or different signal units are mixed.
+    A calibration is comparable if unit, bench and date are known and its covariance is complete. Raises `Refused`
+    if there are none, or if simulated and real runs or different signal units are mixed.
     """
     known = np.ones(len(table), dtype=bool)
     notes = list(table.left_out)

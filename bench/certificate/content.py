@@ -54,7 +54,7 @@ class Value:
 
 @dataclass(frozen=True)
 class Values:
-    """A group of results; `covariance` (n, n) is in the order of `values`."""
+    """A group of n results; `covariance` (n, n) is in the order of `values`."""
 
     values: tuple[Value, ...]
     covariance: Floats
@@ -284,7 +284,7 @@ class Certificate:
 
     @property
     def k(self) -> float:
-        """The coverage factor of U of the coefficients."""
+        """The coverage factor k of the expanded uncertainties of the coefficients."""
         return self.found.coefficients.values[0].k
 
     @property
@@ -371,7 +371,7 @@ def stated(of: Verification) -> tuple[Statement, tuple[Statement, ...]]:
 def uncertified(found: RunFindings) -> tuple[str, ...]:
     """Return the names of the voltmeters and the head that had no valid certificate of their own on the day.
 
-    That is no certificate, an expired one or that of another instrument.
+    Their certificate is missing, expired or belongs to another instrument.
     """
     return tuple(
         one.name

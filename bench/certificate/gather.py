@@ -88,7 +88,10 @@ def _house_rule(laboratory: Laboratory | None) -> DecisionRule | None:
 
 
 def texts_for(laboratory: Laboratory | None) -> tuple[Texts, ...]:
-    """Return the texts in each language of a laboratory, with its own wordings; English if it is None."""
+    """Return the texts in each language of a laboratory, with its own wordings.
+
+    In English if there is no laboratory.
+    """
     if laboratory is None:
         return (texts_of(_FIRST_LANGUAGE),)
     return tuple(
@@ -218,7 +221,7 @@ def _method(source: Source, result: CalibrationResult) -> Method:
 def _record(run: Run) -> RunReference:
     seal = read_seal(run.folder)
     if seal is not None and (wrong := seal.differences(run)):
-        raise Refused(f"{run.name}: {'; '.join(wrong)}; no certificate was made")
+        raise Refused(f"{run.name}: no certificate was made: {'; '.join(wrong)}")
     stated = seal_of(run, "") if seal is None else seal
     head = run.record_head
     return RunReference(

@@ -31,7 +31,6 @@ from bench.base.yaml_files import (
 from bench.config.bench_file.stand import StatedRule
 from bench.config.devices.device import Day
 from bench.services.errors import Refused
-from bench.services.persons import authorised_by
 from bench.services.requests.documents import Right
 
 SIMULATED_SERIES: Final = "SIM-"
@@ -63,7 +62,7 @@ class Texts:
 
 @cache
 def texts_of(language: str) -> Texts:
-    """Return the texts of a language of `LANGUAGES`; one that is missing is English."""
+    """Return the texts of a language of `LANGUAGES`; a text that is missing in this language is in English."""
     return Texts(
         language, {key: str(words.get(language, words["en"])).strip() for key, words in _WORDS.items()}
     )
@@ -73,8 +72,8 @@ def texts_of(language: str) -> Texts:
 class OnCertificate:
     """A mark for a field of a laboratory or order file that is printed on the certificate under its own name.
 
-    `page` is the page of the PDF. If `otherwise`, a key in `words.yaml`, is set, the row is always printed
-    and comes before the rows without it; it shows the text `otherwise` if the file does not state the field.
+    `page` is the page of the PDF. `otherwise` is a key in `words.yaml`. If it is set, the row is always printed,
+    with the text of `otherwise` if the file does not state the field; such rows come first.
     """
 
     page: Literal["front", "method", "conditions"]
@@ -247,6 +246,8 @@ class Laboratory(Contact, StatedRule):
 
         Raises `Refused`, naming the option, for anybody else.
         """
+        from bench.services.persons import authorised_by
+
         known = authorised_by(self._file, name, Right.AUTHORISE, option)
         if known is not None:
             return Person(name=known.name, role=known.role or None)
@@ -332,11 +333,11 @@ class UnitOrder(FileModel):
 class Order(StatedRule):
     """A validated order file.
 
-    `rule` and `guard_band` are the decision rule agreed with the customer, which overrides the record's
-    (ISO/IEC 17025:2017, 7.1.3); `agreed` are other agreements. `place` is the place of calibration if it
-    was not the laboratory. `without_certificates` is why the customer accepts instruments without
-    valid certificates. `sampling` is the sampling plan and method, and who sampled; without it, the customer
-    supplied the units. `external` are results from other bodies, `supplied` data from the customer.
+    `rule` and `guard_band` are the decision rule agreed with the customer, which overrides the rule in the record
+    (ISO/IEC 17025:2017, 7.1.3); `agreed` are other agreements. `place` is the place of calibration if it was not
+    the laboratory. `without_certificates` is why the customer accepts instruments without valid certificates.
+    `sampling` is the sampling plan and method, and who sampled; without it, the customer supplied the units.
+    `external` are results from other bodies, `supplied` data from the customer.
     """
 
     customer: Contact

@@ -181,8 +181,8 @@ def _holding(register: Register, certificate: Certificate) -> NumberStatus | Non
 def amend(number: str, name: str, desk: Desk, reason: str, *, replaced: bool) -> IssuedRun:
     """Issue a certificate for the run `name` that supersedes the certificate `number`.
 
-    The old certificate becomes "replaced" if `replaced`, else "amended". The new one states its number and
-    the `reason`. Raises `Refused` if the old certificate is not valid or is for another unit.
+    The old certificate becomes "replaced" if `replaced`, else "amended". The new certificate states the number of
+    the old one and the `reason`. Raises `Refused` if the old certificate is not valid or is for another unit.
     """
     laboratory, order = desk.laboratory, desk.order
     person = desk.person(laboratory)
@@ -191,7 +191,7 @@ def amend(number: str, name: str, desk: Desk, reason: str, *, replaced: bool) ->
         old = holds(register, number).entry
         item = certificate.found.item
         if old.data["unit"] != {"type": item.type, "serial": item.serial}:
-            raise Refused(f"{number}: another unit than that of {name}")
+            raise Refused(f"{number}: is for another unit than {name}; name a run of the same unit")
         kind = "replaced" if replaced else "amended"
         before = Before(kind, number, old.time[:10], reason, old.files[f"{number}.xml"])
         return _write(certificate, desk, laboratory, person, register, before)
@@ -214,7 +214,8 @@ def holds(register: Register, number: str) -> NumberStatus:
     standing = issued(register, number)
     if standing.state != ISSUED:
         told = f"by {standing.by}" if standing.state != REVOKED else f": {standing.by}"
-        raise Refused(f"{number}: it was {standing.state} {told}".replace(" :", ":"))
+        told = f"{number}: it was {standing.state} {told}".replace(" :", ":")
+        raise Refused(f"{told}; name a certificate that is in force")
     return standing
 
 
@@ -350,10 +351,10 @@ def made_again(register: Register, number: str, runs: Path) -> Bodies:
 
 
 def checked(request: CheckRegister) -> tuple[RegisterResult, list[Path]]:
-    """Return the content of a register, for one number or all, and the files copied to `request.out`.
+    """Return the content of a register, for one certificate number or all, and the files copied to `request.out`.
 
-    With `request.again`, each certificate is reproduced from its record and compared. Raises `Refused` for a
-    number that was never issued.
+    With `request.again`, each certificate is reproduced from its record and compared. Raises `Refused` for a number
+    that was never issued.
     """
     if request.out is not None and request.number is None:
         raise Refused("--out: give the number of the certificate to hand out")
@@ -409,7 +410,10 @@ def _same(register: Register, number: str, runs: Path, problems: list[str]) -> b
         return False
     wrong = [name for name, digest in again.items() if stated[name] != digest]
     if wrong:
-        problems.append(f"{number}: made again, its {' and '.join(wrong)} differs from the issued file")
+        problems.append(
+            f"{number}: its {' and '.join(wrong)}, made again, differs from the issued file; compare the run and "
+            "the program's version with those at issue, and restore what changed"
+        )
     return not wrong
 
 

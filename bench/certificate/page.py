@@ -43,7 +43,7 @@ def attachments_of(certificate: Certificate, dcc: bytes) -> tuple[Attached, ...]
 def data_of(certificate: Certificate, dcc: bytes) -> dict[str, Any]:
     """Return the input data of the page template. Raises `Refused` for a logo that is not a picture.
 
-    Numbers, figures and what the program says otherwise than by `words.yaml` are in the main language.
+    Numbers, figures and texts that are not in `words.yaml` are in the main language.
     """
     with speaking(known_language(certificate.texts[0].language) or ENGLISH):
         return _data_of(certificate, dcc)
@@ -231,7 +231,7 @@ def pictures_of(certificate: Certificate, dcc: bytes, dots_per_inch: float = 110
 
 
 def typeset_pdf(data: dict[str, str], moment: int, template: bytes | None = None) -> bytes:
-    """Return the PDF typeset from a template, that of certificates by default.
+    """Return the PDF typeset from a template, by default the template of certificates.
 
     `moment` (s since 1970) is its stated creation time.
     """

@@ -78,7 +78,9 @@ class Register(Chain):
         number = name.rsplit(".", 1)[0]
         stated = self.standings[number].entry.files.get(name) if number in self.standings else None
         if stated is None:
-            raise Refused(f"{self.folder}: no file {name} was issued")
+            raise Refused(
+                f"{self.folder}: no file {name} was issued; 'bench certificate register' lists the numbers"
+            )
         try:
             content = read_regular(self.folder / name)
         except OSError as error:
@@ -101,7 +103,10 @@ class Register(Chain):
         return wrong
 
     def catch_up(self) -> None:
-        """Read the lines added since, and finish interrupted issues. Raises `Refused` for a changed line."""
+        """Read the lines that were added since the last call, and finish interrupted issues.
+
+        Raises `Refused` for a changed line.
+        """
         self.read_lines()
         for part in self.folder.glob(f"*{_PART}"):
             self._finish(part)

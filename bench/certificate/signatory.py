@@ -78,7 +78,7 @@ def new_certificate_key(file: Path, name: str, passphrase: bytes | None, now: da
     try:
         subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
     except ValueError as error:
-        raise Refused(f"{name!r}: not a name for a certificate (1 to 64 characters)") from error
+        raise Refused(f"{name!r}: not a name for a certificate; give 1 to 64 characters") from error
     identifier = x509.SubjectKeyIdentifier.from_public_key(key.public_key())
     # only digital signature and content commitment: this key must not sign other certificates
     usage = x509.KeyUsage(True, True, False, False, False, False, False, False, False)
@@ -136,7 +136,9 @@ def _in_file(file: Path, chain: Path | None, passphrase: Callable[[], bytes]) ->
         return key.sign(message, padding.PKCS1v15(), hashes.SHA256())  # type: ignore[no-any-return]
 
     if not isinstance(key, ec.EllipticCurvePrivateKey | rsa.RSAPrivateKey):
-        raise Refused(f"{file}: this kind of key cannot sign certificates ({wanted})")
+        raise Refused(
+            f"{file}: this kind of key cannot sign certificates; give one of another kind ({wanted})"
+        )
     beside = chain if chain is not None else file.with_name(file.name + SUFFIX)
     if chain is None and not beside.is_file():
         raise Refused(
@@ -155,25 +157,27 @@ def _check(signatory: Signatory, now: datetime) -> None:
     wrong = []
     public = mine.public_key()
     if isinstance(public, rsa.RSAPublicKey) and public.key_size < _LEAST_RSA_BITS:
-        wrong.append(f"its key has {public.key_size} bits, and {_LEAST_RSA_BITS} are required")
+        wrong.append(f"its key has {public.key_size} bits; use one of {_LEAST_RSA_BITS} or more")
     try:
         _proves(public, signatory.sign(b"triaxial-bench"), b"triaxial-bench")
     except (InvalidSignature, ValueError, TypeError):
         wrong.append("it belongs to another key; put the certificate of the key first in its chain")
     if not mine.not_valid_before_utc <= now <= mine.not_valid_after_utc:
         since, until = mine.not_valid_before_utc.date(), mine.not_valid_after_utc.date()
-        wrong.append(f"it is valid from {since} to {until}, not now")
+        wrong.append(f"it is valid from {since} to {until}, not now; use a valid one")
     try:
         usage = mine.extensions.get_extension_for_class(x509.KeyUsage).value
     except (x509.ExtensionNotFound, ValueError):
         usage = None
     if usage is not None and not (usage.digital_signature or usage.content_commitment):
-        wrong.append("its key usage excludes signatures")
+        wrong.append("its key usage excludes signatures; use a certificate for signing")
     for below, above in zip(signatory.chain, signatory.chain[1:], strict=False):
         try:
             below.verify_directly_issued_by(above)
         except (InvalidSignature, ValueError, TypeError):
-            wrong.append(f"'{name_of(below)}' was not issued by '{name_of(above)}', the next in the chain")
+            wrong.append(
+                f"'{name_of(below)}' was not issued by '{name_of(above)}', the next in the chain; reorder it"
+            )
     if wrong:
         raise Refused(f"the certificate of '{signatory.name}' cannot be signed with: {'; '.join(wrong)}")
 
@@ -262,7 +266,7 @@ def _the_one(session: Any, kind: Any, path: dict[str, Any], what: str) -> Any:
         wanted[Attribute.ID] = path["id"]
     found = list(session.get_objects(wanted))
     if len(found) != 1:
-        raise Refused(f"{what} of that name in the token: {len(found)}, give the name of one")
+        raise Refused(f"the token has {len(found)} {what} of that name; name one by its id")
     return found[0]
 
 
@@ -292,7 +296,9 @@ def _signing(key: Any, told: str) -> Callable[[bytes], bytes]:
             both = bytes(key.sign(sha256(message).digest(), mechanism=Mechanism.ECDSA))
         except PKCS11Error as error:
             reason = str(error) or type(error).__name__
-            raise Refused(f"{told}: the token refused to sign ({reason})") from error
+            raise Refused(
+                f"{told}: the token refused to sign ({reason}); check its PIN and what its key may sign"
+            ) from error
         half = len(both) // 2
         return encode_dss_signature(int.from_bytes(both[:half]), int.from_bytes(both[half:]))
 
@@ -302,8 +308,8 @@ def _signing(key: Any, told: str) -> Callable[[bytes], bytes]:
 def why_not_trusted(chain: Sequence[Certificate], when: datetime, trusted: Sequence[Certificate]) -> str:
     """Return why a signer's certificate is not trusted at the time `when`; "" if it is trusted.
 
-    It is trusted if it is in `trusted` or was issued under a certificate there. `chain` starts with the signer's
-    certificate; the others may link it to `trusted`. Revocation lists are not checked.
+    A certificate is trusted if `trusted` contains it, or contains a certificate under which it was issued. `chain`
+    starts with the signer's certificate; the others may link it to `trusted`. Revocation lists are not checked.
     """
     own = chain[0]
     if fingerprint_of(own) in {fingerprint_of(one) for one in trusted}:

@@ -23,6 +23,10 @@ _CANONICAL: Final = "http://www.w3.org/2006/12/xml-c14n11"
 _MOST_BYTES: Final = 64_000_000
 
 
+ORIGINAL: Final = "ask the laboratory for the original"
+"""The remedy for a document that is not intact."""
+
+
 class NotIntact(Exception):
     """Raised when a signature is malformed or the signed content was changed; the message says which."""
 
@@ -325,15 +329,15 @@ def _check_cover(file: bytes, signature: Any) -> None:
     """Raise `NotIntact` unless the signature covers every byte of the file except its own hexadecimal digits."""
     ranges = [int(one) for one in signature.byte_range]
     if len(ranges) != 4 or ranges[0] != 0:
-        raise NotIntact("its signature does not cover it from the first byte")
+        raise NotIntact("its signature does not cover the beginning of the file")
     _, before, after, rest = ranges
     if not 0 < before < after or after + rest != len(file):
-        raise NotIntact("its signature does not cover its end: something was appended")
+        raise NotIntact("its signature does not cover the end of the file: something was appended")
     gap = file[before:after]
     content = signature.pkcs7_content
     digits = gap[1:-1]
     if gap[:1] + gap[-1:] != b"<>" or len(digits) != 2 * len(content) or unhexlify(digits) != content:
-        raise NotIntact("its signature does not cover everything else")
+        raise NotIntact("its signature does not cover the whole file")
     value = _written_anew(content)
     if content[: len(value)] != value or content[len(value) :].strip(b"\0"):
         raise NotIntact("other data replaced its signature")

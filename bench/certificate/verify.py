@@ -26,6 +26,7 @@ from bench.certificate.page import DCC, RELATIONS, faults_of
 from bench.certificate.register import LINES, Register
 from bench.certificate.signatory import certificates_in, fingerprint_of, name_of, why_not_trusted
 from bench.certificate.signatures import (
+    ORIGINAL,
     NoCertificate,
     NotIntact,
     SignedPdf,
@@ -94,10 +95,11 @@ class Verdict:
 
     @property
     def accepted(self) -> bool:
-        """Whether the certificate is intact, its signer not distrusted, and its number valid, as far as checked.
+        """Whether the certificate is intact, its signer is not distrusted, and its number is valid, as far as each
+        was checked.
 
-        An unsigned certificate is accepted only if a register that the user named contains it. A register found
-        in the file's folder is not enough, because anybody can write one.
+        An unsigned certificate is accepted only if a register that the user named contains it. A register found in
+        the file's folder is not enough, because anybody can write one.
         """
         holds = self.standing is None or self.standing.holds
         vouched = not self.unsigned or self._by_register
@@ -164,7 +166,7 @@ def verify_certificate(file: Path, trust: Path | None, runs: Path, register: Pat
                 f"that there is a {other} with the same content: {beside.name} is not beside it"
             )
     except NotIntact as error:
-        verdict.wrong.append(str(error))
+        verdict.wrong.append(f"{error}; {ORIGINAL}")
         verdict.issued = not isinstance(error, NoCertificate)
     if verdict.shown is not None and verdict.intact:
         _against_register(verdict, verdict.shown, file, content, register)
@@ -269,7 +271,7 @@ def _agree(verdict: Verdict, shown: ShownValues, attached: dict[str, bytes], tit
         raise NotIntact(f"the PDF is of '{title}', its XML of certificate {number}")
     for name, content in shown.files.items():
         if attached.get(name) != content:
-            raise NotIntact(f"{name} in the XML differs from that {name} in the PDF")
+            raise NotIntact(f"the {name} in the XML differs from the one in the PDF")
     signer = "" if verdict.unsigned else "signer, "
     verdict.agreed.append(f"PDF and XML have {signer}number, result and seal in common")
     verdict.not_proved.append(PAGES_NOT_READ)
@@ -306,7 +308,7 @@ def _attached(file: bytes) -> tuple[dict[str, bytes], str]:
             with pdf.open_metadata(set_pikepdf_as_editor=False, update_docinfo=False) as told:
                 return found, str(told.get("dc:title", ""))
     except (pikepdf.PdfError, ValueError, KeyError, AttributeError) as error:
-        raise NotIntact("what is attached to it cannot be read") from error
+        raise NotIntact("its attached files cannot be read") from error
 
 
 def _name_signer(
@@ -325,7 +327,7 @@ def _agree_on_numbers(shown: ShownValues) -> None:
     """Raise `NotIntact` unless the listed coefficients equal those of the attached `result.json`."""
     coefficients = shown.says.coefficients
     if not coefficients or "result.json" not in shown.files:
-        raise NotIntact("the digital certificate has no coefficients, or not the result that they are of")
+        raise NotIntact("the digital certificate lacks its coefficients or the result that states them")
     try:
         result = json.loads(shown.files["result.json"])
         covariance = tuple(tuple(float(one) for one in row) for row in result["covariance"])
@@ -335,9 +337,9 @@ def _agree_on_numbers(shown: ShownValues) -> None:
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise NotIntact("the result in the digital certificate cannot be read") from error
     if values != {name: one.value for name, one in coefficients.items()} or covariance != shown.covariance:
-        raise NotIntact("the coefficients of the digital certificate are not those of its result")
+        raise NotIntact("the coefficients of the digital certificate differ from its result")
     if not all(math.isclose(one.U, one.k * u[name], rel_tol=1e-12) for name, one in coefficients.items()):
-        raise NotIntact("U of a coefficient is not k times its u")
+        raise NotIntact("U of a coefficient differs from k times its u")
 
 
 def _against_register(
@@ -377,9 +379,9 @@ class Held:
 def held_against_record(shown: ShownValues, runs: Path) -> Held | None:
     """Compare a certificate with the record of its run in `runs`; return None if that record is not there.
 
-    A run of the same name but with other inputs (`run.json`) is not that record. Otherwise, the chain of hashes
-    must end as in the seal, and the readings must give the same result: every digit on the same computer, within
-    a small part of u on another, whose libraries may round differently.
+    A run of the same name with other inputs (`run.json`) is another record. In the right record the chain of hashes
+    must end as in the seal, and the readings must give the same result: every digit on the same computer, within a
+    small part of u on another, whose libraries may round differently.
     """
     try:
         seal = Seal.from_json(json.loads(shown.files["seal.json"]))
@@ -455,10 +457,9 @@ def held_against_register(
 ) -> tuple[RegisterSays | None, Held]:
     """Compare the content of a certificate file with the entry for its number in a register.
 
-    `form` is "pdf" or "xml". `folder` is the register's folder; if it is None, a register in the folder of
-    `file` is used. Returns the entry and the comparison. The entry is None if there is no register, or if one
-    in the folder of `file` does not have the number. Raises `Refused` for a register that is damaged or cannot
-    be read.
+    `form` is "pdf" or "xml". `folder` is the register's folder; if it is None, a register in the folder of `file`
+    is used. Returns the entry and the comparison. The entry is None if there is no register, or if the register in
+    the folder of `file` lacks the number. Raises `Refused` for a register that is damaged or cannot be read.
     """
     place = file.absolute().parent if folder is None else folder
     if not (place / LINES).is_file():

@@ -24,17 +24,17 @@ _VALUES: Final = {"int": "N", "int range": "N", "float": "X", "float range": "X"
 
 
 def ask_whole_help(ctx: Any) -> None:
-    """Make the help of a context's command, and of those below it, show all options."""
+    """Make the help of a context's command, and of its subcommands, show all options."""
     ctx.meta[_ASKED] = True
 
 
 def is_whole_help(ctx: Any) -> bool:
-    """Return whether the whole help is asked for."""
+    """Return whether the whole help is requested."""
     return bool(ctx.meta.get(_ASKED))
 
 
 def with_plain_help(ctx: Any, args: list[str]) -> list[str]:
-    """Return arguments with `--help-all` replaced by `--help`, after noting that the whole help is asked for."""
+    """Replace `--help-all` by `--help` in the arguments, and note that the whole help is requested."""
     options = args[: args.index("--")] if "--" in args else args
     if WHOLE not in options:
         return args

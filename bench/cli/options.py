@@ -33,7 +33,9 @@ devices_given: ContextVar[tuple[str, ...]] = ContextVar("devices_given", default
 
 
 def with_own_parts(command: Any) -> Any:
-    """Return a command with `--devices` if it uses a bench file, and `--effects` if it uses that or a model."""
+    """Return a command with the option `--devices` if it uses a bench file, and `--effects` if it uses a bench file
+    or a model.
+    """
     takes = {parameter.name for parameter in command.params}
     if command.name == "resume" or "bench" in takes:
         words = "Folder with your own instrument drivers; its code is run (default: BENCH_DEVICES)."
@@ -145,7 +147,9 @@ app = typer.Typer(
 
 
 class WithEstimators(BenchCommand):
-    """A command whose help names the estimators; they are searched only for the help, as that takes a second."""
+    """A command whose help names the estimators; they are looked up only for the help, because that takes a
+    second.
+    """
 
     def get_help(self, ctx: Any) -> str:
         """Return the help with the names of the estimators."""

@@ -87,7 +87,7 @@ def write_json(results: list[dict[str, Any]], target: str | None) -> None:
 def failed(results: Sequence[object]) -> bool:
     """Print each source that could not be evaluated, in a line; return whether there is any.
 
-    Raises `Refused` if several failed for the same reason, which then is not in the sources.
+    Raises `Refused` if several failed for the same reason, because the cause is then not the sources.
     """
     from bench.services.source import failures
 
@@ -104,7 +104,7 @@ def failed(results: Sequence[object]) -> bool:
 def write_beside(path: Path, text: str | bytes, *, asked: bool) -> bool:
     """Write a derived file; return whether it was written.
 
-    If the place is not writable, a file that was `asked` for raises `OSError`; any other is left out, with a
+    If the place is not writable, a requested file (`asked`) raises `OSError`; any other file is left out, with a
     note.
     """
     from bench.base.files import write_whole
@@ -125,7 +125,7 @@ def write_result(
 ) -> Path | None:
     """Write the result of a command to its place for a source; return the file, None if it cannot be written.
 
-    A result of other options than the run's own (`what_if`) is written beside the run's own, never over it.
+    A result with other options than the run's (`what_if`) never overwrites the run's own result.
     """
     from bench.base.files import to_text
 

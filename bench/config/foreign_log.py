@@ -49,7 +49,10 @@ def _listed(value: Any) -> Any:
 
 
 class LogColumn(FileModel):
-    """The columns of the log whose mean is a column of the readings file; `unit` is the log's, `add` in SI."""
+    """The columns of the log whose mean becomes a column of the readings file.
+
+    `unit` is the unit in the log; `add`, in SI, is added.
+    """
 
     columns: Annotated[tuple[str, ...], BeforeValidator(_listed)]
     unit: str | None = None
@@ -72,7 +75,7 @@ class LogColumns(FileModel):
 
     @classmethod
     def cross_checks(cls, data: Any) -> Iterable[tuple[Place, str]]:
-        """Yield a sentence for each unit that is not one of its column's quantity."""
+        """Yield a sentence for each unit that does not fit the quantity of its column."""
         columns = data.get("columns") if isinstance(data, dict) else None
         for name, value in columns.items() if isinstance(columns, dict) else ():
             unit = value.get("unit") if isinstance(value, dict) else None
@@ -94,13 +97,15 @@ def _factor(name: str, unit: str | None) -> float:
         return 1.0
     size, dimension = unit_of(plain_unit(unit))
     if wanted is None or dimension != unit_of(wanted)[1]:
-        raise ValueError(f"{name} has the unit {wanted or '1'}, which {unit} cannot be turned into")
+        raise ValueError(
+            f"the unit {unit} of {name} cannot be converted to {wanted or '1'}; state another unit"
+        )
     return size
 
 
 @dataclass(frozen=True)
 class ConvertedLog:
-    """A log as a readings file: the text, the number of rows, and those that were left out, with the reason."""
+    """A log converted to a readings file: its text, the number of rows, and the rows left out, with the reason."""
 
     text: str
     rows: int

@@ -79,7 +79,7 @@ class _DimensionReading:
             return None, self._power(of_left, right)
         if of_left != of_right and not (left[0] == 0.0 or right[0] == 0.0):
             raise ExpressionError(
-                f"{_told(of_left)} and {_told(of_right)} stand on both sides of '{symbol}'{_how(left, right)}"
+                f"'{symbol}' combines {_told(of_left)} with {_told(of_right)}{_how(left, right)}"
             )
         if symbol in {"+", "-"}:
             return None, of_left or of_right
@@ -87,7 +87,9 @@ class _DimensionReading:
 
     def _power(self, base: Dimension, exponent: tuple[float | None, Dimension]) -> Dimension:
         if exponent[1]:
-            raise ExpressionError(f"an exponent must be a plain number; this one is in {_told(exponent[1])}")
+            raise ExpressionError(
+                f"an exponent must be a plain number; this one is in {_told(exponent[1])}: divide it by a unit"
+            )
         if not base:
             return ()
         if exponent[0] is None:
@@ -118,11 +120,11 @@ class _DimensionReading:
 
 
 def _how(left: tuple[float | None, Dimension], right: tuple[float | None, Dimension]) -> str:
-    """Return a hint to write a bare number with the other operand's unit; empty if that would not help."""
+    """Return the remedy for operands of different units: a bare number needs the other operand's unit."""
     for (number, own), (_, other) in ((left, right), (right, left)):
         if number is not None and not own and [power for _, power in other] == [1.0]:
             return f"; write the number with its unit, such as '{abs(number):g} {_told(other)}'"
-    return ""
+    return "; give both the same unit"
 
 
 def _product(left: Dimension, right: Dimension, power: float) -> Dimension:
@@ -172,8 +174,9 @@ class FormulaParameter(FileModel):
 class FormulaEntry(FileModel):
     """An effect that a user defines.
 
-    `expression` is the quantity added at its `stage`: rad at the stand (to the angle `adds_to`) and at the head's
-    angle, g for the specific force and at the block's output (before the scale factor), V at the voltmeter.
+    `expression` is the quantity that the effect adds at its `stage`. Its unit is rad at the stand (added to the
+    angle `adds_to`) and at the head; g at the specific force and at the block's output (before the scale factor); V
+    at the voltmeter.
     """
 
     name: Annotated[str, AfterValidator(_word)]
@@ -224,7 +227,9 @@ class EffectsFile(FileModel):
 
 
 def formula_mistakes(entries: Any, place: Place) -> Iterator[tuple[Place, str]]:
-    """Yield place and text of the mistakes between parts of formulas, and of clashes with the catalogue."""
+    """Yield place and text of each mistake between the parts of formulas, and of each name that the catalogue has
+    already.
+    """
     seen: dict[str, int] = {}
     for index, entry in _readable(entries):
         here = (*place, index)
@@ -318,7 +323,9 @@ def _parameter(name: str, stated: FormulaParameter, stage: Stage) -> Parameter:
     number, unit = _number(name, stated.plausible)
     channels = stage not in {Stage.STAND, Stage.HEAD_ANGLE}
     if stated.per_channel and not channels:
-        raise ValueError(f"{name}: an effect of the stage '{stage}' has no value for each channel")
+        raise ValueError(
+            f"{name}: an effect of the stage '{stage}' is common to all channels; remove 'per_channel'"
+        )
     if number <= 0.0:
         raise ValueError(f"{name}: state a plausible size above 0, not '{stated.plausible}'")
     of_each = stage is Stage.BLOCK_OUTPUT if stated.per_channel is None else stated.per_channel

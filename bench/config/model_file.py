@@ -37,8 +37,8 @@ FORMAT: Final = "1"
 class EffectEntry(FileModel):
     """An effect in a file: its name in the catalogue, its values, and the channels and mountings that it affects.
 
-    `either_of` lists the names of effects that the readings could not distinguish, this one first; empty if there
-    were no others.
+    `either_of` lists the names of effects that the readings could not distinguish, this effect first; it is empty
+    if there were none.
     """
 
     name: str
@@ -63,11 +63,9 @@ class EffectEntry(FileModel):
 
 
 class OpenShape(FileModel):
-    """A part of an effect's shape whose size is uncertain: the sum of `changes` times the factor `times` ± `u`.
-
-    `of` names the effect that may differ by this sum. The factors of different sums are uncorrelated,
-    conditional on the readings in which they were found. `says` describes the sum for the reader of the file;
-    nothing is computed from it.
+    """A part of an effect's shape whose size is uncertain: the sum of `changes`, multiplied by the factor `times` ±
+    `u`. `of` names the effect. Given the readings in which they were found, the factors of different parts are
+    uncorrelated. `says` describes the part for the reader of the file; nothing is computed from it.
     """
 
     of: str
@@ -86,7 +84,7 @@ class OpenShape(FileModel):
         return {renamed.get(key, key): value for key, value in written.items()}
 
     def applied(self, number: int) -> AppliedEffect:
-        """Return the sum as one effect of size `times` ± `u`; `number` counts the sums of one effect from 1."""
+        """Return the part as an effect of size `times` ± `u`; `number` counts the parts of one effect from 1."""
         return in_part(self.of, number, tuple(entry.applied() for entry in self.changes), self.times, self.u)
 
 
@@ -285,7 +283,12 @@ class _Reader:
                 self.problems.append(((channel,), unknown_word(channel, list(CHANNELS), "channel")))
             elif channel not in self._channels:
                 listed = ", ".join(self._channels)
-                self.problems.append(((channel,), f"channel {channel} is not among the channels ({listed})"))
+                self.problems.append(
+                    (
+                        (channel,),
+                        f"channel {channel} is not among 'channels' ({listed}); add it there, or remove its value",
+                    )
+                )
             else:
                 self._one(value, [CHANNELS.index(channel)], (channel,))
 
@@ -299,7 +302,7 @@ class _Reader:
         if "value" in written:
             self.values[rows] = self._number(written["value"], (*place, "value"))
         else:
-            self.problems.append((place, "'value' is missing"))
+            self.problems.append((place, "'value' is missing; state it"))
         if "u" in written and self._parameter.is_shape:
             text = f"{self._parameter.name} is a shape, which a fit keeps fixed; remove its u"
             self.problems.append(((*place, "u"), text))
@@ -450,7 +453,7 @@ WIDENED: Final = ("tau", "lag")
 
 @dataclass(frozen=True)
 class AcceptedTerms:
-    """The effect that has been named, and the effects of the model with it in place of its terms."""
+    """The named effect, and the effects of the model after it has replaced its terms."""
 
     effect: FormulaEffect
     effects: tuple[AppliedEffect, ...]
@@ -462,7 +465,7 @@ def unnamed_in(effects: Sequence[AppliedEffect]) -> list[str]:
 
 
 def accept(effects: Sequence[AppliedEffect], terms: Sequence[str], name: str, sentence: str) -> AcceptedTerms:
-    """Combine unnamed terms into one effect with a name and a sentence; all unnamed terms if `terms` is empty.
+    """Combine the unnamed terms listed in `terms` (all, if it is empty) into one effect with a name and a sentence.
 
     The effect replaces the terms among `effects`. Raises `ValueError` for unknown terms, or terms at different
     places.
@@ -472,7 +475,7 @@ def accept(effects: Sequence[AppliedEffect], terms: Sequence[str], name: str, se
         raise ValueError("this model file has no unnamed term; 'bench diagnose' writes them")
     strange = [term for term in terms if term not in known]
     if strange:
-        raise ValueError(f"there is no term {', '.join(strange)}; there are {', '.join(known)}")
+        raise ValueError(f"there is no term {', '.join(strange)}; choose from {', '.join(known)}")
     chosen = [a for a in effects if a.effect.name in (terms or known)]
     formulas = [a.effect for a in chosen if isinstance(a.effect, FormulaEffect)]
     places = {(f.stage, f.adds_to) for f in formulas}

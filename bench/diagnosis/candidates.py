@@ -26,14 +26,12 @@ Cell = tuple[str, int]
 
 
 def spells(readings: Readings, *, lasting: bool) -> Iterator[tuple[str, ...]]:
-    """Yield the sets of passes or mountings, by their labels, on which an effect may act.
+    """Yield the sets of passes or mountings, by their labels, in which an effect may act.
 
-    They are the later passes of a mounting, a single pass and a whole mounting.
-
-    A whole mounting is yielded only where its installation was mounted more than once. The mounting angles
-    describe an installation that was mounted only once. With `lasting`, for effects that outlast a remount, every
-    mounting is yielded. So is everything after a pass, verification points included. A mounting with all its
-    passes in the set is named by its own label.
+    They are the later passes of a mounting, a single pass, and a whole mounting. A whole mounting is yielded only
+    if its installation was mounted more than once; otherwise the mounting angles describe it. With `lasting`, for
+    effects that outlast a remount, every mounting is yielded, and so is everything after a pass, verification
+    points included. A mounting with all its passes in the set is named by its own label.
     """
     mounts = [
         label if series == 1 else f"{label}/{series}"
@@ -109,7 +107,9 @@ KIND_PRIOR: Final = (0.03, 0.01, 0.96)
 
 @dataclass(frozen=True)
 class Column:
-    """One number to be estimated: a parameter in a channel (None: all), at `mounts` (empty: all)."""
+    """One number to be estimated: a parameter in a channel (None: all channels), in the mountings `mounts` (empty:
+    all).
+    """
 
     parameter: str
     channel: int | None
@@ -118,10 +118,10 @@ class Column:
 
 @dataclass(frozen=True)
 class Variant:
-    """One form of a family: its columns of `Candidates.columns`, and the channels and mountings of it.
+    """One form of a family of effects: its columns of `Candidates.columns`, and its channels and mountings.
 
-    `shape` holds the values of the shape parameters in SI. `where` says in words where an unnamed family
-    acts. `term` is the formula of an unnamed form.
+    `shape` holds the values of the shape parameters in SI. `where` says in words where an unnamed family acts.
+    `term` is the formula of an unnamed form.
     """
 
     family: str
@@ -140,11 +140,11 @@ class Variant:
 
 @dataclass
 class Candidates:
-    """All variants that the search compares, with their columns (N, P), each for one plausible size.
+    """All variants that the search compares, with their P columns for N rows, (N, P), each for one plausible size.
 
-    `kinds` names the parameter of each column. `scale` is its plausible size in SI (1 where it is unnamed).
+    `kinds` names the parameter of each column. `scale` is its plausible size in SI (1 for unnamed families).
     `by_family` orders the variants by family; each family begins at its entry in `family_starts`. `log_prior`
-    (families,) is ln of the prior probability of each, given that one thing is missing.
+    (families,) is ln of the prior probability of each family, given that one effect is missing.
     """
 
     columns: Floats
@@ -195,7 +195,10 @@ class Collector:
         shape: tuple[tuple[str, float], ...],
         mounts: tuple[str, ...],
     ) -> dict[int | None, Floats]:
-        """Return the columns of `plausible_columns`, cut from the whole where the effect has no memory."""
+        """Return the columns of `plausible_columns`.
+
+        For an effect without memory they are cut from those of all rows.
+        """
         if not mounts or effect.needs_history or effect.needs_path or effect.lasts:
             return plausible_columns(self.linear, effect, parameter, shape, mounts)
         key = (effect.name, parameter.name, shape)
@@ -230,7 +233,9 @@ class Collector:
 
 
 def with_terms(candidates: Candidates, linear: LinearSystem) -> Candidates:
-    """Return the candidates with the unnamed forms of the dictionary, a family for each course and place."""
+    """Return the candidates with the unnamed forms of the dictionary added: one family for each course and
+    place.
+    """
     columns: list[Floats] = []
     kinds, scale, variants = list(candidates.kinds), candidates.scale.tolist(), list(candidates.variants)
     first = len(kinds)
@@ -267,9 +272,9 @@ RANK: Final = 1e-9
 
 
 def without_copies(candidates: Candidates, white: Whitener) -> Candidates:
-    """Return the candidates without unnamed patterns that are an effect of the catalogue, written otherwise.
+    """Return the candidates without unnamed patterns that equal an effect of the catalogue.
 
-    `white` maps the columns to white noise, without the coefficients.
+    `white` maps the columns to white noise, with the coefficients projected out.
     """
     own: dict[tuple[object, ...], set[int]] = {}
     for variant in candidates.variants:
@@ -420,7 +425,7 @@ def plausible_columns(
     shape: tuple[tuple[str, float], ...],
     mounts: tuple[str, ...],
 ) -> dict[int | None, Floats]:
-    """Return the change of the rows (N,) by a parameter of plausible size, by channel (None: all)."""
+    """Return the change of the N rows (N,) by a parameter of plausible size, by channel (None: all channels)."""
     values: dict[str, Floats] = {name: np.asarray(value) for name, value in shape}
     size = parameter.plausible
     values[parameter.name] = np.full(3, size) if parameter.per_channel else np.asarray(size)
@@ -437,7 +442,10 @@ WAVES: Final = 6
 
 
 def add_free_patterns(collector: Collector, unit: float, visit: Ints) -> None:
-    """Add free values by angle and by pass, for each channel; `visit` (n,) numbers the readings' visits."""
+    """Add unnamed patterns with a free value for each angle and each pass, by channel.
+
+    `visit` (n,) numbers the readings' visits.
+    """
     linear, free = collector.linear, collector.add_free
     rows, readings = linear.rows, linear.readings
     # not modulo a turn: a scale may come back to another angle than the head
@@ -467,7 +475,7 @@ def _add_unnamed(collector: Collector, unit: float) -> None:
 
 
 def each(mine: Mask, *labels: Iterable[object]) -> Iterator[Floats]:
-    """Yield a column for each combination of labels: 1 in the rows of `mine` that have it, else 0."""
+    """Yield a column for each combination of labels: 1 in the rows of `mine` that have these labels, else 0."""
     keys = list(zip(*labels, strict=True))
     for key in dict.fromkeys(itertools.compress(keys, mine)):
         yield np.array([own and k == key for k, own in zip(keys, mine, strict=True)], dtype=np.float64)
@@ -522,7 +530,10 @@ class KnownBench:
         return {name: why[name] for name in CATALOGUE if why.get(name)}
 
     def not_judged(self, readings: Readings) -> str:
-        """Return a sentence on effects that are searched as the bench is unknown, or an empty string."""
+        """Return a sentence on effects that are searched only because the bench is unknown.
+
+        An empty string if there are none.
+        """
         recorded = {str(text).strip() for text in readings.extra.get("range_v", ())} - {""}
         unknown = {
             "range_offset": self.fixed_ranges is None and not recorded,

@@ -46,7 +46,9 @@ POWER: Final = 2.0
 
 @dataclass(frozen=True)
 class Model:
-    """Residuals of a model: reduced chi-square, root mean square in g, and its expectation from noise."""
+    """The residuals of a model: reduced chi-square, root mean square in g, and the root mean square expected from
+    noise.
+    """
 
     reduced: float
     rms_g: float
@@ -55,7 +57,8 @@ class Model:
 
 @dataclass(frozen=True)
 class EffectNow:
-    """An effect of the model in the new readings, with its verdict (None: they could not show the effect).
+    """An effect of the model in the new readings, with its verdict (None: these readings could not show the
+    effect).
 
     `p_same` is the p-value of no change from the model's values; `p_none` is the p-value of no effect at all.
     `found` are the values in the model, `now` the values estimated from the new readings alone.
@@ -87,7 +90,7 @@ class Confirmation:
 
     @property
     def closed(self) -> float | None:
-        """The fraction of the gap above the floor that the model closes; None where there is no gap."""
+        """The fraction of the gap above the floor that the model closes; None if there is no gap."""
         return part_closed(self.before.reduced, self.after.reduced)
 
     @property
@@ -127,7 +130,7 @@ def confirm(
 def compared(
     diagnosis: Diagnosis | FreeDiagnosis, without: LinearSystem, having: LinearSystem
 ) -> Confirmation:
-    """Compare the readings of a diagnosis `without` the effects of a model and `having` them."""
+    """Compare two fits of the readings of a diagnosis: `without` the effects of a model and `having` them."""
     noise = diagnosis.noise
     after, chi2 = _left(having, noise)
     before, _ = _left(without, noise)
@@ -190,9 +193,10 @@ def _now(linear: LinearSystem, diagnosis: Diagnosis | FreeDiagnosis) -> tuple[Ef
 
 @dataclass(frozen=True)
 class EstimatedEffects:
-    """Parameters of effects (m,) in plausible sizes: `found` in the model with `u`, and their `change` since.
+    """The m parameters of effects, in plausible sizes: `found` (m,) in the model with `u`, and `change` (m,) since
+    then.
 
-    `change` is the estimate from the new readings less `found`, with its `covariance` (m, m).
+    `change` is the estimate from the new readings minus `found`, with its `covariance` (m, m).
     """
 
     plausible: Floats

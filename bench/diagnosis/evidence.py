@@ -48,7 +48,9 @@ CHUNK: Final = 25
 
 @dataclass(frozen=True)
 class Data:
-    """Products of data sets that the evidence needs: r^T r (ratios, sets) and A^T r (ratios, P, sets)."""
+    """Products of data sets r with themselves, r^T r (ratios, sets), and with the candidates' columns A, A^T r
+    (ratios, P, sets).
+    """
 
     square: Floats
     along: Floats
@@ -77,7 +79,7 @@ class Whitened:
 
     @classmethod
     def of(cls, grid: NoiseGrid, candidates: Candidates, *, few_known: bool = False) -> Whitened:
-        """Whiten the columns of all candidates. With `few_known`, products are computed only on demand."""
+        """Whiten the columns of all candidates. With `few_known`, their products are computed only on demand."""
         rows, many = candidates.columns.shape
         if many > rows or few_known:
             whitened = np.empty((len(grid.white), rows, many))
@@ -91,7 +93,7 @@ class Whitened:
         return cls(grid, candidates, GramProducts(gram))
 
     def forget(self) -> None:
-        """Drop the results kept of searches: they refer back to this, and would hold its memory."""
+        """Drop the cached results of searches: they refer back to this object and would keep its memory in use."""
         self.kept.clear()
 
     @property
@@ -106,13 +108,15 @@ class Whitened:
 
     @cached_property
     def square(self) -> Floats:
-        """The square of each column, shape (ratios, P)."""
+        """The squared length of each of P columns, shape (ratios, P)."""
         single = np.arange(self.candidates.columns.shape[1])[:, None]
         return np.asarray(self.products.among(single)[..., 0, 0])
 
     @cached_property
     def blocks(self) -> tuple[tuple[Ints, Ints, Floats], ...]:
-        """Variants with equally many columns: their numbers (v,), columns (v, p), Gram (ratios, v, p, p)."""
+        """The variants grouped by their number p of columns: their indices (v,), columns (v, p), Gram matrices
+        (ratios, v, p, p).
+        """
         by_size: dict[int, list[int]] = {}
         for number, variant in enumerate(self.candidates.variants):
             by_size.setdefault(len(variant.columns), []).append(number)
@@ -123,7 +127,7 @@ class Whitened:
         )
 
     def reduce(self, response: Floats) -> Data:
-        """Return the products of responses (N, sets) that the evidence needs."""
+        """Return the products of responses (N, sets) from which the evidence is computed."""
         sets, size = response.shape[1], self.grid.sigma
         square = np.empty((len(self.grid.white), sets))
         along = np.empty((len(self.grid.white), self.candidates.columns.shape[1], sets))
@@ -145,7 +149,7 @@ def _whiten(white: Whitener, columns: Floats, sigma: float, into: Floats) -> Non
 
 @dataclass(frozen=True)
 class Group:
-    """Variants with equally many columns p, and their Gram matrices beside the known columns.
+    """Variants with the same number p of columns, and their Gram matrices with the known columns projected out.
 
     The matrices are decomposed: eigenvectors `vectors` (ratios, variants, p, p), eigenvalues `values` (…, p).
     """
@@ -158,11 +162,11 @@ class Group:
 
 @dataclass(frozen=True)
 class Search:
-    """A search over all variants beside a model that already has the `known` columns.
+    """A search over all variants, given a model that already contains the `known` columns.
 
-    `inner` (ratios, known, known) is the Gram matrix of the known columns with their wide prior. `half`
-    (ratios, known, P) is its inverse Cholesky factor times their products with all columns. `gain` (ratios,
-    known, P) fits all columns by the known ones.
+    `inner` (ratios, known, known) is the Gram matrix of the known columns with their wide prior. `half` (ratios,
+    known, P) is the inverse Cholesky factor of `inner` times the products of the known columns with all P columns.
+    `gain` (ratios, known, P) fits all columns by the known ones.
     """
 
     whitened: Whitened
@@ -174,7 +178,9 @@ class Search:
 
     @classmethod
     def beside(cls, whitened: Whitened, known: Sequence[int]) -> Search:
-        """Project the known columns out of all others."""
+        """Return the search given a model with these known columns, which are projected out of all other
+        columns.
+        """
         h = np.array(known, dtype=np.int64)
         across = whitened.products.across(h)
         inner = across[:, :, h] + np.eye(len(h)) / KNOWN_SIZE**2
@@ -227,7 +233,9 @@ class Search:
         return np.asarray(gram - seen.T @ seen)
 
     def along(self, ratio: int, columns: Sequence[int], sizes: Floats) -> Floats:
-        """Return the products (P,) of a weighted sum of columns with all columns, the known ones projected out."""
+        """Return the products (P,) of a weighted sum of columns with all P columns, with the known columns
+        projected out.
+        """
         chosen = np.array(columns, dtype=np.int64)
         across = sizes @ self.whitened.products.across_at(ratio, chosen)
         return np.asarray(across - (self.half[ratio][:, chosen] @ sizes) @ self.half[ratio])
@@ -242,7 +250,9 @@ class Search:
         return Data(data.square - explained, data.along - fitted)
 
     def log_evidence(self, data: Data) -> float:
-        """Return ln of the evidence of one data set with the known columns, its noise integrated over."""
+        """Return ln of the evidence of one data set with the known columns, integrated over the size of the
+        noise.
+        """
         square, grid = self.left_over(data).square[:, 0], self.whitened.grid
         return float(logsumexp(grid.log_prior + grid.log_det + self.log_det + grid.log_likelihood(square)))
 
@@ -283,7 +293,7 @@ class Search:
 
 @dataclass(frozen=True)
 class Scores:
-    """Scores of all variants: ln of the evidence of each over that of the present model (variants, sets).
+    """Scores of all variants: ln of the evidence of each minus ln of that of the present model, (variants, sets).
 
     `ratio` (ratios, sets) is the probability of each noise ratio under the present model.
     """
@@ -292,7 +302,10 @@ class Scores:
     ratio: Floats
 
     def families(self, candidates: Candidates) -> Floats:
-        """Return ln of the mean evidence of each family (families, sets). The mean penalises many forms."""
+        """Return ln of the mean evidence of each family (families, sets).
+
+        Taking the mean penalises families with many forms.
+        """
         ordered = self.variants[candidates.by_family]
         starts = candidates.family_starts
         counts = np.diff([*starts, len(ordered)])
@@ -359,25 +372,29 @@ class Threshold:
     nulls: int
 
     def at(self, probability: float) -> Threshold:
-        """Return the threshold that chance reaches with another probability."""
+        """Return the threshold that chance exceeds with another probability."""
         value = self.start + self.decay * float(np.log(self.p_start / probability))
         return replace(self, value=value, probability=probability)
 
     def p(self, evidence: float) -> float:
-        """Return the p-value of an evidence, all looks counted; 1 below the fitted tail."""
+        """Return the p-value of an evidence, corrected for all tests; 1 below the fitted tail."""
         if evidence <= self.start:
             return 1.0
         return min(float(self.p_start * np.exp(-(evidence - self.start) / self.decay)), 1.0)
 
 
 def total_evidence(scores: Scores, whitened: Whitened) -> Floats:
-    """Return ln of the odds that anything is missing (sets,): the evidence of all families by their priors."""
+    """Return ln of the odds that any effect is missing (sets,): the evidence of all families, weighted by their
+    priors.
+    """
     families = scores.families(whitened.candidates) + whitened.candidates.log_prior[:, None]
     return np.asarray(logsumexp(families, axis=0), dtype=np.float64)
 
 
 def null_responses(linear: LinearSystem, sigma: float, ratios: Floats, rng: np.random.Generator) -> Floats:
-    """Return responses (N, sets) simulated with no effect missing from the model; noise `ratios` (sets,)."""
+    """Return responses (N, sets), simulated from the model with no effect missing and the noise `ratios`
+    (sets,).
+    """
     sets = len(ratios)
     setting = rng.standard_normal((linear.settings, sets)) * ratios / linear.typical_slope
     response = rng.standard_normal((len(linear), sets)) * _row_sizes(linear, sets, rng)

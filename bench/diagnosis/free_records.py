@@ -45,11 +45,11 @@ SCALES: Final = (0, 3, 5)
 
 @dataclass(frozen=True)
 class FreeRows:
-    """The free positions of all sensors, a row each.
+    """All free positions of all sensors, one row for each position (N rows).
 
-    `tables` (sensors) hold the positions of each sensor; `sensor` and `record` (N,) are the indices of each
-    row. `block` (sensors) are the coefficients that fit each sensor's positions best, all records together.
-    `origin` (N, 2) is the index of the input table and the row in it. `effects` are those of the given model.
+    `tables` (sensors) hold the positions of each sensor; `sensor` and `record` (N,) are the sensor and the record
+    of each row. `block` (sensors) are the coefficients that fit each sensor's positions best, all records together.
+    `origin` (N, 2) is the index of the input table and the row in it. `effects` are the effects of the given model.
     """
 
     tables: tuple[Readings, ...]
@@ -69,7 +69,7 @@ class FreeRows:
 
     @cached_property
     def direction(self) -> Floats:
-        """The specific force of each position over its modulus, (N, 3)."""
+        """The specific force of each position divided by its modulus, (N, 3)."""
         return np.concatenate([view.force for view in self.views])
 
     @cached_property
@@ -79,7 +79,7 @@ class FreeRows:
 
     @cached_property
     def coefficients(self) -> Floats:
-        """Derivatives of |a| - 1 less its prediction by the coefficients, shape (N, 9 of each sensor)."""
+        """Derivatives of the residuals of |a| - 1 by the coefficients, shape (N, 9 for each sensor)."""
         columns = np.zeros((len(self), OWN * self.sensors))
         for number, (block, table) in enumerate(zip(self.block, self.tables, strict=True)):
             slopes, _ = modulus_slopes(block.specific_force(table.signal), block)
@@ -87,12 +87,14 @@ class FreeRows:
         return columns
 
     def change(self, of: Sequence[int], sensor: int, channel: int) -> Floats:
-        """Return the change of the rows (N,) by a zero (`ZEROS`) or scale factor (`SCALES`) larger by 1 g or 1."""
+        """Return the change of the N rows if a zero (`ZEROS`) is larger by 1 g or a scale factor (`SCALES`) by 100
+        %.
+        """
         size = abs(float(self.block[sensor].K[channel, channel]))
         return -size * self.coefficients[:, OWN * sensor + of[channel]]
 
     def place(self, row: int) -> str:
-        """Return the sensor and the record of a row in words, each where there are several."""
+        """Return the sensor and the record of a row in words; each is named only if there are several."""
         sensor, record = int(self.sensor[row]), int(self.record[row])
         of = f"sensor {sensor + 1}, " if self.sensors > 1 else ""
         return of + (f"record {record + 1}, " if len(np.unique(self.record)) > 1 else "")
@@ -458,5 +460,5 @@ class FreeDiagnosis:
 
 
 def place_of(sensor: int) -> slice:
-    """Return the slice of the nine coefficients of a sensor among those of all sensors."""
+    """Return the slice of a sensor's nine coefficients among the coefficients of all sensors."""
     return slice(OWN * sensor, OWN * (sensor + 1))

@@ -40,9 +40,11 @@ UNDETERMINED: Final = message("the rest does not determine the coefficients")
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Measured less predicted in readings held out (n,), in the unit of the signal and in g, and its chi-square.
+    """The residuals, measured minus predicted, of n held-out readings, in the unit of the signal and in g, and
+    their chi-square.
 
-    `expected_g` (n,) is the standard deviation that noise and all that was estimated give it.
+    `expected_g` (n,) is the standard deviation of each residual from noise and from the uncertainty of everything
+    estimated.
     """
 
     error: Floats
@@ -52,15 +54,16 @@ class HeldOut:
 
     @property
     def reduced(self) -> float:
-        """Chi-square over the number of rows."""
+        """Chi-square divided by the number of rows."""
         return self.chi2 / len(self.error)
 
 
 @dataclass(frozen=True)
 class Fold:
-    """Readings held out, predicted by the given model and with what the search of the others found.
+    """A set of readings held out, predicted by the given model, and by the model with what a search of the other
+    readings found.
 
-    `gains` says of each name that the others gave by how much the chi-square is smaller for it.
+    `gains` maps each name found in the other readings to the decrease of chi-square that it causes.
     """
 
     label: str
@@ -96,17 +99,17 @@ class Gap:
 
     @property
     def after(self) -> float:
-        """Reduced chi-square with what was named, each fold by itself."""
+        """Reduced chi-square with the effects named, each fold with the effects found without it."""
         return sum(f.after.chi2 for f in self.folds) / max(self.count, 1)
 
     @property
     def closed(self) -> float | None:
-        """The fraction of the gap above the floor that naming closes; None where there is no gap."""
+        """The fraction of the gap above the floor that the named effects close; None if there is no gap."""
         return part_closed(self.before, self.after) if self.folds else None
 
     @property
     def p_after(self) -> float:
-        """Probability of more than `after` by chance."""
+        """Probability that chance alone gives a chi-square larger than `after`."""
         return self._chance(self.after)
 
     def _chance(self, reduced: float) -> float:
@@ -139,7 +142,9 @@ class Gap:
 
     @property
     def unconfirmed(self) -> tuple[str, ...]:
-        """The names that readings held out do not confirm: where the rest gave them, they gain too little."""
+        """The names that held-out readings do not confirm: the other readings gave them, but they improve the
+        prediction too little.
+        """
         return tuple(
             name
             for name in dict.fromkeys(self.named)
@@ -164,7 +169,7 @@ class Gap:
 
     @property
     def reason(self) -> str:
-        """Why held-out readings do not confirm the finds; empty where they do, or without finds."""
+        """The reason why held-out readings do not confirm the finds; empty if they do, or if there are no finds."""
         if not self.named or self.shrinks:
             return ""
         if not self.folds:
@@ -180,12 +185,12 @@ class Gap:
 
 
 def part_closed(before: float, after: float) -> float | None:
-    """Return the part of a gap above the floor that is closed; None where nothing was above it."""
+    """Return the fraction of a gap above the floor that is closed; None if nothing was above the floor."""
     return (before - after) / (before - FLOOR) if before > FLOOR else None
 
 
 def rms(parts: Sequence[Floats]) -> float:
-    """Return the root mean square of all numbers together; NaN of none."""
+    """Return the root mean square of all numbers together; NaN if there are none."""
     if not parts:
         return float("nan")
     return float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
@@ -204,7 +209,9 @@ HELD_OUT: Final = message("readings held out in turn")
 
 
 def folds_of(linear: LinearSystem) -> Iterator[tuple[str, Mask]]:
-    """Yield what is held out in turn: each pass of the settings, and the rows of known modulus alone."""
+    """Yield what is held out in turn: each pass of the settings, and the rows of known modulus as a fold of their
+    own.
+    """
     oriented = linear.setting >= 0
     passes = linear.readings.pass_number[linear.rows.reading]
     numbers = sorted(set(passes[oriented].tolist()))
@@ -392,7 +399,9 @@ def restrict(linear: LinearSystem, rows: Mask) -> LinearSystem:
 
 
 def near_ratios(linear: LinearSystem, noise: NoiseSize) -> tuple[float, ...]:
-    """Return the three ratios of the grid about that of all readings; the folds use no others."""
+    """Return the three noise ratios of the grid around the ratio that fits all readings; the folds use only
+    these.
+    """
     ratio = noise.setting_rad / noise.reading * linear.typical_slope
     nearest = int(np.argmin(np.abs(np.array(RATIOS) - ratio)))
     first = min(max(nearest - 1, 0), len(RATIOS) - 3)

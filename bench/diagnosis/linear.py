@@ -110,7 +110,7 @@ REFERENCE_U: Final = 1e-4
 
 @dataclass(frozen=True)
 class Rows:
-    """Which reading (of the table) and which channel (0, 1, 2 or `MODULUS`) a row of the system holds."""
+    """The reading (index in the table) and the channel (0, 1, 2 or `MODULUS`) of each row of the system."""
 
     reading: Ints
     channel: Ints
@@ -181,12 +181,12 @@ class LinearSystem:
 
     @property
     def own(self) -> slice:
-        """Slice of the columns of `random` that belong to the model's own effects, `problem.effects`."""
+        """Slice of the columns of `random` for the effects of the given model, `problem.effects`."""
         return slice(len(self.problem.stand), len(self.problem.stand) + len(self.problem.effects))
 
     @property
     def settings(self) -> int:
-        """How many settings there are."""
+        """The number of settings."""
         return int(self.setting.max()) + 1
 
     @property
@@ -203,14 +203,14 @@ class LinearSystem:
 
     @cached_property
     def relative_of_run(self) -> Floats:
-        """Relative noise of each row due to its run alone, 1 where the runs are alike, shape (N,)."""
+        """Relative noise of each row that is due to its run, 1 if the runs are alike, shape (N,)."""
         if self.by_run is None:
             return np.ones(len(self))
         return np.asarray(self.by_run.sizes[self.readings.run[self.rows.reading]])
 
     @property
     def relative_of_channel(self) -> Floats:
-        """Relative noise of each row due to its channel alone, shape (N,)."""
+        """Relative noise of each row that is due to its channel, shape (N,)."""
         if np.all(self.by_channel == 1.0):
             return np.ones(len(self))
         size = self.by_channel[np.minimum(self.rows.channel, 2)].copy()
@@ -237,7 +237,7 @@ class LinearSystem:
         return self.view.conditions
 
     def rows_in(self, mounts: Sequence[str]) -> Mask:
-        """Return the rows (N,) of these mountings, or passes of one."""
+        """Return the mask (N,) of the rows in these mountings or passes."""
         return rows_of(mounts, self.conditions)[self.rows.reading]
 
     def rows_of(self, change: Floats) -> Floats:
@@ -253,7 +253,7 @@ class LinearSystem:
         return self.view.read(replace(self.model, effects=(applied,)), self.block) - self._still
 
     def formula_columns(self, applied: AppliedEffect) -> Floats:
-        """Return the change of the rows by an effect that needs no path, one stage of the model made linear.
+        """Return the change of the rows by an effect that needs no path, from one linearised stage of the model.
 
         The shape is (N, 1) for an effect of the stand or the head, else (N, 3), a column for each channel.
         """
@@ -274,7 +274,8 @@ class LinearSystem:
                 return self._of_channels(change, of_block=of_block)
 
     def course_columns(self, course: Floats, stage: Stage, adds_to: str = "", *, of_force: bool) -> Floats:
-        """Return the change of the rows by a course over the readings (n,), shaped as by `formula_columns`.
+        """Return the change of the rows by a time course, one value per reading (n,), shaped as by
+        `formula_columns`.
 
         At the stand the course is added to the angle `adds_to`. At the block's output it is in g, or with
         `of_force` a fraction of the specific force.
@@ -366,10 +367,10 @@ class View:
 
 
 def make_linear(readings: Readings, model: ForwardModel, stand_u: Mapping[str, float]) -> LinearSystem:
-    """Return the difference of readings and model as a system that is linear in all unknowns.
+    """Return the readings minus the model's prediction as a system that is linear in all unknowns.
 
-    The rows are, in this order: settings in installations, moduli (verification and free positions), inputs.
-    Raises `CalibrationError` where the settings do not determine the coefficients.
+    The rows are, in this order: settings in installations, moduli (verification and free positions), inputs. Raises
+    `CalibrationError` where the settings do not determine the coefficients.
     """
     label = readings.installation
     kind_of = np.where(label == VERIFICATION, 1, np.where(label == FREE, 1, 0))

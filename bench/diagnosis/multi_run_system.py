@@ -56,7 +56,9 @@ OTHER_ZERO_G: Final = 10e-3
 
 @dataclass(frozen=True)
 class JointSystem(LinearSystem):
-    """The systems of several blocks as one. `block` is the first block, `parts` are the systems of each."""
+    """The linear systems of several blocks, joined. `block` is the first block, `parts` are the systems of the
+    blocks.
+    """
 
     parts: tuple[LinearSystem, ...]
 
@@ -99,7 +101,9 @@ class JointSystem(LinearSystem):
         return np.concatenate([part.formula_columns(applied) for part in self.parts])
 
     def course_columns(self, course: Floats, stage: Stage, adds_to: str = "", *, of_force: bool) -> Floats:
-        """Return the change of the rows by a course over the readings (n,) that is the same in all blocks."""
+        """Return the change of the rows by a time course, one value per reading (n,), that is the same in all
+        blocks.
+        """
         assert self.readings.block is not None  # noqa: S101 - it is a system of several
         own = [course[self.readings.block == number] for number in np.unique(self.readings.block)]
         return np.concatenate(
@@ -166,10 +170,10 @@ def _random_of(part: LinearSystem, stand_u: Mapping[str, float]) -> tuple[Floats
 
 
 def with_blocks(readings: Readings, model: ForwardModel) -> Readings:
-    """Return readings of several runs with the block number of each row; None where all are of one block.
+    """Return readings of several runs with the block number of each row; None if all are of one block.
 
-    Where the block numbers are not stated, the coefficients of each run identify the block. A run that does
-    not determine its coefficients is assigned to the first block.
+    If the block numbers are not stated, the coefficients of each run identify its block. A run that does not
+    determine its coefficients is assigned to the first block.
     """
     if readings.block is not None:
         return readings if len(np.unique(readings.block)) > 1 else replace(readings, block=None)

@@ -48,10 +48,10 @@ class FamilyOdds:
 class FoundEffect:
     """An effect, or an unnamed family, that was found: `evidence` is ln of the Bayes factor against its absence.
 
-    `odds` are the families that may explain the find instead, the most probable first. `ties` are those that the
-    readings do not exclude. `same` are the ties with the same signature in these readings. `plainer_than` are
-    larger families of the same subsystem that contain it. `size` is rho, the length of the explained part of the
-    readings in units of noise. `total` is ln of the odds that anything is missing without the find.
+    `odds` are the families that may explain the find instead, the most probable first. `ties` are the families that
+    the readings do not exclude, `same` the ties with the same signature in these readings. `plainer_than` are
+    larger families of the same subsystem that contain this one. `size` is rho, the length of the explained part of
+    the readings in units of noise. `total` is ln of the odds that anything is missing without the find.
     """
 
     variant: Variant
@@ -66,7 +66,7 @@ class FoundEffect:
 
 @dataclass(frozen=True)
 class Naming:
-    """The finds, in order; `left` is ln of the odds that something is still missing."""
+    """The finds, in order; `left` is ln of the odds that something else is still missing."""
 
     found: tuple[FoundEffect, ...]
     left: float
@@ -139,7 +139,7 @@ class Scored:
         return self.found(max(families, key=lambda family: self.log_odds[family]))
 
     def found(self, family: str) -> FoundEffect:
-        """Return the `family` as a find, in its form with the most evidence."""
+        """Return `family` as a find, in the form with the most evidence."""
         variant = self._best_variant(family)
         size = math.sqrt(self.explained(variant))
         return FoundEffect(variant, self.evidence[family], self.total, size)
@@ -254,7 +254,9 @@ def _re_examine(
 def needed(
     whitened: Whitened, data: Data, found: list[FoundEffect], threshold: Threshold, kept: int = 0
 ) -> list[FoundEffect]:
-    """Return the finds without those that are not needed, the weakest tested first; the first `kept` stay."""
+    """Return the finds without the unnecessary ones. The weakest find is tested first; the first `kept` finds
+    stay.
+    """
     while len(found) > max(kept, 1):
         without = [Scored.beside(whitened, data, _columns(found, but=i)) for i in range(kept, len(found))]
         weakest = int(np.argmin([scored.total for scored in without]))
@@ -265,7 +267,10 @@ def needed(
 
 
 def in_place(scored: Scored, one: FoundEffect, among: Among | None = None) -> FoundEffect:
-    """Return a find with the odds of all families in its place; `scored` are the scores given all other finds."""
+    """Return a find with the odds of all families that could replace it.
+
+    `scored` are the scores given all other finds.
+    """
     family, evidence = one.variant.family, scored.evidence
     ranked = sorted(
         (f for f in scored.log_odds if among is None or among(f)), key=lambda f: -scored.log_odds[f]
@@ -340,7 +345,7 @@ def _subsystem(family: str) -> object:
 
 
 def same_signature(naming: Naming) -> Iterator[str]:
-    """Yield a sentence for each find whose signature in these readings is also that of other effects."""
+    """Yield a sentence for each find whose signature in these readings other effects share."""
     for one in naming.found:
         if one.same:
             at = f" in {', '.join(one.variant.mounts)}" if one.variant.mounts else ""

@@ -172,7 +172,9 @@ class Separation:
 
 @dataclass(frozen=True)
 class Chance:
-    """The probability that a procedure gives one name of each tie a posterior of `ALONE`, and its time."""
+    """The probability that a procedure gives one name of each tie a posterior of `ALONE`, and the time of the
+    procedure.
+    """
 
     procedure: str
     hours: float
@@ -205,9 +207,9 @@ def answers(odds: Mapping[str, float], gained: Mapping[str, float], first: str) 
 class Proposal:
     """What to measure next and why. `minutes` is the expected time; `shows` are effects hidden so far.
 
-    `source` is the procedure on the menu. `written` is the file with the reason on top. `left_out` has the reason
-    for each procedure that this bench cannot carry out. `chances` are those of all procedures of the menu where
-    there are ties, the likeliest to answer first.
+    `source` is the procedure on the menu. `written` is the copy of the procedure that begins with the reason.
+    `left_out` has the reason for each procedure that this bench cannot carry out. `chances` are those of all
+    procedures of the menu where there are ties, the likeliest to answer first.
     """
 
     why: str
@@ -231,7 +233,7 @@ class Proposal:
 
     @property
     def text(self) -> str:
-        """The procedure file: that of the menu with the reason on top."""
+        """The text of the procedure file, which begins with the reason."""
         lines = textwrap.wrap(f"Proposed: {self.why}", 108, break_on_hyphens=False)
         head = "".join(f"# {line}\n" for line in lines)
         return f"{head}#\n{self.source.read_text(encoding='utf-8')}"

@@ -20,9 +20,9 @@ from bench.readings.table import Readings
 
 
 def coupled(matrix: Floats) -> Iterator[tuple[Ints, Ints]]:
-    """Yield the rows and columns, both ascending, of each independent part of a matrix (N, k).
+    """Yield the rows and columns (both ascending) of each connected component of a matrix (N, k).
 
-    Between different parts the matrix is zero. Every column is in one part; rows of zeros are in none.
+    Between different components the matrix is zero. Every column is in one component; rows of zeros are in none.
     """
     many, count = matrix.shape
     row, column = np.nonzero(matrix)
@@ -47,10 +47,11 @@ Of several runs it is one in at most a run's rows: what all runs share would joi
 
 @dataclass(frozen=True)
 class Span:
-    """A fitted subspace of some of the rows: an orthonormal `basis` (n, k), and the factors `kept` (k,).
+    """A fitted subspace of some of the rows: an orthonormal `basis` (n, k), and the factor `kept` (k,) of each
+    direction.
 
-    `kept` is the factor that the prior leaves of each direction. It is zero for coefficients, which have no
-    prior.
+    `kept` is the part of the direction that the prior leaves in the residuals. It is zero for coefficients, which
+    have no prior.
     """
 
     rows: slice | Ints
@@ -173,7 +174,7 @@ def make_noise_grid(
 
 
 def make_whitener(linear: LinearSystem, sigma: float, setting_rad: float) -> Whitener:
-    """Return the map for exactly this noise of a reading (unit of the signal) and setting error (rad)."""
+    """Return the whitening map for a given noise of a reading (unit of the signal) and setting error (rad)."""
     wide = _wide(linear)
     return _white(linear, setting_rad / sigma, sigma, wide, _blocks(linear, wide))[0]
 
@@ -315,7 +316,10 @@ RATIOS2: Final = np.append(0.0, np.geomspace(1e-2, 1e6, 81))
 
 @dataclass(frozen=True)
 class Repeats:
-    """Noise `sigma` of a reading (unit of the signal) from repeats of settings; `freedom` in settings."""
+    """Noise `sigma` of a reading (unit of the signal) from repeats of settings.
+
+    `freedom` are its degrees of freedom, counted in settings.
+    """
 
     sigma: float
     freedom: int
@@ -362,7 +366,9 @@ class Likeliest:
 
 
 def parts_of_repeats(linear: LinearSystem, chosen: Mask | None = None) -> IndependentParts:
-    """Return the residuals of repeats, of all readings or of those `chosen` (n,) in whole mountings."""
+    """Return the residuals of repeats, of all readings or of the readings `chosen` (n,), which must be whole
+    mountings.
+    """
     oriented = linear.setting >= 0
     readings = linear.readings
     reading = linear.rows.reading[oriented][::3]
@@ -397,7 +403,7 @@ def _of_mount(free: Floats, left: Floats, slope: Floats) -> tuple[Floats, Floats
 
 
 def likeliest(parts: IndependentParts) -> Likeliest:
-    """Return the maximum likelihood noise of these parts, jointly with a setting error."""
+    """Return the maximum likelihood noise of these residuals, estimated jointly with a setting error."""
     squares, along = parts.squares, parts.along
     ratio = RATIOS2 / max(float(along.max()), 1e-300)
     size = 1.0 + np.outer(ratio, along)
@@ -462,7 +468,7 @@ TERMS: Final = 30
 def digit_of(readings: Readings) -> float:
     """Return the step of the signals' last digit, unit of the signal:
 
-    2e-5 where all signals are even at 1e-5; 0 without one.
+    2e-5 where all signals are even at 1e-5; 0 if no such step is found.
     """
     resolution = readings.resolution
     if not resolution > 0.0 or readings.resolution_read is not None:
@@ -484,7 +490,7 @@ def is_rounded(digit: float, sigma: float) -> bool:
 def with_rounding(linear: LinearSystem, digit: float, sigma: float) -> LinearSystem:
     """Return the system with a rounding error shared by repeats of a setting, where it is not negligible.
 
-    `sigma` is the noise from the repeats, which is never below that of rounding.
+    `sigma` is the noise from the repeats, at least the rounding noise.
     """
     if not is_rounded(digit, sigma):
         return linear

@@ -52,9 +52,10 @@ SIZES: Final = tuple(np.geomspace(0.05, 20.0, 61))
 
 @dataclass(frozen=True)
 class NoiseHypothesis:
-    """A kind of noise: the system with it, and ln of its prior odds and of what its sizes cost.
+    """A hypothesis on the kind of noise: the system with this noise, and ln of its prior odds, with the cost of its
+    sizes.
 
-    `what` is "channels", "place", "tails" or "slow". `words` are for people.
+    `what` is "channels", "place", "tails" or "slow". `words` describe it for people.
     """
 
     what: str
@@ -64,7 +65,9 @@ class NoiseHypothesis:
 
 
 def noise_hypotheses(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Iterator[NoiseHypothesis]:
-    """Yield the kinds of noise, in their likeliest sizes beside the effects' columns (N, m)."""
+    """Yield the hypotheses on the noise, each with its likeliest sizes given the m columns of the effects (N,
+    m).
+    """
     yield from _by_channel(linear, effects, noise)
     yield from _by_place(linear, effects, noise)
     yield from _with_tails(linear, effects, noise)
@@ -72,7 +75,9 @@ def noise_hypotheses(linear: LinearSystem, effects: Floats, noise: NoiseSize) ->
 
 
 def log_null(grid: NoiseGrid) -> float:
-    """Return ln of what the evidence has of the unit of the noise: grids of different units become comparable."""
+    """Return the part of ln of the evidence that depends on the unit of the noise, so that different grids can be
+    compared.
+    """
     return -grid.freedom * math.log(grid.sigma)
 
 
@@ -155,7 +160,7 @@ MORE_SCATTER: Final = 1.5
 
 @dataclass(frozen=True)
 class LocalScatter:
-    """Where readings scatter more: standard deviations there and elsewhere, unit of the signal."""
+    """A place where readings scatter more: the standard deviations there and elsewhere, unit of the signal."""
 
     channel: str
     where: str
@@ -338,9 +343,10 @@ def _slow(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Iterator[N
 
 
 def slow_noise(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> tuple[SlowNoise, ...]:
-    """Return the slow noise that is likelier than none, beside the effects' columns (N, m); empty without.
+    """Return the slow noise that is likelier than none, given the columns of the effects (N, m).
 
-    It has one size in all channels, or a size in each channel that has it, whichever has more evidence.
+    It is empty if there is none. It has one size in all channels, or a size in each channel that has it, whichever
+    has more evidence.
     """
     random = np.concatenate([linear.random, effects * KNOWN_SIZE], axis=1)
     white = make_whitener(replace(linear, random=random), noise.reading, noise.setting_rad)
@@ -413,7 +419,7 @@ class NoiseKind:
 
     @property
     def headline(self) -> str:
-        """What a headline says of it: the words before the colon."""
+        """The first words of the kind of noise, before the colon, for a headline."""
         return self.words.partition(":")[0]
 
 

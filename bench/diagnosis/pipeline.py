@@ -264,7 +264,7 @@ def _form(
 
 
 def verdict_of(effects: tuple[NamedEffect, ...], findings: tuple[NoiseFinding, ...], gap: Gap) -> Verdict:
-    """Return the first that applies; what readings held out do not confirm is named no better than a tie."""
+    """Return the first verdict that applies. An effect that held-out readings do not confirm counts as a tie."""
     if findings or any(not e.in_catalogue for e in effects):
         return "unknown"
     if any(e.cannot_tell_from for e in effects) or (effects and not gap.shrinks):
@@ -318,7 +318,7 @@ def effects_of(
 
 
 def name_of(candidates: Candidates, family: str) -> str:
-    """Return the name by which results call a family: that of the catalogue or pattern, else `UNNAMED_FORM`."""
+    """Return the name of a family in results: its name in the catalogue or of its pattern, else `UNNAMED_FORM`."""
     return UNNAMED_FORM if is_form(candidates, family) else family
 
 
@@ -376,9 +376,10 @@ LISTED: Final = 8
 
 @dataclass(frozen=True)
 class Rival:
-    """A family instead of a find: ln of its evidence, and whether it is tied with the find.
+    """A family that may replace a find: ln of its evidence, and whether it is tied with the find.
 
-    `shift` (12 of each block,) is the change of the coefficients with this family instead, in units of their u.
+    `shift` (12 for each block,) is the change of the coefficients with this family in place of the find, in units
+    of their u.
     """
 
     family: str
@@ -388,16 +389,15 @@ class Rival:
 
     @property
     def largest_shift(self) -> tuple[str, float]:
-        """The coefficient that would change most, and by how many u."""
+        """The coefficient that changes most with this family in place of the find, and the change in units of its
+        u.
+        """
         worst = int(np.argmax(np.abs(self.shift)))
         return COEFFICIENTS[worst % FIXED], float(self.shift[worst])
 
 
 def rivals(diagnosis: Diagnosis) -> tuple[tuple[Rival, ...], ...]:
-    """Return for each effect that was found the most plausible families in its place, itself among them.
-
-    All that is tied is among them.
-    """
+    """Return for each effect found the most plausible families in its place: itself, its ties and others."""
     naming = diagnosis.naming
     if not naming.found:
         return ()
@@ -454,7 +454,7 @@ class FullDiagnosis:
 
 @dataclass(frozen=True)
 class MistakesAlone:
-    """A diagnosis that ended with mistakes, as the remaining readings do not determine the coefficients.
+    """A diagnosis that ended with mistakes, because the remaining readings do not determine the coefficients.
 
     `corrected` are the readings with the mistakes corrected; `reason` says why they are insufficient.
     """

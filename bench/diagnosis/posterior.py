@@ -41,10 +41,10 @@ class NoiseSize:
 
 @dataclass(frozen=True)
 class Posterior:
-    """Joint estimates of coefficients (less the first guess), stand and effects, with their covariance.
+    """Joint estimates of coefficients (minus the first guess), stand and effects, with their covariance.
 
-    Stand and effects are in units of their priors. Order: 12 coefficients of each block in their units; the
-    columns of `LinearSystem.random`; the effects' columns.
+    Stand and effects are in units of their priors. Order: 12 coefficients of each block in their units, the columns
+    of `LinearSystem.random`, the columns of the effects.
     """
 
     mean: Floats
@@ -92,7 +92,9 @@ def noise_size(whitened: Whitened, data: Data, known: tuple[int, ...]) -> NoiseS
 
 
 def posterior(linear: LinearSystem, effects: Floats, noise: NoiseSize, rows: Mask | None = None) -> Posterior:
-    """Return the estimates from `rows` (all by default) with the effects' columns (N, m), one size each."""
+    """Return the estimates from `rows` (all by default) with the m columns of the effects (N, m) and one prior size
+    for each.
+    """
     extra = effects.shape[1]
     normal, right = _normal(linear, effects, noise, rows)
     covariance = _inverse(normal + np.diag(_at_the_end(np.full(extra, 1.0 / KNOWN_SIZE**2), len(normal))))
@@ -462,7 +464,9 @@ def with_other_shapes(linear: LinearSystem, others: tuple[AppliedEffect, ...]) -
 
 
 class OpenSize(NamedTuple):
-    """One open size: its effect, parameter and channel (None: all), and the `column` (N,) of one prior u."""
+    """One open size: its effect, parameter and channel (None: all), and its `column` (N,): the change of the rows
+    by one prior u.
+    """
 
     applied: AppliedEffect
     parameter: str

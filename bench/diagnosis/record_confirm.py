@@ -19,10 +19,10 @@ from bench.readings.table import Readings
 
 
 def confirm_record(readings: Readings, effects: Sequence[AppliedEffect]) -> Confirmation:
-    """Compare a new record with a model's effects, at their values, and diagnose what is left.
+    """Compare a new record with a model's effects at their values, and diagnose the rest.
 
-    Root mean squares are in V. Raises `CalibrationError` where the record cannot be evaluated, or could show none
-    of the effects.
+    Root mean squares are in V. Raises `CalibrationError` if the record cannot be evaluated, or could show none of
+    the effects.
     """
     record = make_record(readings)
     known = np.sum([record.added(applied) for applied in effects], axis=0)

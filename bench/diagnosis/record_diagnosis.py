@@ -31,7 +31,9 @@ SLOW_IN_TIME: Final = "slow_in_time"
 
 @dataclass(frozen=True)
 class Far:
-    """A mean of a channel that lies `size_u` standard uncertainties from what the model and its neighbours say."""
+    """A mean of a channel that lies `size_u` standard uncertainties from the value that the model and neighbouring
+    means predict.
+    """
 
     channel: str
     time_h: float
@@ -46,7 +48,7 @@ class Far:
 
 @dataclass(frozen=True)
 class Place:
-    """What a channel leaves beside its zero and drift: root mean square in V, before anything is named."""
+    """The residuals of a channel after zero and drift: their root mean square in V, before any effect is named."""
 
     channel: str
     pattern: str

@@ -39,11 +39,12 @@ GAUSSIAN_MAD: Final = 1.4826
 
 @dataclass(frozen=True)
 class Record:
-    """A record as means of consecutive readings.
+    """A record as n means of consecutive readings, in c channels.
 
-    `deviation_v` (n, c) is signal less reference in the `channels` read, `reference_v` (n,) the reference,
-    `conditions` have the means of times, temperatures and rails. `scale` (n,) is the relative size of the noise,
-    from the scatter of the readings in each mean. `used` (m,) are the readings that the means rest on.
+    `deviation_v` (n, c) is the signal minus the reference in the `channels` read, `reference_v` (n,) the reference;
+    `conditions` have the mean times, temperatures and rail voltages. `scale` (n,) is the relative size of the
+    noise, from the scatter of the readings in each mean. `used` (m,) is the mask of the m readings that the means
+    use.
     """
 
     source: str
@@ -66,12 +67,14 @@ class Record:
 
     @property
     def trend(self) -> Floats:
-        """The columns that every model has: a zero and a drift, -1 to 1 over the record, shape (n, 2)."""
+        """The columns that every model contains: a constant, and a line from -1 to 1 over the record, shape
+        (n, 2).
+        """
         time_h = self.time_h
         return np.column_stack([np.ones(len(self)), 2.0 * time_h / time_h[-1] - 1.0])
 
     def added(self, applied: AppliedEffect) -> Floats:
-        """Return what an effect adds in the channels of the record, V, shape (n, c)."""
+        """Return the voltages that an effect adds in the c channels of the record, V, shape (n, c)."""
         at_inputs = np.repeat(self.reference_v[:, None], 3, axis=1)
         seen = Seen(at_inputs, self.conditions, Block(np.eye(3), np.zeros(3)))
         return applied.addition(seen)[:, list(self.channels)]
@@ -236,7 +239,7 @@ def slow_kernels(time_h: Floats) -> tuple[Floats, ...]:
 
 @dataclass(frozen=True)
 class Slow:
-    """One kind of slow noise: the covariance of mean variance 1, and its eigenvalues and eigenvectors."""
+    """One kind of slow noise: its covariance, of mean variance 1, with eigenvalues and eigenvectors."""
 
     kernel: Floats
     variance: Floats
@@ -250,7 +253,9 @@ class Slow:
 
 
 class Noise(NamedTuple):
-    """The noise of a component: number of the slow noise, its ratio, and the variance of the white noise, V²."""
+    """The noise of a component: the index of its slow noise, the ratio of slow to white noise, and the variance of
+    the white noise, V².
+    """
 
     slow: int
     ratio: float
@@ -259,7 +264,9 @@ class Noise(NamedTuple):
 
 @dataclass(frozen=True)
 class Whitening:
-    """The whitened products of a record with any columns, for each slow noise and ratio."""
+    """The whitened products of a record with any columns, for each kind of slow noise and each ratio of slow to
+    white noise.
+    """
 
     slow: tuple[Slow, ...]
     trend: Floats
@@ -316,7 +323,7 @@ class Products:
         return np.asarray(self.log_det[:, None] - 0.5 * self.freedom * np.log(self.left))
 
     def noise(self, settings: Sequence[tuple[int, float]]) -> Noise:
-        """Return the likeliest noise for the first target."""
+        """Return the most probable noise for the first target."""
         best = int(np.argmax(self.likelihood[:, 0]))
         return Noise(*settings[best], float(self.left[best, 0]) / self.freedom)
 
@@ -347,7 +354,10 @@ def _summed(logs: Floats) -> Floats:
 
 
 def components(channels: int) -> Floats:
-    """Return the Helmert matrix (c, c): the mean of the channels times the root of c, and their differences."""
+    """Return the Helmert matrix (c, c).
+
+    It maps c channels to their mean times the root of c, and to their differences.
+    """
     return np.asarray(linalg.helmert(channels, full=True)) if channels > 1 else np.ones((1, 1))
 
 
@@ -377,7 +387,7 @@ class Course:
 
     @property
     def of_channels(self) -> bool:
-        """Whether each channel has a size of its own."""
+        """Whether each channel has its own size."""
         return any(p.per_channel for p in self.effect.parameters)
 
     @property
@@ -419,7 +429,7 @@ class Courses:
 
     @cached_property
     def common(self) -> Mask:
-        """Which courses are the same voltage in all channels, shape (h,)."""
+        """Whether each course is the same voltage in all channels, shape (h,)."""
         return np.array([not one.of_channels for one in self.each])
 
     @property
@@ -437,7 +447,9 @@ SEEN: Final = 1e-9
 
 
 def make_courses(record: Record) -> Courses:
-    """Return what may explain a record: every effect of `FOLLOWS` in every shape that shows in it."""
+    """Return the courses that may explain a record: each effect of `FOLLOWS` in each shape that shows in the
+    record.
+    """
     there: dict[str, bool] = {
         "meter": record.conditions.meter_c is not None,
         "rail": record.conditions.supply_v is not None,
@@ -476,7 +488,7 @@ def _course(record: Record, effect: Effect, shape: Mapping[str, float]) -> Float
 
 
 def course_of(record: Record, effect: Effect, shape: Mapping[str, float]) -> Course | None:
-    """Return one effect in one shape, or None if it does not show in a record."""
+    """Return the course of one effect in one shape, or None if it does not show in the record."""
     course = _course(record, effect, shape)
     return Course(effect, shape, course / record.scale, 0.0) if _shows(record, course) else None
 

@@ -25,7 +25,9 @@ SHOWN: Final = 2.0
 
 @dataclass(frozen=True)
 class ChannelFit:
-    """Zero and drift of a channel with the effects found, V and V/h with u; `residual_v` (n,) is what is left."""
+    """Zero (V) and drift (V/h) of a channel, with u, given the effects found; `residual_v` (n,) are the
+    residuals.
+    """
 
     channel: str
     zero_v: float
@@ -50,7 +52,9 @@ class Find(NamedTuple):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The names that hold `SET` of the probability; one from `ALONE` on."""
+        """The names that together have the probability `SET`; a single name if its probability is at least
+        `ALONE`.
+        """
         if self.odds[0].probability >= ALONE:
             return (self.odds[0].name,)
         held = np.cumsum([one.probability for one in self.odds])
@@ -76,7 +80,10 @@ class RecordWork:
         return range(len(self.helmert))
 
     def known(self, finds: Sequence[Find], part: int) -> Floats:
-        """Return the columns (n, m) of the finds in a component; those of all channels are in the mean alone."""
+        """Return the m columns of the finds in a component, (n, m).
+
+        Finds common to all channels are in the mean only.
+        """
         return self.columns([one.course for one in finds], part)
 
     def columns(self, courses: Sequence[Course], part: int) -> Floats:
@@ -100,9 +107,9 @@ class RecordWork:
         ]
 
     def gains(self, finds: Sequence[Find], targets: Sequence[Floats]) -> Floats:
-        """Return ln of the evidence of each course beside the finds, shape (h, d).
+        """Return ln of the evidence of each of h courses given the finds, shape (h, d).
 
-        `targets` are the signals of each component, (n, d).
+        `targets` (n, d) are the d signals of a component.
         """
         total = np.zeros((len(self.courses.each), targets[0].shape[1]))
         scale = np.where(self.courses.common, np.sqrt(len(self.helmert)), 1.0)
@@ -113,7 +120,9 @@ class RecordWork:
         return total
 
     def search(self) -> tuple[list[Find], Threshold]:
-        """Return what is found, the strongest first, and the threshold from noise alone on this very record."""
+        """Return the finds, the strongest first, and the threshold, simulated from noise alone for this very
+        record.
+        """
         limit = self._threshold()
         finds: list[Find] = []
         while len(finds) < MOST_FINDS:
@@ -227,7 +236,7 @@ class RecordWork:
             )
 
     def fits(self, finds: Sequence[Find], noises: Sequence[Noise]) -> Iterator[ChannelFit]:
-        """Yield zero and drift of each channel with the finds, and what is left."""
+        """Yield zero, drift and residuals of each channel, given the finds."""
         courses = [one.course for one in finds]
         estimates = [self.fitted(k, courses, noises[k]) for k in self.parts]
         trend = np.array([mean[:2] for mean, _, _ in estimates])
@@ -253,7 +262,7 @@ class RecordWork:
 
 
 def values_of(applied: AppliedEffect) -> Iterator[EffectValue]:
-    """Yield the values of an effect in the catalogue's unit; a shape has no u."""
+    """Yield the values of an effect in the catalogue's unit; a shape parameter has no u."""
     complete = applied.complete_values()
     for parameter in applied.effect.parameters:
         value = complete[parameter.name] / parameter.si_per_unit

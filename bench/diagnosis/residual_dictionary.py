@@ -123,7 +123,7 @@ TermColumns = tuple[DictionaryTerm, tuple[int, ...], list[tuple[str, int | None,
 
 
 def dictionary(linear: LinearSystem) -> Iterator[TermColumns]:
-    """Yield the terms of the dictionary, in each channel and in all, with a plausible size of each column."""
+    """Yield the terms of the dictionary, for each channel and for all, with the plausible size of each column."""
     of_courses: dict[tuple[object, ...], Floats] = {}
     for term in _terms(linear):
         sizes = SIZE_NAMES[: len(term.expressions)]

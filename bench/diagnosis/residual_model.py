@@ -60,7 +60,7 @@ class UnexplainedScatter:
 
     @property
     def there(self) -> bool:
-        """Whether it is more than chance."""
+        """Whether the scatter is significant."""
         return self.p < OFTEN
 
 
@@ -125,7 +125,10 @@ class FreeForm:
 
     @property
     def applied(self) -> tuple[AppliedEffect, ...]:
-        """The terms with their values, for the model: none where names stand there or they do not predict."""
+        """The terms with their values, for the model.
+
+        Empty if named effects replace them or if they do not predict.
+        """
         return tuple(term.applied for term in self.terms) if self.predicts and not self.instead_of else ()
 
 

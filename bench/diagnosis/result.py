@@ -121,9 +121,9 @@ UNNAMED_WORDS: Mapping[str, str] = {
 
 @dataclass(frozen=True)
 class EffectValue:
-    """A parameter as estimated, in the catalogue's unit. Of a shape `u` is None: it was tried, not estimated.
+    """An estimated parameter, in the catalogue's unit. A shape parameter has u None: it was tried, not estimated.
 
-    `channel` is empty where it is of all, `installations` where the effect has one set of values.
+    `channel` is empty for a parameter common to all channels, `installations` if the effect has one set of values.
     """
 
     parameter: str
@@ -162,7 +162,7 @@ class NamedEffect:
 
     @property
     def in_catalogue(self) -> bool:
-        """Whether it has a name."""
+        """Whether the effect has a name in the catalogue."""
         return self.name in CATALOGUE
 
     @property
@@ -227,7 +227,7 @@ class Diagnosis:
 
     @property
     def noise_by_channel(self) -> Floats:
-        """Noise of a reading of x, y, z, unit of the signal."""
+        """Noise of a reading in x, y and z, unit of the signal."""
         return self.noise.reading * self.linear.by_channel
 
 

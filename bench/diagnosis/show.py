@@ -82,13 +82,15 @@ class CoefficientChange:
 
     @property
     def in_u(self) -> float:
-        """The change in units of u before; 0 where there is no u."""
+        """The change in units of the u before; 0 if there is no u."""
         return (self.after - self.before) / self.u_before if self.u_before else 0.0
 
 
 @dataclass(frozen=True)
 class ModelComparison:
-    """The model that was given, and the one with what was found; None where nothing was named."""
+    """Simulations with the given model, and with the effects found added; the second is None if nothing was
+    named.
+    """
 
     before: Simulation
     after: Simulation | None

@@ -74,7 +74,7 @@ class Prepared:
 
 
 class Reconsider(Protocol):
-    """Prepares and searches readings in another noise."""
+    """A function that prepares and searches the readings again with another noise."""
 
     def __call__(self, prepared: Prepared, linear: LinearSystem, most: float) -> tuple[Prepared, Naming]:
         """Search `linear`, whose noise is at `most` this, about the finds of `prepared`."""
@@ -152,10 +152,11 @@ STEPS: Final = 6
 
 @dataclass(frozen=True)
 class SearchTask:
-    """What every search needs beside the readings.
+    """The input of every search in addition to the readings.
 
-    `stand` holds standard uncertainties by the names in `STAND_ANGLES`, rad. `setting_rad` is that of a setting.
-    `resolution` is the last digit of the signals. Effects that are `absent` from the bench are not looked for.
+    `stand` holds standard uncertainties by the names in `STAND_ANGLES`, rad, `setting_rad` the standard uncertainty
+    of a setting. `resolution` is the last digit of the signals. Effects that are `absent` from the bench are not
+    searched.
     """
 
     model: ForwardModel
@@ -166,12 +167,12 @@ class SearchTask:
     absent: Collection[str] = ()
 
     def linear(self, readings: Readings) -> LinearSystem:
-        """Make readings linear; with the error of rounding that repeats, where the last digit is coarse."""
+        """Linearise readings; if the last digit is coarse, include the rounding error that repeats share."""
         linear = make_linear(readings, self.model, self.stand)
         return with_rounding(linear, self.resolution, self.repeats(linear).sigma)
 
     def repeats(self, linear: LinearSystem, most: float = np.inf) -> Repeats:
-        """Return the noise of the repeats, at `most` this."""
+        """Return the noise from the repeats, at most `most`."""
         repeats = noise_of_repeats(linear, self.resolution)
         return replace(repeats, sigma=min(repeats.sigma, most))
 

@@ -24,7 +24,7 @@ BEYOND_BELIEF: Final = 30.0
 def detectable(whitened: Whitened, threshold: Threshold, ratio: int) -> dict[str, float]:
     """Return for each effect the size, in plausible sizes, that is found in half of all runs (infinite: never).
 
-    Of the forms that an effect may have, the one that shows best.
+    The size belongs to the form of the effect that shows best.
     """
     variants = whitened.candidates.variants
     half = half_power(whitened, threshold)
@@ -52,10 +52,10 @@ class Smallest:
 
 
 def smallest(whitened: Whitened, threshold: Threshold, ratio: int) -> dict[str, tuple[Smallest, ...]]:
-    """Return for each effect with several sizes what `detectable` says of one with one, a size for each unit.
+    """Return `detectable` for each effect with several sizes, as one size for each unit.
 
-    Of channels, mountings and shapes that it may have those that show best; of the directions among its parameters
-    (the phases of a wave) the one that shows worst.
+    Of its channels, mountings and shapes, those that show best count; of the directions among its parameters (such
+    as the phases of a wave), the one that shows worst.
     """
     half = half_power(whitened, threshold)
     best: dict[tuple[str, str], Smallest] = {}
@@ -147,7 +147,7 @@ def _hidden_parts(whitened: Whitened, half: float, ratio: int) -> dict[str, list
 
 
 class EffectPart(NamedTuple):
-    """One number of an effect, at its plausible size: a parameter, of one channel or all, in certain mountings."""
+    """One number of an effect at its plausible size: a parameter of one channel or of all, in certain mountings."""
 
     family: str
     parameter: str
@@ -202,9 +202,9 @@ class ReadingDesign:
         self._make_free(known)
 
     def remounted(self, families: Sequence[str], before: Sequence[str]) -> None:
-        """Give every mounting that is not among those `before` such effects of its own, of plausible size.
+        """Give each mounting that is not in `before` its own effects of single mountings, of plausible size.
 
-        What was wrong in one mounting says nothing of the next; what lasts goes on.
+        The error of one mounting says nothing about the next one; effects that last continue.
         """
         labels = [str(m) for m in self.linear.moved.mounts if m.installation != VERIFICATION]
         effects = [CATALOGUE[family] for family in families]
@@ -247,7 +247,9 @@ class ReadingDesign:
         return self._unseen[part]
 
     def seen(self, form: Form) -> Floats:
-        """Return what a form leaves beside what is free, for a plausible size of each number, (m, numbers)."""
+        """Return the part of a form's columns (m, numbers) that free unknowns cannot take up, for plausible
+        sizes.
+        """
         new = [part for part in form if part not in self._seen]
         if new:
             left = self._left(np.column_stack([self._column(part) for part in new]))
@@ -255,7 +257,9 @@ class ReadingDesign:
         return np.column_stack([self._seen[part] for part in form])
 
     def divergence(self, found: Sequence[AppliedEffect], rivals: Sequence[Form]) -> float:
-        """Return D of an effect with the values found against the nearest form of a rival."""
+        """Return D, the expected ln odds, of an effect with the values found against the nearest form of a
+        rival.
+        """
         total = np.sum([self.linear.effect_column(applied) for applied in found], axis=0)
         one = self._left(total[:, None])[:, 0]
         least = float(one @ one)
@@ -270,7 +274,7 @@ class ReadingDesign:
         return max((_largest(self.seen(form)) for form in forms), default=0.0)
 
     def cosine(self, one: Form, other: Form) -> float:
-        """Return the cosine of the smallest angle between what two forms leave; 0 where one leaves nothing."""
+        """Return the cosine of the smallest angle between the visible parts of two forms; 0 if one has none."""
         first, second = _basis(self.seen(one)), _basis(self.seen(other))
         if not (first.shape[1] and second.shape[1]):
             return 0.0

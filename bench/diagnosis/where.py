@@ -35,7 +35,10 @@ HARMONICS: Final = (
 
 @dataclass(frozen=True)
 class ResidualPattern:
-    """One pattern of the disagreement. `size` is its amplitude in the unit of the signal, `p` with all looks."""
+    """One pattern in the residuals.
+
+    `size` is its amplitude in the unit of the signal, `p` its p-value, corrected for all tests.
+    """
 
     channel: str
     installation: str
@@ -205,7 +208,7 @@ FAR: Final = 6.0
 
 @dataclass(frozen=True)
 class FarReading:
-    """A reading that lies `size_u` standard uncertainties from what the model says without it.
+    """A reading that lies `size_u` standard uncertainties from its prediction by a model fitted without it.
 
     `channel` is x, y, z, "modulus" or "setting" (along the turn of the head). `p` is the probability of such a
     distance anywhere by the fitted noise.
@@ -274,9 +277,9 @@ SAME_ANGLE_DEG: Final = 0.1
 
 
 def looking_like(angle_rad: Floats, order: int) -> tuple[int, ...]:
-    """Return the other orders whose waves look at these angles (n,) like waves of `order`; of order 0 like nothing.
+    """Return the other orders whose waves are indistinguishable at these angles (n,) from waves of `order`.
 
-    A wave that is constant at all angles is nothing: the coefficients take it up.
+    Order 0 stands for no wave: a wave that is constant at all angles, which the coefficients take up.
     """
     angles = _different(angle_rad)
     own = _waves(angles, order)
@@ -285,7 +288,7 @@ def looking_like(angle_rad: Floats, order: int) -> tuple[int, ...]:
 
 
 def order_of(applied: AppliedEffect) -> int | None:
-    """Return how often a turn an effect repeats; None where it is no wave of the head's angle."""
+    """Return the number of periods per turn of an effect; None if it is no wave of the head angle."""
     order: int | None = getattr(applied.effect, "order", None)
     if order is not None:
         return order

@@ -33,7 +33,7 @@ class Sensor:
         return np.asarray(STANDARD_GRAVITY * signal / self.nominal)
 
     def told(self) -> list[str]:
-        """Return comment lines that say how to compute z from the signals."""
+        """Return comment lines that explain how to compute z from the signals."""
         if self.unit == "m/s^2":
             return ["the signals are in m/s^2 and taken as they are: z = U"]
         factors = ", ".join(f"{float(s)!r}" for s in self.nominal)
@@ -66,8 +66,8 @@ def sensor_of(result: BlockResult, nominal: Floats | None = None) -> Sensor:
 class Diagonal:
     """The form of autopilots: a_i = (z_i - offset_i) scale_i, m/s^2; the cross-axis terms are left out.
 
-    `modulus_g` and `vector_g` are the largest errors of |a| and of the vector a that follow at 1 g in any
-    direction, g.
+    `modulus_g` and `vector_g` are the largest errors of |a| and of the vector a, g, that this omission causes at 1
+    g in any direction.
     """
 
     offset: Floats
@@ -76,7 +76,7 @@ class Diagonal:
     vector_g: float
 
     def told(self) -> list[str]:
-        """Return comment lines that say what this form omits, and the largest errors that follow at 1 g."""
+        """Return comment lines that say what this form omits, and the largest errors that this causes at 1 g."""
         return [
             "the six cross-axis terms are left out, for this form has a scale and an offset per axis and no more:",
             f"at 1 g |a| is off by up to {_size(self.modulus_g)}, the vector a by up to {_size(self.vector_g)}, "
@@ -120,7 +120,7 @@ def lower_triangular(sensor: Sensor) -> Triangular:
 
 
 def axis_rows(values: Floats) -> list[tuple[str, float]]:
-    """Return the three `values` with the names of their axes: (X, value), (Y, value), (Z, value)."""
+    """Return the three `values`, each with the name of its axis: (X, value), (Y, value), (Z, value)."""
     return [(axis.upper(), float(value)) for axis, value in zip(CHANNELS, values, strict=True)]
 
 
@@ -250,7 +250,10 @@ def _head(result: BlockResult, sensor: Sensor, notes: list[str]) -> list[str]:
 
 
 def kalibr_yaml(result: BlockResult, nominal: Floats | None = None) -> str:
-    """Return the file: chain `imu0`, with the model and M, and `bias` and `C_accel_block`, which Kalibr ignores."""
+    """Return the Kalibr file: the chain `imu0` with the model and M.
+
+    Also `bias` and `C_accel_block`, which Kalibr ignores.
+    """
     sensor = sensor_of(result, nominal)
     form = lower_triangular(sensor)
     raw = result.check[0]

@@ -49,12 +49,12 @@ def picture(unit: str) -> list[str]:
 
 
 def how_to_test(name: str) -> str:
-    """Return a line that says how to run the test that a file of this kind carries."""
+    """Return a line that explains how to run the test in a file of this kind."""
     return f"""this file tests itself: python -c "$(sed -n 's/^# {MARK}//p' {name})" {name}"""
 
 
 def own_test(lines: tuple[str, str, str]) -> list[str]:
-    """Return the three lines of a test, marked."""
+    """Return the three marked lines of a file's own test."""
     return [f"{MARK}{line}" for line in lines]
 
 
@@ -71,9 +71,10 @@ READ_CHECKS: Final = (
 
 
 def judged(g: str = "1.0", at: int = 3, count: int = COUNT) -> str:
-    """Return the last line of a test: `a` maps the first `at` numbers of a check to an acceleration of size `g`.
+    """Return the last line of a test.
 
-    `count` is the number of checks that the file must have.
+    In the test, `a` maps the first `at` numbers of a check vector to an acceleration of size `g`; `count` is the
+    number of check vectors that the file must have.
     """
     worst = (
         f"max([abs(p - q) for r in c for p, q in zip(a(r[:{at}]), r[{at}:])] + [9e9] * (len(c) != {count}))"

@@ -45,7 +45,7 @@ def facts(model: TemperatureModel, table: CompensationTable, of: str) -> list[st
 def table_checks(model: TemperatureModel, table: CompensationTable) -> Floats:
     """Return the check vectors (n, 7): temperature, deg C, signals, and the table's accelerations, g.
 
-    They are 20, or as many as the steps of the table, so that each of its rows counts.
+    There are 20 vectors, or as many as the table has steps, so that the test uses each row of the table.
     """
     steps = table.nodes - 1
     even = np.linspace(model.minimum_c, model.maximum_c, len(POSITIONS))
@@ -160,7 +160,7 @@ static inline void compensation_specific_force_double(const double u[3], double 
 
 
 def table_csv(model: TemperatureModel, table: CompensationTable, of: str) -> str:
-    """Return the table as CSV, headed by comment lines that begin with #, with check vectors of it as written."""
+    """Return the table as CSV, with check vectors, headed by comment lines that begin with #."""
     rows = [
         [f"{t:.6f}", *(f"{entry:.9g}" for entry in row)]
         for t, row in zip(table.temperatures_c, table.entries, strict=True)

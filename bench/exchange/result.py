@@ -65,13 +65,13 @@ class MisalignmentsPart(DerivedPart):
 
 
 class IntrinsicNumbersPart(DerivedPart):
-    """The nine numbers that do not depend on the mounting."""
+    """The nine intrinsic numbers, which do not depend on the mounting."""
 
     definition: str
 
 
 class CheckPart(ResultModel):
-    """Check vectors, and the test of this file by them: signals, and the accelerations that must follow."""
+    """Check vectors (signals and the accelerations that must result), and the file's test with these vectors."""
 
     signs: list[str] = Field(description="a picture of axes, signs, order and units")
     tolerance: float = Field(description="largest difference from `corrected`, g")
@@ -81,14 +81,14 @@ class CheckPart(ResultModel):
 
 
 class BlockPart(ResultModel):
-    """The block, where it is stated."""
+    """The block, if it is stated."""
 
     type: str
     serial: str
 
 
 class CoefficientsResult(ResultModel):
-    """What a navigation computer takes from a calibration; with several sources a list of these."""
+    """The data of a calibration for a navigation computer; for several sources, a list of these."""
 
     source: str = Field(description="the run, readings file or result")
     unit_under_test: BlockPart | None
@@ -133,13 +133,13 @@ _JSON_TEST: Final = (
 class BlockResult:
     """The coefficients of one block: U = K a + U0, a in g of the place, `g_m_s2`, U in `unit`.
 
-    `covariance` (12, 12) is in the order of `COEFFICIENTS`; `covariance_readings` is its part that the readings
-    show, None if the result does not give it separately. `expanded` maps names of numbers to the expanded
-    uncertainties U in the result; for all other numbers U is `k` times u. `gravity_u` is the relative standard
-    uncertainty of `g_m_s2`, 0 if the result does not contain it; numbers per g do not include it. `bench` is
-    the result's description of its bench file, `certificates` describe those of its instruments. `block_type`,
-    `serial` and `made_at` are empty if unknown. `temperature` says which effects of temperature the calibration
-    took out, which these numbers hold no more; empty for none.
+    `covariance` (12, 12) is in the order of `COEFFICIENTS`; `covariance_readings` is the part from the readings,
+    None if the result does not state it separately. `expanded` maps names of numbers to the expanded uncertainties
+    U in the result; for all other numbers U is `k` times u. `gravity_u` is the relative standard uncertainty of
+    `g_m_s2`, 0 if the result does not contain it; numbers per g do not include it. `bench` is the result's
+    description of its bench file, `certificates` describe those of its instruments. `block_type`, `serial` and
+    `made_at` are empty if unknown. `temperature` names the temperature effects that the calibration removed, so
+    that these numbers do not contain them; empty for none.
     """
 
     block: Block
@@ -169,7 +169,7 @@ class BlockResult:
 
     @cached_property
     def combined(self) -> bool:
-        """Whether u includes every error source of the bench, and not only the part that the readings show."""
+        """Whether u includes every error source of the bench, and not only the part from the readings."""
         readings = self.covariance_readings
         return readings is not None and not np.array_equal(readings, self.covariance)
 
@@ -185,30 +185,30 @@ class BlockResult:
 
     @cached_property
     def intrinsic(self) -> Derived:
-        """The nine numbers that do not depend on the mounting."""
+        """The nine intrinsic numbers, which do not depend on the mounting."""
         return intrinsic(self.block, self.covariance)
 
     @property
     def coefficient_rows(self) -> list[ReportedNumber]:
-        """The twelve coefficients."""
+        """The rows of the twelve coefficients."""
         own = Derived(COEFFICIENTS, self.block.vector, self.covariance)
         return self._rows(own, lambda name: self.unit if name.startswith("U0") else f"{self.unit}/g")
 
     @property
     def inverse_rows(self) -> list[ReportedNumber]:
-        """N and U0."""
+        """The rows of N and U0."""
         return self._rows(
             self.inverse, lambda name: self.unit if name.startswith("U0") else self.inverse_unit
         )
 
     @property
     def misalignment_rows(self) -> list[ReportedNumber]:
-        """The six angles."""
+        """The rows of the six angles of the input axes."""
         return self._rows(self.misalignments, lambda _: "rad")
 
     @property
     def intrinsic_rows(self) -> list[ReportedNumber]:
-        """The nine."""
+        """The rows of the nine intrinsic numbers."""
         return self._rows(self.intrinsic, lambda name: intrinsic_unit(name, self.unit))
 
     @property
@@ -227,7 +227,7 @@ class BlockResult:
         return f"{self.block_type} {self.serial}".strip()
 
     def facts(self) -> dict[str, str]:
-        """Return the facts that each form begins with, keyed by name, in their order; each text is one line."""
+        """Return the header facts of every form, keyed by name, in their order; each text is one line."""
         told = {
             **({"mark": SIMULATED} if self.simulated else {}),
             "block": self.block_name or "not stated",
@@ -247,7 +247,7 @@ class BlockResult:
         return f" (u = {self.g_m_s2 * size:.2g} m/s^2, which is in no number per g)" if size else ""
 
     def head(self) -> list[str]:
-        """Return the facts as lines."""
+        """Return the header facts as lines."""
         return [f"{name}: {text}" if name != "mark" else text for name, text in self.facts().items()]
 
     def to_dict(self) -> dict[str, Any]:

@@ -42,8 +42,9 @@ class Snapshot:
     covariance without the part that cancels if the same meters measure again, None if there is no such part;
     `meters` are the meters' identities, empty if unknown. Each column of `block_terms` (12, q) is the error due to
     one u of K2 or K3 of the block, which is the same in each of its calibrations. `wander` (3,) is the rms wander
-    of each bias about its mean in the run. `dof` is the least of the effective degrees of freedom of the nine. A
-    snapshot in the nine has nine in place of twelve, biases last, too.
+    of each bias about its mean in the run. `dof` is the smallest effective degrees of freedom of the nine intrinsic
+    numbers. A snapshot in the nine intrinsic numbers has arrays of nine instead of twelve; the biases come last in
+    both.
     """
 
     name: str
@@ -75,14 +76,14 @@ class Snapshot:
         )
 
     def in_nine(self) -> Snapshot:
-        """Return the snapshot in the nine numbers that do not depend on the mounting, linearised at its own K.
+        """Return the snapshot in the nine intrinsic numbers, linearised at its own K.
 
-        Raises `CalibrationError` for a block without nine, such as one with a dead channel.
+        Raises `CalibrationError` if they are undefined, as for a block with a dead channel.
         """
         try:
             own = intrinsic(Block.from_vector(self.vector), self.covariance)
         except np.linalg.LinAlgError as error:
-            raise CalibrationError(f"{self.name}: {error}, so that its K describes no block") from error
+            raise CalibrationError(f"{self.name}: its K describes no block, as {error}") from error
         J = own.jacobian
         return replace(
             self,
@@ -112,10 +113,10 @@ class Snapshot:
     def against(self, first: Snapshot) -> Snapshot:
         """Return the snapshot with the covariance that applies to a comparison with the calibration `first`.
 
-        The covariance of the difference is this one plus that of `first.against(first)`. Gain and offset of the
-        same meters cancel within a day, and less as time passes: after `METERS_DRIFT` they may lie anywhere within
-        their limits. Errors of different or unidentified meters never cancel. K2 and K3 of the same block cancel
-        where their effects are equal.
+        The covariance of the difference is the sum of the covariances of `self.against(first)` and
+        `first.against(first)`. Gain and offset of the same meters cancel within a day, and less as time passes:
+        after `METERS_DRIFT` they may lie anywhere within their limits. Errors of different or unidentified meters
+        never cancel. K2 and K3 of the same block cancel where their effects are equal.
         """
         theirs = _of_block(first.block_terms, len(self.vector))
         own = self.without_meters + self._gone_on
@@ -194,14 +195,14 @@ class InNumbers:
 
     @property
     def shown(self) -> tuple[str, ...]:
-        """The names of the numbers that changed in any calibration, by themselves."""
+        """The names of the numbers that changed in any calibration, each tested alone."""
         some = np.any([one.changed for one in self.changes], axis=0)
         return tuple(np.array(self.names)[some].tolist())
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """A comparison in the `nine`, whose joint test decides, and in the `twelve`.
+    """A comparison in the `nine` intrinsic numbers, whose joint test decides, and in the `twelve` coefficients.
 
     `twelve` is None if a calibration comes from free positions alone, which leave the block's orientation open.
     """
@@ -212,7 +213,7 @@ class Comparison:
 
     @property
     def changed(self) -> bool:
-        """Whether the nine together changed significantly."""
+        """Whether the nine intrinsic numbers, tested jointly, changed significantly."""
         return self.nine.p_constant < CHANGED_P
 
 
@@ -418,7 +419,7 @@ def joint_covariances(snapshots: Sequence[Snapshot]) -> Floats:
 
 @dataclass(frozen=True)
 class Joint:
-    """The joint covariance of all twelve coefficients of n calibrations, or of the nine, in parts.
+    """The joint covariance of all twelve coefficients (or nine intrinsic numbers) of n calibrations, in parts.
 
     `own` (n, 12, 12) is the independent part of each. `meters` (n, 12, 12) are square roots of the covariances due
     to the meters, which `alike` (n, n) correlates between calibrations. `terms` (n, 12, q) are the errors due to K2

@@ -172,7 +172,9 @@ class CheckRun:
     names: tuple[str, ...] = ()
 
     def in_nine(self) -> CheckRun:
-        """Return the run in the nine numbers. Raises `CalibrationError` for a K that describes no block."""
+        """Return the run in the nine intrinsic numbers. Raises `CalibrationError` for a K that describes no
+        block.
+        """
         own = _nine(self.name, self.value, self.covariance)
         J = own.jacobian
         return replace(
@@ -189,7 +191,7 @@ def _nine(name: str, value: Floats, covariance: Floats) -> Derived:
     try:
         return intrinsic(Block.from_vector(value), covariance)
     except np.linalg.LinAlgError as error:
-        raise CalibrationError(f"{name}: {error}, so that its K describes no block") from error
+        raise CalibrationError(f"{name}: its K describes no block, as {error}") from error
 
 
 @dataclass(frozen=True)
@@ -202,7 +204,10 @@ class Reference:
     covariance: Floats
 
     def in_nine(self) -> Reference:
-        """Return the reference in the nine numbers. Raises as `CheckRun.in_nine`."""
+        """Return the reference in the nine intrinsic numbers.
+
+        Raises `CalibrationError` for a K that describes no block.
+        """
         own = _nine(self.name, self.value, self.covariance)
         return replace(self, value=own.values, covariance=own.covariance)
 
@@ -215,7 +220,7 @@ class KnownDrift:
     u: Floats
 
     def in_nine(self, value: Floats) -> KnownDrift:
-        """Return the drift in the nine numbers of a block with the coefficients `value` (12,)."""
+        """Return the drift in the nine intrinsic numbers of a block with the coefficients `value` (12,)."""
         J = _nine("the check block", value, np.eye(len(value))).jacobian
         return KnownDrift(J @ self.per_year, np.sqrt(J**2 @ self.u**2))
 
@@ -238,9 +243,9 @@ class Verdict:
 class ControlChart:
     """The control chart: `baseline` runs, or a `reference` in place of them, and the `later` runs judged.
 
-    `shewhart` and `ewma` have a row for each later run. The EWMA skips a run that T² rejects; its row there is NaN.
-    `alone` (m,) is the p-value of each baseline run in comparison with the others, None for too few runs.
-    `verdicts` are those on the later runs, in order.
+    `shewhart` and `ewma` have a row for each later run. The EWMA skips a run that T² rejects; the row of such a run
+    is NaN. `alone` (m,) is the p-value of each baseline run in comparison with the others, None for too few runs.
+    `verdicts` holds the verdict on each later run, in order.
     """
 
     design: ChartDesign
@@ -259,7 +264,7 @@ class ControlChart:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The names of the numbers of the chart: the nine, the twelve, or those of a monitor."""
+        """The names of the numbers: the nine intrinsic numbers, the twelve coefficients, or those of a monitor."""
         own = next((run.names for run in (*self.baseline, *self.later) if run.names), ())
         if own:
             return own

@@ -67,7 +67,7 @@ class UnitDrift:
     def predicted(self, date: np.datetime64 | Dates) -> tuple[Floats, Floats]:
         """Return the expected values at dates (…) and their standard uncertainties, (…, 12) each.
 
-        u is that of the result of an errorless calibration on that date, so it includes the scatter between
+        u applies to the result of a calibration without errors on that date, so it includes the scatter between
         calibrations. Raises `CalibrationError` for a date before the last calibration.
         """
         days = np.asarray(date, dtype="datetime64[s]")
@@ -137,7 +137,9 @@ class States:
 
 @dataclass(frozen=True)
 class OfUnit:
-    """The drift of a unit in the `nine` and in the twelve, with notes on other effects that may look like drift."""
+    """The drift of a unit in the `nine` intrinsic numbers and in the twelve coefficients, with notes on other
+    effects that may look like drift.
+    """
 
     unit: str
     signal: str

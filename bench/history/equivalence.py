@@ -52,7 +52,9 @@ class Participants:
 
     @cached_property
     def between_dof(self) -> int:
-        """Degrees of freedom between benches: the number of benches less that of connected sets of benches."""
+        """Degrees of freedom between benches: the number of benches minus the number of connected sets of
+        benches.
+        """
         both = np.linalg.matrix_rank(np.concatenate([self.Z_unit, self.Z_bench], axis=1))
         return int(both) - int(self.unit.max()) - 1
 
@@ -77,9 +79,9 @@ class Equivalence:
     """The reference value of each unit and the degree of equivalence of each bench, for one coefficient.
 
     `reference` (U,) has the standard uncertainties `u_reference`. `degree` (B,) are the degrees of equivalence d
-    with `covariance` (B, B). `dark` is the dark uncertainty of benches (1 σ). The variance of d includes it for all
-    benches but the one that d belongs to, whose stated u is kept. `chi2` with `dof` tests the stated uncertainties;
-    `map` (B, n) is the matrix that maps `y` to d.
+    with `covariance` (B, B). `dark` is the dark uncertainty of benches (1 σ). The variance of d includes the dark
+    uncertainty of all benches except the bench of d itself, whose stated u is kept. `chi2` with `dof` tests the
+    stated uncertainties; `map` (B, n) is the matrix that maps `y` to d.
     """
 
     method: str
@@ -264,7 +266,7 @@ def together(
 
 @dataclass(frozen=True)
 class BenchesIn:
-    """The comparison of benches in m numbers `names`: the nine, or the twelve coefficients.
+    """The comparison of benches in m numbers `names`: the nine intrinsic numbers or the twelve coefficients.
 
     `found` has the degrees of equivalence and `pairs` the differences between benches, by number. `together` tests
     the degrees of equivalence of each bench in all numbers jointly, `pairs_together` the differences of each pair.
@@ -289,7 +291,7 @@ class BenchesIn:
 
 @dataclass(frozen=True)
 class BenchComparison:
-    """The comparison of benches with one another, in the `nine` and in the `twelve`.
+    """The comparison of benches with one another, in the `nine` intrinsic numbers and in the `twelve` coefficients.
 
     `benches` and `units` are the participants; `alone` are benches that share no unit with another.
     """

@@ -32,7 +32,10 @@ NEVER: Final = (
 
 @dataclass(frozen=True)
 class LearnedSize:
-    """A learned quantity in `unit` with u and degrees of freedom; `told` is false if it keeps its prior."""
+    """A learned quantity in `unit` with u and degrees of freedom.
+
+    `told` is false if the runs did not determine it and it keeps its prior.
+    """
 
     name: str
     value: float
@@ -82,7 +85,10 @@ class Variance:
 
 @dataclass(frozen=True)
 class Contradiction:
-    """A run that contradicts the others: `what` is `size` times the expectation, with corrected p-value `p`."""
+    """A run that contradicts the others.
+
+    `what` names the quantity, which is `size` times its expectation; `p` is the corrected p-value.
+    """
 
     run: str
     what: str
@@ -101,11 +107,11 @@ class Learned:
 
     `means` (m + waves,), rad, belong to `keys` (angle and installation, or empty for all), followed by the
     harmonics of the head; their covariance is `covariance`. `stated` (m,) are their u before learning, rad.
-    `variances` are those between mountings by kind of angle, then of the drift by channel (unit of the signal,
-    per root hour); `variances_covariance` (k, k) is that of their squares. `noise` (4,) is that of x, y, z and
-    of the setting (rad). `known` is the prior knowledge for later calibrations. `not_told` gives the reason for
-    each kind that the runs do not determine. `meters` are the differences between voltmeters, or a sentence on
-    why they are unknown.
+    `variances` holds the standard deviations between mountings by kind of angle, then of the drift by channel (unit
+    of the signal, per root hour); `variances_covariance` (k, k) is the covariance of their squares. `noise` (4,) is
+    the noise of x, y, z and of the setting (rad). `known` is the prior knowledge for later calibrations. `not_told`
+    gives the reason for each kind that the runs do not determine. `meters` are the differences between voltmeters,
+    or a sentence on why they are unknown.
     """
 
     runs: tuple[str, ...]
@@ -236,7 +242,9 @@ class MeterRun:
 
 
 def lengths_and_biases(coefficients: Floats) -> tuple[Floats, Floats]:
-    """Return ln |row| of K and bias over |row| by channel, (6,), and the derivatives by the twelve, (6, 12)."""
+    """Return ln |row| of K and bias over |row| by channel, (6,), and their derivatives by the twelve coefficients,
+    (6, 12).
+    """
     rows, bias = coefficients[:9].reshape(3, 3), coefficients[9:]
     length = np.linalg.norm(rows, axis=1)
     slope = np.zeros((6, 12))

@@ -60,7 +60,8 @@ class Beliefs:
 class LikelihoodPoint:
     """The likelihood at given variances: -2 ln L, score (k,), information (k, k), means and their covariance.
 
-    `means` (m + waves,) are the m means followed by the harmonics of the head; `covariance` is theirs.
+    `means` (m + waves,) are the m means followed by the harmonics of the head; `covariance` is the covariance of
+    both.
     """
 
     minus_two_log: float
@@ -195,7 +196,7 @@ SCATTER: Final = "the scatter of its repeats"
 
 
 def odd_runs(runs: list[RunFit], body: RunSums, theta: Floats, beliefs: Beliefs) -> list[Contradiction]:
-    """Return the test of each run for each kind of contradiction, most significant first, with Holm's p-values."""
+    """Return a test of each run for each kind of contradiction, most significant first, with Holm's p-values."""
     found = [*_angles(body, theta, beliefs), *_fit(body, at(body, theta, beliefs).means), *_scatter(runs)]
     found.sort(key=lambda one: one.p)
     adjusted = holm(np.array([one.p for one in found]))
@@ -291,7 +292,10 @@ def _held_against(
 
 @dataclass(frozen=True)
 class Agreed:
-    """The runs that agree, their sums and noise (4,), and contradictions; `most` if too many runs contradict."""
+    """The runs that agree, with their sums and noise (4,), and the contradicting runs.
+
+    `most` is true if too many runs contradict.
+    """
 
     runs: list[RunFit]
     body: RunSums

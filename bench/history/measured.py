@@ -88,7 +88,9 @@ class ComparedCalibrations:
 
     @property
     def own_variance(self) -> Floats:
-        """The stated variances without the part that recurs with the same meters, (n, 12)."""
+        """The stated variances minus the variance that calibrations with the same meters share, but at least the
+        fraction `LEAST_OWN` of the stated variance, (n, 12).
+        """
         return np.maximum(self.variance - self.meters**2, LEAST_OWN * self.variance)
 
 

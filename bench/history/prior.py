@@ -41,7 +41,7 @@ class Prior:
 
     Both are in `signal` per standard g. `between` (12,) is the standard deviation between units, `mean_u` (12,) the
     standard uncertainty of the mean, `dof` the degrees of freedom, and `shrunk` the fraction by which correlations
-    were reduced. `units` and `benches` are those behind the prior.
+    were reduced. `units` and `benches` count the units and benches from which the prior was computed.
     """
 
     kind: str

@@ -38,8 +38,8 @@ class RunFit:
     derivatives by the run's own unknowns: 12 coefficients and any effects. `stand` (n, 3, a) are derivatives by the
     stand angles `angles` (a,), each a name and an installation; `levels` (a, 2) is the value of each angle by a
     level with its u, rad (NaN if unmeasured). `slope` (n, 3) is du/dphi. `waves` (n, 3, 2 WAVES) are harmonics of
-    the head; `walk` (n, q) are shapes of a random walk per root hour. `scatter` is that of repeats, `floor` the
-    lowest credible noise.
+    the head; `walk` (n, q) are shapes of a random walk per root hour. `scatter` is the scatter of repeats, `floor`
+    the lowest credible noise.
     """
 
     name: str
@@ -220,7 +220,7 @@ class Layout:
 def body_of(runs: Sequence[RunFit], variances: Floats, layout: Layout) -> RunSums:
     """Return the sums of runs for given noise variances.
 
-    `variances` (4,) or (runs, 4) are those of x, y, z (unit^2) and of the setting (rad^2).
+    `variances` (4,) or (runs, 4) are the noise variances of x, y, z (unit^2) and of the setting (rad^2).
     """
     width = max(len(run.angles) for run in runs) + 3 * WALKS
     waves = 2 * WAVES if layout.waves else 0

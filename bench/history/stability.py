@@ -356,8 +356,8 @@ def stability_of(
 ) -> Stability:
     """Return the analysis of a record whose meters integrated each sample for `integration_s` seconds.
 
-    `size` is the permitted noise of a reading, in the unit of the signals. With None, the averaging time is that
-    from which longer averages gain little.
+    `size` is the permitted noise of a reading, in the unit of the signals. If it is None, the averaging time is the
+    time beyond which longer averages gain little.
     """
     signals = tracked(list(record.signal.T), "Allan deviation of the channels")
     curves = tuple(allan_curve(one, record.interval_s, gaps=bool(record.notes)) for one in signals)

@@ -85,16 +85,15 @@ class Conditions:
     """Columns over n readings in the order of measurement, because an effect may depend on earlier rows.
 
     `mount` (n,) indexes `mounts`, which are in order of first appearance. `angle_rad` is the scale reading of the
-    head. `direction` is that of approach: +1, -1, or 0 if unknown. `time_s` (since the start of the run) and
-    `temperature_c` are NaN where unknown. `scan_order` (n, 3) lists the channels 0, 1, 2 in the order in which
+    head. `direction` is the direction of approach: +1, -1, or 0 if unknown. `time_s` (since the start of the run)
+    and `temperature_c` are NaN where unknown. `scan_order` (n, 3) lists the channels 0, 1, 2 in the order in which
     they were read. Effects use the temperature minus `reference_c`. `turns` (mounts, 3, 3) holds the
     `block_from_platform` of each mounting, NaN for an unknown installation; the forward model fills it in for
     effects with `needs_path`. If the rows come from several runs, `began_s` (n,) is the start of each row's run on
-    the clock of `time_s`, and warm-up restarts in each run. `on_s` (n,) is the time since the unit was switched
-    on, `supply_v` (n, rails) the voltage of each supply rail minus its nominal voltage, `meter_c` (n,) the
-    temperature of the voltmeters; they are NaN where unknown and None if never recorded. `level_rad` (n, 4) holds
-    the level readings of the row's mounting: alpha1, alpha2 and their standard uncertainties, NaN if none were
-    taken.
+    the clock of `time_s`, and warm-up restarts in each run. `on_s` (n,) is the time since the unit was switched on,
+    `supply_v` (n, rails) the voltage of each supply rail minus its nominal voltage, `meter_c` (n,) the temperature
+    of the voltmeters; they are NaN where unknown and None if never recorded. `level_rad` (n, 4) holds the level
+    readings of the row's mounting: alpha1, alpha2 and their standard uncertainties, NaN if none were taken.
     """
 
     mounts: tuple[Mounting, ...]
@@ -119,7 +118,9 @@ class Conditions:
 
     @property
     def remounted(self) -> Mask:
-        """Mask (n,) of the rows whose mounting differs from that of the row before; true in the first row."""
+        """Mask (n,) of the rows that begin a mounting: the first row, and each row whose mounting differs from the
+        row before.
+        """
         return np.concatenate([np.ones(min(len(self), 1), dtype=bool), self.mount[1:] != self.mount[:-1]])
 
     @cached_property
@@ -136,8 +137,8 @@ class Conditions:
     def elapsed_s(self) -> Floats:
         """The time since the start of the run, s, shape (n,), estimated where it was not recorded.
 
-        The estimate assumes `SETTING_S` per setting and `REMOUNT_S` more per remount. Rows without a time in a run
-        with times are interpolated at this pace. With `began_s`, unknown times stay NaN.
+        The estimate assumes `SETTING_S` for each setting, and an additional `REMOUNT_S` for each remount. Rows
+        without a time in a run with times are interpolated at this pace. With `began_s`, unknown times stay NaN.
         """
         known = np.isfinite(self.time_s)
         if self.began_s is not None:
@@ -290,8 +291,9 @@ SAME_RAD: Final = 1e-3
 class HeadPath(NamedTuple):
     """The rotation of the head to each of m settings, rad, shape (m,): from `start` to `turn`, then to `end`.
 
-    `rows` are the settings' row indices in the conditions, `sits` (m, 3, 3) their `block_from_platform`.
-    `direction` is that of approach: +1, -1, or 0 if unknown. `begins` marks the first setting after a mounting.
+    `rows` are the settings' row indices in the conditions, `sits` (m, 3, 3) the matrices `block_from_platform` of
+    their mountings. `direction` is the direction of approach: +1, -1, or 0 if unknown. `begins` marks the first
+    setting after a mounting.
     """
 
     rows: Ints
@@ -311,7 +313,7 @@ def head_path(conditions: Conditions) -> HeadPath:
     `ValueError` if `conditions.turns` is None; the forward model fills it in for effects with `needs_path`.
     """
     if conditions.turns is None:
-        raise ValueError("the path of the head needs conditions with the installations' turns")
+        raise ValueError("conditions.turns is None; take conditions from the forward model")
     known = np.isfinite(conditions.turns[:, 0, 0])[conditions.mount] & np.isfinite(conditions.angle_rad)
     rows: Ints = np.flatnonzero(known)
     mount, end, direction = conditions.mount[rows], conditions.angle_rad[rows], conditions.direction[rows]

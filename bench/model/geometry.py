@@ -29,7 +29,9 @@ def stand_errors(**angles_rad: float) -> Floats:
     """
     unknown = set(angles_rad) - set(STAND_ANGLES)
     if unknown:
-        raise KeyError(f"not a stand angle: {', '.join(sorted(unknown))}")
+        raise KeyError(
+            f"unknown stand angle: {', '.join(sorted(unknown))}; choose from {', '.join(STAND_ANGLES)}"
+        )
     return np.array([angles_rad.get(name, 0.0) for name in STAND_ANGLES], dtype=np.float64)
 
 
@@ -154,7 +156,9 @@ HIDDEN: Final = 1e-3
 
 
 def linear_columns(force: Floats) -> Floats:
-    """Return the design matrix of one channel, shape (n, 4): the specific force (n, 3) and a column of ones."""
+    """Return the design matrix (n, 4) of one channel: the specific force (n, 3) of n readings, and a column of
+    ones.
+    """
     return np.column_stack([force, np.ones(len(force))])
 
 

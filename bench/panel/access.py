@@ -90,7 +90,10 @@ def is_loopback(host: str) -> bool:
 
 
 class Role(StrEnum):
-    """The role of a person, in rising order: look and stop; also move and answer; also force control."""
+    """The role of a person.
+
+    Each role has all rights of the ones before: look and stop; move and answer; force control.
+    """
 
     VIEWER = "viewer"
     OPERATOR = "operator"
@@ -119,7 +122,7 @@ class Person:
         """Raise `Refusal` (403) if the person's role is below `least`."""
         if not self.role.includes(least):
             raise Refusal(
-                403, message(f"{self.name} is signed in as {self.role}; this needs the role {least}")
+                403, message(f"{self.name} is signed in as {self.role}; sign in as {least} for this")
             )
 
 
@@ -181,7 +184,9 @@ class Gate:
         headers = Headers(scope=scope)
         host = headers.get("host", "")
         if len(headers.getlist("host")) > 1 or not self._settings.allows_host(host):
-            return Refusal(403, message(f"this panel is at {self._settings.url}"))
+            return Refusal(
+                403, message(f"the request names another address; open the panel at {self._settings.url}")
+            )
         if scope["method"] not in METHODS:
             return Refusal(405, message("the panel accepts GET and POST only; use its pages"))
         if scope["method"] == "POST" and not self._settings.allows_origin(headers.get("origin", ""), host):
@@ -254,7 +259,7 @@ def private_folder(folder: Path) -> Path:
 class KeptList:
     """A list of JSON objects in a file with a lock, so that several programs can change it.
 
-    `remedy` tells what to do about a damaged file for which there is no copy.
+    `remedy` tells the user what to do about a damaged file that has no copy.
     """
 
     def __init__(

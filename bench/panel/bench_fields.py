@@ -175,10 +175,10 @@ def _driver_words(name: str, section: type[Any]) -> str:
 def fields_in(
     model: type[BaseModel], at: Place, skip: frozenset[str] = frozenset(), default: Any = None
 ) -> Iterator[tuple[str, BenchField]]:
-    """Yield the fields of a model at a place, by name, and those of sections in it that are required.
+    """Yield the fields of a model at a place, by name, and the fields of its required sections.
 
-    Certificates, lists and optional sections have no field: they are written in the file by hand. `default` is
-    the section that counts where the file omits it.
+    Certificates, lists and optional sections have no field: the user writes them in the file. `default` is the
+    section that applies if the file omits it.
     """
     model.model_rebuild()
     for name, info in model.model_fields.items():
@@ -244,7 +244,10 @@ def _words(annotation: Any, metadata: Iterable[Any]) -> str | None:
 
 
 def bare(annotation: Any) -> Any:
-    """Return the type of an annotation without metadata and without None; a union of several types as it is."""
+    """Return the type of an annotation without metadata and without None.
+
+    A union of several types is returned unchanged.
+    """
     if get_origin(annotation) is Annotated:
         return bare(get_args(annotation)[0])
     if get_origin(annotation) in {Union, types.UnionType}:
@@ -334,8 +337,8 @@ def _form_of(written: Any) -> str:
 def completed(values: Values, before: Values) -> dict[str, str]:
     """Return typed values with the examples of newly chosen drivers for fields not shown yet, except resources.
 
-    `before` are the values of the file. A single voltmeter becomes one that scans; a further voltmeter is like
-    the first, for the next signal.
+    `before` are the values of the file. If there is a single voltmeter, it becomes a scanning one; an added
+    voltmeter is like the first, for the next signal.
     """
     full = dict(values)
     number = number_of_meters(full)
@@ -374,7 +377,7 @@ def _exemplify(values: dict[str, str], before: Values, name: str) -> None:
 
 @dataclass
 class Placed:
-    """The mistakes of a bench file: those of each field and group by name, and all others."""
+    """The mistakes of a bench file: the mistakes of each field and group by name, and all others."""
 
     at: dict[str, list[str]] = field(default_factory=dict)
     elsewhere: list[FileMistake] = field(default_factory=list)
@@ -389,7 +392,10 @@ _MISSING: Final = re.compile(r"'([^']+)' is missing")
 
 
 def placed(mistakes: Iterable[FileMistake], groups: Iterable[Group]) -> Placed:
-    """Return mistakes with their fields; a mistake at no field belongs to its group, else elsewhere."""
+    """Return mistakes with their fields.
+
+    A mistake that belongs to no field is listed at its group, or else among the others.
+    """
     groups = list(groups)
     fields = {one.name for group in groups for one in group.fields}
     known = fields | {group.place for group in groups if group.at}

@@ -154,7 +154,7 @@ Stamp = tuple[tuple[int, int, int] | None, ...]
 
 @dataclass(frozen=True)
 class RunRow:
-    """A row of the table of runs; `state` is a word or two, `detail` describes damage to the record."""
+    """A row of the table of runs; `state` is one or two words, `detail` describes damage to the record."""
 
     name: str
     created: str = ""

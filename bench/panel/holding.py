@@ -76,7 +76,7 @@ class Holding:
     def after(self, deed: Deed, who: str, to: str, at: str) -> Holding:
         """Return the state of control after one more line of the journal: `who` did `deed` at time `at`.
 
-        `to` is the other person concerned, of a grant or a denial.
+        `to` is the person to whom control is granted or denied.
         """
         match deed:
             case Deed.TAKEN | Deed.FORCED:
@@ -178,14 +178,17 @@ def _checked(holding: Holding, word: str, person: Person, to: str) -> str:
             raise Refusal(409, message(f"{person.name} has already asked; wait"))
         case "grant" | "deny" | "release" if not holds:
             raise Refusal(
-                403, message(f"only the person in control may do that: {holding.holder or 'nobody'}")
+                403,
+                message(
+                    f"only the person in control ({holding.holder or 'nobody'}) may do that; take control first"
+                ),
             )
         case "grant" | "deny":
             to = to or next(iter(holding.asking), "")
             if to not in holding.asking:
                 raise Refusal(
                     409,
-                    message(f"{to or 'nobody'} did not ask for control")
+                    message(f"{to or 'nobody'} did not ask for control; choose from those who did")
                     if to
                     else message("nobody asked for control; keep it or let go"),
                 )

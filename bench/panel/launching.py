@@ -83,7 +83,12 @@ def wait_until(begun: Callable[[], bool], started: Started, clock: Clock | None 
         if (status := started.status) is not None:
             if begun():
                 return True
-            raise Refusal(409, message(f"it did not start (exit status {status}): {started.last_words()}"))
+            raise Refusal(
+                409,
+                message(
+                    f"the run did not start (exit status {status}); correct what it says: {started.last_words()}"
+                ),
+            )
         if clock.now_s() > until_s:
             return False
         clock.sleep(NAP_S)
@@ -113,7 +118,7 @@ class WantedRun:
     """A requested run: the fields of `RunRequest` from the form, and the hashes of its files when checked.
 
     Procedure and bench are absolute paths; `sha256` has the hash of each. A dry run is for practice: a person
-    answers its prompts. `queued` is the id of the item of the queue that it is for, empty for none.
+    answers its prompts. `queued` is the id of the queue item for which it is requested, empty for none.
     """
 
     fields: Mapping[str, str | bool]
@@ -164,7 +169,10 @@ class TrialResult:
 
     @property
     def startable(self) -> bool:
-        """Whether the run may be started. A dry run that could not be tried for lack of answers is no obstacle."""
+        """Whether the run may be started.
+
+        A dry run that ended because a prompt has no default answer is no obstacle.
+        """
         if self.stage != "done" or self.check is None or self.check["problems"]:
             return False
         return self.tried in {0, 1} or bool(self.check["dry_run_refuses"])
@@ -325,7 +333,7 @@ def resume_run(run: Run) -> None:
     Raises `Refusal` if a program is carrying out the run, or if the process ends before it has begun.
     """
     if is_being_written(run.folder):
-        raise Refusal(409, message("a program is carrying out this run now"))
+        raise Refusal(409, message("a program is carrying out this run now; follow it on the run's page"))
     started = start(
         ["resume", str(run.folder.absolute()), f"--runs={_runs(run)}", f"--answers={ANSWERS}"], _output(run)
     )

@@ -67,7 +67,7 @@ class Outcome:
 
 
 def outcome_of(run: Run, runs: RunsFolder, *, alive: bool, finished: bool) -> Outcome:
-    """Return the outcome of a run that has ended; `alive` says whether its program still works."""
+    """Return the outcome of a run that has ended; `alive` says whether its program is still running."""
     found = results_of(run)
     state = "ready" if found.calibration is not None else "none"
     # coefficients are written before the verdict: they alone are not the end
@@ -133,7 +133,9 @@ def _row(name: str, difference: float, expanded: float, unit: str) -> str:
 
 
 def previous_calibration(run: Run, runs: RunsFolder) -> Run | None:
-    """Return the last calibration of the same unit before a run, of its kind of instruments; None without one."""
+    """Return the last calibration of the same unit before a run, on the same kind of instruments (real or
+    simulated); None if there is none.
+    """
     mine = _identity(run)
     if mine is None:
         return None

@@ -33,7 +33,9 @@ class FileText:
 
 
 def own_files(kind: str) -> dict[str, Path]:
-    """Return the files of a kind (`CONFIG`, `PROCEDURES`) in the working folder by name, and no links out of it."""
+    """Return the files of a kind (`CONFIG`, `PROCEDURES`) in the working folder by name, without links that lead
+    out of it.
+    """
     here = Path().resolve()
     shipped = shipped_folder(kind).resolve()
     found = {name: (path, path.resolve()) for name, path in choices(kind).items() if "/" not in name}
@@ -70,7 +72,7 @@ def shipped_file(kind: str, name: str) -> Path:
 def new_path(kind: str, name: str) -> Path:
     """Return the path of a new file in the folder of its kind. Raises `Refusal` (400, 409).
 
-    A name is letters, digits, `-` and `_`; it must not be that of another file of the kind.
+    A name has letters, digits, `-` and `_`; it must differ from the names of the other files of the kind.
     """
     if NAME.fullmatch(name) is None:
         raise Refusal(
@@ -98,7 +100,7 @@ def read_file(path: Path) -> FileText:
 
 
 def difference(before: str, after: str, name: str) -> str:
-    """Return the lines in which two texts differ: "-" before those of the first, "+" before those of the second."""
+    """Return the lines in which two texts differ: "-" before lines of the first, "+" before lines of the second."""
     lines = difflib.unified_diff(
         before.splitlines(),
         after.splitlines(),

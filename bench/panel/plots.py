@@ -39,10 +39,9 @@ Rows = list[list[Any]]
 
 
 def plots_of(run: Run, runs: RunsFolder) -> Numbers:
-    """Return the numbers of all plots of a run as JSON has them; null stands for a plot that the run lacks.
+    """Return the numbers of all plots of a run as a JSON object, with null for a plot that the run lacks.
 
-    `previous` has the same plots of the unit's previous calibration. `trouble` has a sentence for each file that
-    gives no numbers.
+    `previous` holds the same plots of the unit's previous calibration, `trouble` a sentence for each unusable file.
     """
     trouble: list[str] = []
     own = _measured(run, trouble)
@@ -211,7 +210,7 @@ _JUDGED: Final = ("n", "installation", "series", "pass", "point", "angle_deg", "
 
 
 def table_of(plots: Numbers, name: str) -> Rows:
-    """Return a plot's numbers as a table with a head. Raises `Refusal` (404) for a plot that is not there."""
+    """Return a plot's numbers as a table with a head. Raises `Refusal` (404) for a plot that the run lacks."""
     found = list(_rows(plots, name))
     if len(found) < 2:  # a head alone
         raise Refusal(404, message("no such table; choose one of the page"))
@@ -274,7 +273,9 @@ def _diagnosed_rows(diagnosis: Numbers, name: str) -> Iterator[list[Any]]:
 
 
 def written(rows: Rows, title: str, form: str, *, simulated: bool) -> bytes:
-    """Return a table as a CSV file, whose numbers read back to the same, or as a workbook (about 16 digits)."""
+    """Return a table as a CSV file, from which the numbers read back exactly, or as a workbook (about 16
+    digits).
+    """
     if form == "xlsx":
         from bench.exchange.forms import tables_workbook
 
@@ -294,6 +295,6 @@ def _cell(value: Any) -> Any:
 
 
 def sections_of(run: Run) -> Sequence[str]:
-    """Return which plots a run may have, by the files that are there."""
+    """Return the plots for which a run has the files."""
     files = {"residuals": CALIBRATE, "delta-g": VERIFY, "diagnosis": DIAGNOSE}
     return [name for name, file in files.items() if is_plain(run.folder / file)]

@@ -51,7 +51,9 @@ LISTS: Final = {
 
 @dataclass(frozen=True)
 class Row:
-    """A row of the table: the group of a step's fields, how deep it stands, and what is written without fields."""
+    """A row of the table: the group of a step's fields, its nesting depth, and the part of the step that has no
+    fields.
+    """
 
     group: Group
     depth: int
@@ -142,7 +144,9 @@ def values_in(data: Any, fields: Iterable[BenchField]) -> dict[str, str]:
 
 
 def table_text(text: str, values: Values, fields: Sequence[BenchField]) -> str:
-    """Return a procedure with the values of the table: first its fields, then the forms chosen for angles."""
+    """Return a procedure with the values of the table: first the values of its fields, then the chosen forms of
+    angles.
+    """
     text = edited_text(text, values, fields)
     return edited_text(text, {}, (), lambda tree, _: _arrange_angles(tree, values, fields))
 
@@ -184,14 +188,17 @@ def _as_steps(angles: Any) -> dict[str, str]:
 
 
 def with_copy(text: str, at: Place) -> str:
-    """Return a procedure with one more step after the step at a place, like it. Raises `Refusal` (409)."""
+    """Return a procedure in which the step at a place is followed by a copy of it. Raises `Refusal` (409)."""
     lines = text.splitlines()
     _, first, end = _block(text, at)
     return _compared(text, [*lines[:end], *lines[first:end], *lines[end:]], at, times=2)
 
 
 def without_step(text: str, at: Place) -> str:
-    """Return a procedure without the step at a place and the comments above it. Raises `Refusal` (409)."""
+    """Return a procedure without the step at a place, and without the comments above this step.
+
+    Raises `Refusal` (409).
+    """
     lines = text.splitlines()
     comments, _, end = _block(text, at)
     return _compared(text, [*lines[:comments], *lines[end:]], at, times=0)
@@ -237,7 +244,7 @@ def place_of(name: str, rows: Iterable[Row]) -> Place:
     for row in rows:
         if row.group.place == name:
             return row.group.at[:-1]
-    raise Refusal(400, message("there is no such step in the table"))
+    raise Refusal(400, message("there is no such step in the table; load the page again"))
 
 
 # --- mistakes ---------------------------------------------------------------------------------------
@@ -251,7 +258,11 @@ def judged(path: Path, text: str) -> tuple[tuple[FileMistake, ...], Procedure | 
     The panel's users may include files of the same folder only.
     """
     beside = [
-        FileMistake(0, row.group.place, message("in the panel, a file to include stands in the same folder"))
+        FileMistake(
+            0,
+            row.group.place,
+            message("the panel includes files of the same folder only; move the file there"),
+        )
         for row in rows_of(read_yaml(text).data)
         if row.group.at[-1] == "include" and _BESIDE.fullmatch(row.written) is None
     ]

@@ -95,13 +95,13 @@ class DayQueue:
                 )
 
     def move(self, item_id: str, by: int) -> None:
-        """Move an item up (`by` −1) or down (1); at an end it stays. Raises `Refusal` (409)."""
+        """Move an item up (`by` −1) or down (1); at the end of the queue it stays. Raises `Refusal` (409)."""
         with self._changed() as items:
             at = _index(items, item_id)
             items.insert(max(at + by, 0), items.pop(at))
 
     def remove(self, ids: Sequence[str]) -> None:
-        """Remove items; those that somebody else has removed do not matter."""
+        """Remove items; ids that are no longer in the queue are ignored."""
         with self._changed() as items:
             items[:] = [one for one in items if one.id not in ids]
 
@@ -120,11 +120,11 @@ class DayQueue:
             at = _index(items, item_id)
             item = items[at]
             if item.run and (exists(item.run) or self.is_starting(item)):
-                raise Refusal(409, message(f"{item.words} was begun already, as {item.run}"))
+                raise Refusal(409, message(f"{item.words} was begun already; see the run {item.run}"))
             items[at] = item.model_copy(update={"run": run, "begun": self._now()})
 
     def is_starting(self, item: QueueItem) -> bool:
-        """Whether the run of an item was asked for so recently that it may not exist yet."""
+        """Whether the run of an item was requested so recently that its folder may not exist yet."""
         return item.begun is not None and self._now() - item.begun < timedelta(seconds=2 * LONGEST_START_S)
 
     # --- notes of the day ---------------------------------------------------------------------------
@@ -147,7 +147,7 @@ class DayQueue:
         return {one.bench: one for one in self._notes_read() if one.what == SWITCHED_ON}
 
     def put_aside(self) -> None:
-        """Rename the files that are damaged; an empty queue takes their place. Raises `OSError`."""
+        """Rename damaged files, so that an empty queue replaces them. Raises `OSError`."""
         self._items.put_aside(self._now(), lambda rows: _read(rows, QueueItem))
         self._notes.put_aside(self._now(), lambda rows: _read(rows, DayNote))
 
@@ -173,7 +173,7 @@ def _index(items: Sequence[QueueItem], item_id: str) -> int:
     for index, item in enumerate(items):
         if item.id == item_id:
             return index
-    raise Refusal(409, message("this unit is not in the queue any more; somebody removed it"))
+    raise Refusal(409, message("somebody removed this unit from the queue; load the page again"))
 
 
 Row = TypeVar("Row", QueueItem, DayNote)

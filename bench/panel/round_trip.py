@@ -41,9 +41,9 @@ _NOTHING: Final = re.compile(r"~|null", re.IGNORECASE)
 
 
 def changed_text(text: str, values: Values, groups: Iterable[Group]) -> str:
-    """Return the text of a bench file with the values of the form; a field left empty has no key in the file.
+    """Return the text of a bench file with the values of the form; an empty field removes its key.
 
-    `groups` are those of the form; keys without a field stay as they are. Raises `yaml.YAMLError` if the text is
+    `groups` are the groups of the form; keys without a field stay unchanged. Raises `yaml.YAMLError` if the text is
     no YAML, `ImportError` without `ruamel.yaml`.
     """
     groups = list(groups)
@@ -60,10 +60,10 @@ def edited_text(
     fields: Iterable[BenchField],
     arrange: Callable[[Any, Values], None] = lambda tree, before: None,
 ) -> str:
-    """Return a text with the values of its fields, the text itself where they say the same.
+    """Return a text with the values of its fields; it is unchanged if no value changed.
 
-    A field left empty has no key in the file. `arrange(tree, values before)` first changes the sections. Raises
-    as `changed_text`.
+    An empty field removes its key. `arrange(tree, values before)` first changes the sections. Raises as
+    `changed_text`.
     """
     yaml = _yaml()
     tree = yaml.load(text)
@@ -262,7 +262,7 @@ def _reach(tree: Any, at: Place) -> Any:
 
 
 def in_one_line(value: dict[str, str] | list[str]) -> Any:
-    """Return a mapping or a list that is written in one line."""
+    """Return a mapping or a list that YAML will write in one line."""
     made = _mapping() if isinstance(value, dict) else _sequence()
     (made.update if isinstance(value, dict) else made.extend)(value)
     return made
@@ -289,9 +289,9 @@ def _sequence() -> Any:
 
 
 def with_comments(before: str, after: str) -> str:
-    """Return a changed text with every whole-line comment before the key that it stood before.
+    """Return a changed text with every whole-line comment before the same key as in the original.
 
-    Where that key is gone, the comment stands before the next one that is left.
+    If that key is gone, the comment precedes the next remaining key.
     """
     blocks = _blocks(before)
     if _blocks(after) == blocks:

@@ -42,9 +42,9 @@ _STOPPED: Final = frozenset(
 class RunView:
     """The state of a run, derived from its events.
 
-    `step` is the event at which the current step began, `begun` that of the first step since the run was begun or
-    resumed, `turn` that of the last turn since the block was mounted; `set_c` is the set point of the chamber, °C.
-    Results of steps are computed from their events only on demand, as few are needed.
+    `step` is the event with which the current step began, `begun` the event of the first step since the run was
+    begun or resumed, `turn` the event of the last turn since the block was mounted; `set_c` is the set point of the
+    chamber, °C. Results of steps are computed from their events only on demand, as few are needed.
     """
 
     plan: Plan
@@ -72,7 +72,7 @@ class RunView:
         self.readings_planned = self._kinds.count(Read)
 
     def take(self, event: Event) -> None:
-        """Process the next event. Raises `RecordError` for an event that cannot follow here."""
+        """Process the next event. Raises `RecordError` for an event that is invalid in this state."""
         try:
             self._take(event)
         except (ValueError, KeyError, TypeError, IndexError, AttributeError) as error:
@@ -221,14 +221,16 @@ class Tail:
     def new(self) -> Iterator[Event]:
         """Yield the events written since the last call; in a long record, starts of old steps are skipped.
 
-        Raises `RecordError` if the record was changed other than by appending.
+        Raises `RecordError` if anything but new lines changed in the record.
         """
         try:
             with open_regular(self._path) as file, uncollected():
                 size = file.seek(0, SEEK_END)
                 if size < self._read:
                     raise RecordError(
-                        message(f"{self._path}: is shorter than it was; another program changed it")
+                        message(
+                            f"{self._path}: became shorter, as another program changed it; restore it from a copy"
+                        )
                     )
                 file.seek(self._read)
                 for line in file:

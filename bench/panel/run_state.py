@@ -176,7 +176,7 @@ DRIFTS: Final = 0.01
 
 @dataclass(frozen=True)
 class About:
-    """The constant part of a run's snapshot: texts of its manifest, and the installations of its bench.
+    """The constant part of a run's snapshot: texts from its manifest, and the installations of its bench.
 
     `chamber` says whether the bench has a thermal chamber.
     """
@@ -260,8 +260,8 @@ def _doing(seen: RunView, *, alive: bool) -> str:
 def alarm_of(seen: RunView, asked: AskedPrompt | None, *, alive: bool) -> dict[str, str] | None:
     """Return the alarm of a run: `cause` in one line, `action` to take, `details`; None without one.
 
-    `do` is "resume" where the action is to resume the run, else empty. A question that waits is no alarm; an early
-    warning that stopped the run before this question is one.
+    `do` is "resume" if the action is to resume the run, else empty. An open question is no alarm, but an early
+    warning that stopped the run is one.
     """
     if seen.state is RunState.ABORTED or seen.state is RunState.FINISHED:
         return None

@@ -35,7 +35,7 @@ BEGINS_WITHIN_S: Final = 20.0
 class Findings:
     """What a search found: `resources` as `FoundResource`, or the `instruments` of the bench file `bench`.
 
-    `what` is what was asked for (`OFFERS`, `IDENTIFY` or `TEST`), `problem` why it was not carried out.
+    `what` is the kind of request (`OFFERS`, `IDENTIFY` or `TEST`), `problem` the reason why it was not carried out.
     """
 
     what: str = ""
@@ -58,7 +58,7 @@ class Search:
         self.path = folder
 
     def found(self) -> Findings:
-        """Return what was found so far; nothing if nothing was ever searched."""
+        """Return the findings so far; they are empty before the first search."""
         try:
             told = from_text(read_regular(self.path / FOUND))
             return Findings(**told)
@@ -66,7 +66,7 @@ class Search:
             return Findings()
 
     def tell(self, found: Findings) -> None:
-        """Store what was found so far."""
+        """Store the findings so far."""
         write_whole(self.path / FOUND, to_text(asdict(found)))
 
     def lock(self) -> FileLock:
@@ -89,7 +89,7 @@ class Search:
     def begin(self, what: str, *, resources: Sequence[str] = (), bench: Path | None = None) -> None:
         """Start a process that searches, asks these resources for their identity, or tests a bench's instruments.
 
-        Raises `Refusal` if one is at work, for too many resources, or for a text that is no resource.
+        Raises `Refusal` if a search is in progress, for too many resources, and for a text that is no resource.
         """
         from bench.services.search import checked_resource
 
@@ -124,7 +124,7 @@ class Search:
 
 
 def main() -> None:
-    """Carry out the search that stands in the folder given on the command line."""
+    """Carry out the search in the folder given on the command line."""
     search = Search(Path(sys.argv[1]))
     with search.lock():
         asked = search.found()
@@ -140,7 +140,7 @@ def main() -> None:
 
 
 def carried_out(asked: Findings) -> Findings:
-    """Return the findings of what was asked for."""
+    """Return the findings for a request."""
     from bench.services.search import FoundResource, identified, offered
 
     told = asdict(asked) | {"done": True}

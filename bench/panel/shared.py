@@ -62,13 +62,13 @@ def panel_of(request: Request) -> Panel:
 
 
 def person_of(request: Request) -> Person | None:
-    """Return the signed-in person of a request; None for a stranger."""
+    """Return the signed-in person of a request; None if nobody is signed in."""
     panel = panel_of(request)
     return panel.access.person(request.cookies.get(panel.settings.cookie, ""))
 
 
 def looking(request: Request) -> Person:
-    """Return the signed-in person who requests a page. Raises `Refusal` for a stranger."""
+    """Return the signed-in person who requests a page. Raises `Refusal` if nobody is signed in."""
     person = person_of(request)
     if person is None:
         raise Refusal(401, message("sign in first"))
@@ -222,7 +222,7 @@ def wants_json(request: Request) -> bool:
 
 
 def refused(request: Request, refusal: Refusal) -> Response:
-    """Return the response with the reason for a refusal; redirect a stranger to the sign-in page."""
+    """Return the response with the reason for a refusal; redirect to the sign-in page if nobody is signed in."""
     if wants_json(request):
         return JSONResponse({"problem": visible(bounded(refusal.text))}, status_code=refusal.status)
     if refusal.status == HTTPStatus.UNAUTHORIZED and request.method == "GET":

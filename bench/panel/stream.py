@@ -270,7 +270,9 @@ def as_event(name: str, data: Any) -> bytes:
 
 
 def as_live(value: bytes) -> bytes:
-    """Return a server-sent event with a live value that the run's program wrote, {} for none or a broken one."""
+    """Return a server-sent event with a live value that the run's program wrote, {} if there is none or it is
+    damaged.
+    """
     try:
         told = from_text(value) if value else {}
     except ValueError:
@@ -281,7 +283,7 @@ def as_live(value: bytes) -> bytes:
 class SharedFollower:
     """A `Follower` shared by viewers on an event loop: it reads in a thread and wakes the waiting viewers.
 
-    `state` is the latest snapshot, `trouble` the error that ended the following, or an empty string.
+    `state` is the latest snapshot, `trouble` the error that ended it, or an empty string.
     """
 
     def __init__(self, folder: Path, add: Add) -> None:
@@ -409,7 +411,10 @@ class Followers:
             self._leave(folder, shared)
 
     async def points(self, folder: Path) -> tuple[dict[str, Any], ...]:
-        """Return the points of a run once all its readings are judged. Raises `RecordError`."""
+        """Return the points of a run once all its readings were compared with their predictions.
+
+        Raises `RecordError`.
+        """
         shared = await self._of(folder)
         try:
             while shared.judging and not shared.trouble:

@@ -169,7 +169,7 @@ class NoiseScale:
 
     @property
     def size(self) -> float:
-        """The estimated ratio, in which the stated noise counts as `BELIEVED` degrees of freedom."""
+        """The estimated ratio, with the stated noise counted as `BELIEVED` degrees of freedom."""
         return float(np.sqrt((BELIEVED + self.chi2) / (BELIEVED + self.dof)))
 
     @property
@@ -221,8 +221,8 @@ class Standing:
     `visit` is the index of the present mounting among the pool's visits, -1 before the first. `taken` holds the
     first steps of the measured points, `done` the number of visits to each site; `elapsed_s` is the bench time.
     `refused` and `refused_mounts` are sites and mountings that a person skipped. `now` maps planned mountings to
-    those in use since the block was remounted. `reached` is the progress of the goals, empty until the readings
-    determine the coefficients. `apart` are sites that would distinguish the possible causes of a misfit.
+    the mountings in use since the block was remounted. `reached` is the progress of the goals, empty until the
+    readings determine the coefficients. `apart` are sites that would distinguish the possible causes of a misfit.
     """
 
     visit: int = -1
@@ -251,12 +251,12 @@ class Standing:
 class NextPoints:
     """The next points to measure, in the visit with index `visit`; none if `stop` gives a reason to stop.
 
-    `left_out` are steps passed over as unnecessary; `taken_up` are such steps of the present mounting that are
-    needed after all. `now` is the goal furthest from being reached; `after` and `end` are its expected states
-    after these points and at the end of the run. `settings` and `repeats` count the visits made so far. `next_s`
-    is the time of these points; `more` and `more_s` are the expected visits and time until the end, including
-    these points. `rest_s` is the remaining time of the steps that no choice affects. `pool_end` is the step
-    after the last point. `not_needed` counts the points that a stopped run has not measured. `telling_apart`
+    `left_out` are steps passed over as unnecessary; `taken_up` are steps of the present mounting that were left out
+    before and are needed after all. `now` is the goal furthest from being reached; `after` and `end` are its
+    expected states after these points and at the end of the run. `settings` and `repeats` count the visits made so
+    far. `next_s` is the time of these points; `more` and `more_s` are the expected visits and time until the end,
+    including these points. `rest_s` is the remaining time of the steps that no choice affects. `pool_end` is the
+    step after the last point. `not_needed` counts the points that a stopped run has not measured. `telling_apart`
     says that points were chosen to distinguish the possible causes of a misfit.
     """
 

@@ -55,7 +55,7 @@ class Goal:
         return float(np.sqrt(self.variance(covariance) + self.floor))
 
     def ratio(self, covariance: Floats) -> float:
-        """Return the uncertainty divided by the required one; at most 1 if the goal is reached."""
+        """Return the uncertainty divided by the required uncertainty; at most 1 if the goal is reached."""
         return self.u(covariance) / self.asked
 
     def relaxed(self, endless: float) -> Goal:
@@ -146,7 +146,7 @@ def vector_goal(block: Block, magnitude_g: float = 1.0, asked_g: float = 1.0) ->
 
 
 def whole_goal(block: Block, goals: Sequence[Goal]) -> Goal:
-    """Return a goal, loose compared with `goals`, that ensures a calibration of the whole block.
+    """Return a goal, loose compared with `goals`, that makes a plan calibrate the whole block.
 
     Without it, readings that determine only one coefficient would leave the others unknown.
     """
@@ -493,10 +493,10 @@ def parts_of_goals(goals: Sequence[Goal], budget: Budget) -> list[dict[str, floa
 
 @dataclass(frozen=True)
 class Promise:
-    """Promised covariances (12, 12) of the coefficients: from the readings alone, and combined.
+    """Promised covariances (12, 12) of the coefficients: `readings` from the readings alone, and the combined one.
 
-    The floors of `goals` include the errors that no reading reveals, so that with the covariance `readings`
-    their u is the combined standard uncertainty.
+    The floors of `goals` include the errors that no reading reveals, so that with the covariance `readings` their u
+    is the combined standard uncertainty.
     """
 
     goals: tuple[Goal, ...]

@@ -48,8 +48,8 @@ class Site(NamedTuple):
 class PlannedPoint:
     """A turn of the head with its readings.
 
-    `steps` and `reads` are the indices of all its steps and of its readings. If there are several readings,
-    `site` is that of the first one. `time_s` is the expected time, s.
+    `steps` and `reads` are the indices of all its steps and of its readings. If there are several readings, `site`
+    belongs to the first one. `time_s` is the expected time, s.
     """
 
     steps: tuple[int, ...]
@@ -271,8 +271,8 @@ class Floor:
 def floors(aim: Aim, stand: Stand, whole: Stand, pool: Pool) -> list[Floor]:
     """Return the goals that even infinitely many readings at the points of the pool would not reach.
 
-    `stand` contains the error sources of the readings' own uncertainty, `whole` those of the combined one.
-    Raises `CalibrationError` if the pool does not determine the coefficients.
+    `stand` contains the error sources of the uncertainty from the readings alone, `whole` the sources of the
+    combined uncertainty. Raises `CalibrationError` if the pool does not determine the coefficients.
     """
     readings, combined = (one.budget(pool.settings(), WITHOUT_NOISE) for one in (stand, whole))
     found = []
@@ -333,7 +333,7 @@ class Visits(ExchangeDesign):
     _known: tuple[bytes, Floats] | None = None
 
     def covariance(self, counts: Floats | Ints | None = None) -> Floats:
-        """Return the covariance as the base class does; that of the present counts is cached."""
+        """Return the covariance as the base class does; the covariance of the present counts is cached."""
         if counts is not None:
             return super().covariance(counts)
         key = self.counts.tobytes()
@@ -421,7 +421,7 @@ class DesignTask:
     """The input of a design: the grid, and the numbers of visits done and still possible, (c,).
 
     `scale` is the ratio of the noise to the stated noise. `site_s` (c,) is the time of a visit to each site,
-    `mount_s` that of each mounting ahead, s. `repeats` is the least number of repeats, `limit_s` the time left.
+    `mount_s` the time of each mounting ahead, s. `repeats` is the least number of repeats, `limit_s` the time left.
     """
 
     grid: Grid

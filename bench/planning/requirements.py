@@ -272,7 +272,10 @@ _NO_BALANCE: Final = "no balanced set of sizes was found; use the limits of each
 
 
 def of_delta_g(*, reading: bool) -> Target:
-    """Return the target Δg at the verification points; with `reading`, errors of the reading there count, too."""
+    """Return Δg at the verification points as the target.
+
+    With `reading`, the errors of the readings there count, too.
+    """
 
     def variances(budget: Budget) -> Floats:
         found = delta_g_variances(budget, reading=reading)
@@ -372,7 +375,10 @@ class Requirement:
         return np.asarray(found[int(np.argmax(found.sum(axis=1)))])
 
     def reached(self, sizes: Mapping[str, float] | None = None) -> float:
-        """Return k u of the target at the worst point; `sizes` replace the bench's own, as in `by_point`."""
+        """Return k u of the target at the worst point.
+
+        `sizes` replace the sizes in the bench file, as in `by_point`.
+        """
         if not sizes:
             return self.k * math.sqrt(float(self._own.sum()))
         return self.k * math.sqrt(float(self.variances(sizes).sum()))

@@ -36,7 +36,10 @@ def as_cell(text: str) -> str:
 
 
 def of_cell(cell: str) -> str:
-    """Return the text of a cell, the inverse of `as_cell`; a cell that `as_cell` cannot return stays unchanged."""
+    """Return the text of a cell, the inverse of `as_cell`.
+
+    A cell that is no possible result of `as_cell` stays unchanged.
+    """
     safe = cell[1:] if cell.startswith("'") and _FORMULA.match(cell) else cell
     if not _shows_escape(safe) or "\\" in _OF_ESCAPES.sub("", safe):
         return safe
@@ -84,7 +87,7 @@ def number(
 ) -> float:
     """Return the number in a column of a row `text`, from `least` to `most`; NaN for an empty `optional` cell.
 
-    Raises `BadCell`, which says what was `expected`, with `hint` added if the number is out of range.
+    Raises `BadCell` with the text `expected`; `hint` is added if the number is out of range.
     """
     cell = text.get(column, "")
     if cell == "" and optional:
@@ -174,7 +177,7 @@ def level_rad(extra: Mapping[str, Labels], rows: int) -> Floats | None:
     found = np.array(columns, dtype=np.float64).reshape(4, rows).T * ARCSEC
     whole = np.isfinite(found).all(axis=1)
     if np.any(np.isfinite(found).any(axis=1) & ~whole) or np.any(found[whole, 2:] <= 0.0):
-        raise ValueError(f"{', '.join(ANGLES)} must be filled in together, with u above 0")
+        raise ValueError(f"fill in {', '.join(ANGLES)} together, with u above 0, or none of them")
     return found
 
 
@@ -258,7 +261,7 @@ ROOM_C: Final = "room_c"
 
 
 def meter_c(extra: Mapping[str, Labels]) -> Floats | None:
-    """Return the temperature of the voltmeters, °C, shape (n,), that of the room where no other is recorded.
+    """Return the temperature of the voltmeters, °C, shape (n,), the room temperature if no other is recorded.
 
     Values are NaN where not given. Returns None without either column.
     """
@@ -314,12 +317,12 @@ class Rail:
         """Return the rail from the JSON object of an event. Raises `KeyError`, `TypeError`, `ValueError`."""
         values = (row["voltage_v"], row["nominal_v"], row["current_a"])
         if any(type(value) not in (int, float) or not isfinite(value) for value in values):
-            raise ValueError("a value of a rail is not a number")
+            raise ValueError("a rail's voltage, nominal voltage or current is not a number")
         return cls(*values)
 
 
 def between(before: Mapping[str, Rail], after: Mapping[str, Rail]) -> dict[str, Rail]:
-    """Return the rails of a reading by name: the means of the measurements before and after it."""
+    """Return the rails of a reading by name: the means of two measurements, before and after the reading."""
     return {
         name: Rail(
             (rail.voltage_v + after[name].voltage_v) / 2.0,

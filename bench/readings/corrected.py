@@ -30,8 +30,8 @@ AGAIN: Final = 4
 class Corrections:
     """Corrections of signals, U (1 + `gain`) + `offset_v` for x, y, z, and of the angle and temperature read.
 
-    `head` is in rad over the angle in rad, periodic over one turn; `thermometer` is in K over the temperature in
-    °C, constant beyond its ends.
+    `head` is a table of corrections, rad, over the angle, rad, periodic over one turn; `thermometer` is a table of
+    corrections, K, over the temperature, °C, constant beyond its ends.
     """
 
     gain: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -141,7 +141,7 @@ class LevelReading:
 def with_levels(readings: Readings, seen: Sequence[LevelReading]) -> Readings:
     """Return the readings with level columns added; unchanged if no mounting has a levelling.
 
-    `seen` are all level readings in order of time.
+    `seen` are all level readings in the order of time.
     """
     found = {
         mounting: of for mounting in {s.mounting for s in seen} if (of := _mounting_level(seen, mounting))

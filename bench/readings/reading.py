@@ -31,7 +31,7 @@ _NONE: Final = (None, None, None)
 
 @dataclass(frozen=True)
 class Outlier:
-    """The sample (numbered from 1) that an outlier test flags: its value, its distance from the mean.
+    """The sample (numbered from 1) that an outlier test flags: its value, and its distance from the mean.
 
     `sigma` is this distance and `critical` the critical value, both in standard deviations of the samples.
     """

@@ -307,7 +307,7 @@ def _first_s(table: Readings) -> float:
 
 
 def is_record(table: Readings) -> bool:
-    """Return whether a table is a record at a known input: rows R alone."""
+    """Return whether a table is a record at a known input, that is, has rows of the reference input (R) only."""
     return len(table) > 0 and bool(np.all(table.installation == REFERENCE))
 
 

@@ -377,11 +377,11 @@ def why_no_model(diagnosis: Diagnosis) -> str:
     """Return the reason why no model file was written, to follow "no model file is written"."""
     if diagnosis.gap.shrinks is False:
         return message(
-            "of what makes readings that were held out no smaller a gap: it would not be a better model"
+            "because the gap in the readings held out does not shrink: it would not be a better model"
         )
     if any(effect.cannot_tell_from for effect in diagnosis.effects):
-        return message("while the data cannot tell; --accept-first takes the first")
-    return message("while no readings held out confirm it; --accept-first takes it all the same")
+        return message("because the data cannot decide between effects; --accept-first takes the first")
+    return message("because no readings held out confirm it; --accept-first takes it nevertheless")
 
 
 def joined_in_words(shown: ModelComparison) -> Iterator[str]:

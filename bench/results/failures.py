@@ -13,7 +13,7 @@ from bench.results.tables import page
 
 
 class NotedRemedy(ResultModel):
-    """What a person noted of a failure."""
+    """The remedy that a person noted for a failure."""
 
     time: str
     by: str

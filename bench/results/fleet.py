@@ -236,7 +236,7 @@ class PriorResult(FleetResult):
 
 
 def prior_result(found: prior.Prior, notes: Sequence[str]) -> PriorResult:
-    """Return the result on a prior; `notes` are further notes."""
+    """Return the result of estimating a prior; `notes` are further notes."""
     return PriorResult.from_object(
         found,
         type=found.kind,

@@ -248,8 +248,8 @@ def what_to_do(found: FreeDiagnosis, files: Files) -> Iterator[str]:
 def why_no_model(found: FreeDiagnosis) -> str:
     """Return the reason why no model file was written, to follow "no model file is written"."""
     if found.gap.shrinks is False:
-        return "of what makes positions that were held out no smaller a gap: it would not be a better model"
-    return "while the positions cannot tell; --accept-first takes the first"
+        return "because the gap in the positions held out does not shrink: it would not be a better model"
+    return "because the positions cannot decide between effects; --accept-first takes the first"
 
 
 def print_free(found: FreeDiagnosis, files: Files, out: Console) -> None:

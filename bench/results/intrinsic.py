@@ -64,7 +64,7 @@ class JointPart(ResultModel):
 
 
 def intrinsic_part(own: Intrinsic) -> IntrinsicPart:
-    """Return the nine as the part `intrinsic` of the result."""
+    """Return the nine intrinsic numbers as the part `intrinsic` of the result."""
     rows = zip(
         own.names, *(c.tolist() for c in (own.values, own.u, own.u_readings, own.U, own.dof)), strict=True
     )
@@ -83,7 +83,7 @@ def intrinsic_part(own: Intrinsic) -> IntrinsicPart:
 
 
 def joint_part(u: Floats, dof: Floats) -> JointPart:
-    """Return the joint factor of numbers with `u` (m,) and `dof` (m,); a u of zero counts for nothing."""
+    """Return the joint factor of numbers with `u` (m,) and `dof` (m,); numbers with u = 0 are left out."""
     found = joint_of(u, dof)
     return JointPart(
         count=found.count, k=found.k, dof=found.dof if np.isfinite(found.dof) else None, level=found.level
@@ -109,7 +109,9 @@ def joint_members(found: Calibration) -> dict[str, Any]:
 
 
 def shown_rows(own: Intrinsic) -> list[list[str]]:
-    """Return name, value, its unit, u of the readings, u, U, and the unit of these, as text."""
+    """Return rows of text: name, value, its unit, u from the readings, u, U, and the unit of these
+    uncertainties.
+    """
     rows = []
     for name, value, *sizes in zip(own.names, own.values, own.u_readings, own.u, own.U, strict=True):
         unit = intrinsic_unit(name, own.unit)
@@ -120,7 +122,9 @@ def shown_rows(own: Intrinsic) -> list[list[str]]:
 
 
 def small_unit(name: str, u: float, unit: str) -> tuple[float, str]:
-    """Return the unit for a difference of size `u` in one of the nine, as a fraction of its own, and its name."""
+    """Return a smaller unit for a difference of size `u` in one of the nine intrinsic numbers: its size in the
+    number's own unit, and its name.
+    """
     if name.startswith("theta"):
         return 1.0 / 3600.0, "″"
     scale = scale_for(u, unit if name.startswith("S") else "g")
@@ -128,7 +132,7 @@ def small_unit(name: str, u: float, unit: str) -> tuple[float, str]:
 
 
 def intrinsic_table(own: Intrinsic) -> Table:
-    """Return a table of the nine with u, U (k = 2) and the u from the readings alone."""
+    """Return a table of the nine intrinsic numbers with u, U (k = 2) and the u from the readings alone."""
     shown = table("mounting-free", ">value", "", ">u", ">U (k=2)", ">u, readings", "")
     for name, value, unit, of_readings, u, U, small in shown_rows(own):
         shown.add_row(name, value, unit, u, U, of_readings, small)

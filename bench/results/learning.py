@@ -101,7 +101,10 @@ class LearnResult(ResultModel):
 
 
 def learn_result(found: Learned, **made_from: Any) -> LearnResult:
-    """Return what was learned of a bench as `--json` writes it; `made_from` are the members of its runs."""
+    """Return the errors learned from the runs of a bench, as `--json` writes them.
+
+    `made_from` are the members on its runs.
+    """
     return LearnResult(
         runs=list(found.runs),
         contradicting=[ContradictionPart.from_object(one) for one in found.contradicting],

@@ -242,7 +242,7 @@ def mounts_of(calibration: Calibration) -> list[tuple[Mounting, Mask]]:
 def sd_of_reading(calibration: Calibration, rows: Mask, angle_rad: Floats) -> Floats:
     """Return the standard deviation (m, 3) of a single reading at head angles (m,), in the signal's unit.
 
-    It combines reading noise with the setting error times du/dphi. The slope du/dphi is that of sine and cosine
+    It combines reading noise with the setting error times du/dphi. The slope du/dphi comes from a sine and a cosine
     of the angle, fitted to the readings `rows` of one mounting.
     """
     angle = calibration.fitted.angle_rad[rows]
@@ -260,7 +260,7 @@ def residual_scale(calibration: Calibration) -> Scale:
 
 
 def symbol(name: str) -> str:
-    """Return the name of one of the twelve or the nine for matplotlib: "Kxy" -> "$K_{xy}$"."""
+    """Return the name of a coefficient or of an intrinsic number for matplotlib: "Kxy" -> "$K_{xy}$"."""
     if name.startswith("theta_"):
         return rf"$\theta_{{{name[6:]}}}$"
     return f"$U_{{0{name[2:]}}}$" if name.startswith("U0") else f"${name[0]}_{{{name[1:]}}}$"

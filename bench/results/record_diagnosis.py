@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 
 class LeftPart(ResultModel):
-    """What a channel leaves beside zero and drift, before anything is named."""
+    """The residuals of a channel after zero and drift, before any effect is named."""
 
     channel: str
     installation: str
@@ -42,7 +42,9 @@ class LeftPart(ResultModel):
 
 
 class RivalPart(ResultModel):
-    """A kind of shape, and how well the rest of the record predicts excursions held out with it."""
+    """A kind of shape of an effect, and how well the rest of the record predicts excursions held out with this
+    shape.
+    """
 
     what: str = Field(description="at once, lag or hysteresis")
     held_out_rms_v: float
@@ -50,7 +52,7 @@ class RivalPart(ResultModel):
 
 
 class ChannelPart(ResultModel):
-    """Zero and drift of a channel beside the effects found, and what the channel leaves."""
+    """Zero and drift of a channel, estimated together with the effects found, and the residuals of the channel."""
 
     channel: str
     zero_v: float = Field(description="mean of signal less reference, at the middle of the record")
@@ -160,7 +162,7 @@ def _title(one: NamedEffect) -> str:
 
 
 def gap_told(found: RecordDiagnosis) -> str:
-    """Return how far the gap closes on excursions held out; "" where nothing was held out."""
+    """Return how far the gap closes on excursions held out; "" if nothing was held out."""
     gap = found.gap
     if not gap.folds:
         return ""
@@ -171,7 +173,7 @@ def gap_told(found: RecordDiagnosis) -> str:
 
 
 def rivals_told(found: RecordDiagnosis) -> str:
-    """Return which kind of shape predicts excursions best, or "" where there is none to compare."""
+    """Return which kind of shape predicts the excursions best; "" if there is only one kind."""
     if not found.rivals:
         return ""
     ordered = sorted(found.rivals, key=lambda one: one.chi2)
@@ -185,7 +187,7 @@ def lines_of(one: NamedEffect) -> list[str]:
 
 
 def channel_lines(found: RecordDiagnosis) -> Iterator[str]:
-    """Yield a line on each channel: zero, drift, and what it leaves before and after."""
+    """Yield a line on each channel: zero, drift, and the residuals before and after."""
     for fit in found.fits:
         yield (
             f"{fit.channel}: zero {_micro(fit.zero_v, fit.u_zero_v)} µV, drift "

@@ -70,7 +70,7 @@ def residuals_of(calibration: Calibration) -> list[list[float]]:
 
 
 def compared_residuals(shown: ModelComparison) -> ResidualsPart:
-    """Return the residuals by the models before and after a diagnosis, and those of the simulated bench."""
+    """Return the residuals by the models before and after a diagnosis, and the residuals of the simulated bench."""
     before = shown.before.calibration
     after = None if shown.after is None else residuals_of(shown.after.calibration)
     signal, given = _rows(before.fitted.signal, 9), residuals_of(before)

@@ -113,7 +113,9 @@ class Row:
 
 
 def symbol(name: str) -> Markup:
-    """Return the name of one of the twelve or the nine as HTML: "Kxy" -> K with the indices as subscripts."""
+    """Return the name of a coefficient or of an intrinsic number as HTML: "Kxy" -> K with the indices as
+    subscripts.
+    """
     if name.startswith("U0"):
         return Markup("<i>U</i><sub>0{}</sub>").format(name[2:])
     if name.startswith("theta_"):
@@ -134,7 +136,8 @@ def matrix(calibration: Calibration) -> list[list[str]]:
 def coefficient_groups(calibration: Calibration) -> list[tuple[str, list[Row]]]:
     """Return the rows of scale factors, cross-axis terms and biases, each with the title of the group.
 
-    Cells: value, unit, u from the readings alone, u, U, unit of these, the value in other terms and its unit.
+    Cells: value, unit, u from the readings alone, u, U, unit of these uncertainties, then the value in other terms
+    with its unit.
     """
     vector, u = calibration.block.vector, calibration.u
     scale = scale_for(float(np.max(u)), calibration.unit)

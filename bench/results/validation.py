@@ -88,7 +88,7 @@ class AgainstPart(ResultModel):
 
 
 class ValidationResult(ResultModel):
-    """The result of `bench validate`; `passed` if no check failed and no change waits to be accepted."""
+    """The result of `bench validate`; `passed` is true if no check failed and no change is still to be accepted."""
 
     passed: bool
     quick: bool
@@ -109,12 +109,12 @@ class ValidationResult(ResultModel):
 
     @property
     def failed(self) -> list[ValidationCheck]:
-        """The checks that failed and are no changes."""
+        """The checks that failed and are not changes to be accepted."""
         return [one for one in self.checks if not one.passed and not one.change]
 
     @property
     def changes(self) -> list[ValidationCheck]:
-        """The changes that wait for acceptance."""
+        """The changes that are still to be accepted."""
         return [one for one in self.checks if not one.passed and one.change]
 
     @property
@@ -166,7 +166,7 @@ def families(checks: Iterable[ValidationCheck]) -> list[tuple[str, list[Validati
 
 
 def acts(rows: Iterable[ValidationCheck]) -> list[tuple[str, list[ValidationCheck]]]:
-    """Return the rows of each act, with what it did, in their order."""
+    """Return the rows of each check function with a description of what it did, in their order."""
     return [(did, list(own)) for did, own in groupby(rows, key=lambda row: row.did)]
 
 

@@ -74,7 +74,7 @@ class Inquiry:
 
     `model` contains the procedure's installations and also the other possible orientations on the platform;
     `otherwise` lists the labels of these orientations for each installation. `nominal` is the nominal block,
-    `prior` the expectation before the first reading. `stand_u` are the standard uncertainties of the stand,
+    `prior` the `Expectation` before the first reading. `stand_u` are the standard uncertainties of the stand,
     `noise` the noise sizes, and `most` is the largest chi2 that counts as a fit.
     """
 
@@ -177,8 +177,8 @@ class Inquiry:
     def of_run(self, history: Sequence[Sighting]) -> tuple[list[Suspect], ReplayedReadings]:
         """Return the mistakes that began with the run or the mounting, or that affect one earlier reading.
 
-        The last sighting of `history` is the reading to be explained; only mistakes that explain it are
-        returned. The second value is the replay of all readings, whose member 0 supposes no mistake.
+        The last sighting of `history` is the reading to be explained; only mistakes that explain it are returned.
+        The second value is the replay of all readings, in which member 0 supposes no mistake.
         """
         mounted = max(i for i, s in enumerate(history) if s.new_mount)
         others = self._others(history[-1], few=len(history) - mounted <= FEW)
@@ -227,9 +227,10 @@ class Inquiry:
     def replay(
         self, history: Sequence[Sighting], members: Sequence[Member] = (AS_RECORDED,)
     ) -> ReplayedReadings:
-        """Replay all readings for each member; the default is one member that uses them as recorded.
+        """Replay all readings for each member, that is, for each supposed mistake.
 
-        A reading that a member leaves out costs as much as a reading that does not fit.
+        The default is one member that uses the readings as recorded. A reading that a member leaves out costs as
+        much as a reading that does not fit.
         """
         state = self.prior.repeated(len(members))
         cabling = np.stack([member.cabling for member in members])
@@ -315,7 +316,7 @@ CLEARLY: Final = 5.0
 
 
 class Confidence:
-    """The decision for each early sign whether it stops the run; remembers the mistakes that a person accepted."""
+    """Decides for each early sign whether it stops the run, and remembers the mistakes that a person accepted."""
 
     def __init__(self, readings: int) -> None:
         self._sure = float(chdtri(3, STOP_ALARM / max(readings, 1)))
@@ -326,7 +327,9 @@ class Confidence:
         self._undecided: tuple[Sighting, list[Suspect]] | None = None
 
     def mounted(self) -> None:
-        """Note that the block was mounted again: early signs may stop the run again, no reading is undecided."""
+        """Note that the block was mounted again: early signs may stop the run again, and no reading is left
+        undecided.
+        """
         self._silent, self._undecided = False, None
 
     def forget(self) -> None:

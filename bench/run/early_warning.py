@@ -86,11 +86,11 @@ class EarlyWarning:
     """The early warning of a run: judges each reading, and observes the run's events.
 
     `nominal_v_g` are the block's nominal scale factors with their signs, V/g. `stand_u` are the standard
-    uncertainties of the stand's angles (rad), of "setting_error" (rad) and "voltmeter_error" (V). `readings`
-    is the number of readings of the whole run. `following` maps the place of a reading to the head angle (rad)
-    of the next reading on the same mounting.
+    uncertainties of the stand's angles (rad), of "setting_error" (rad) and "voltmeter_error" (V). `readings` is the
+    number of readings of the whole run. `following` maps the place of a reading to the head angle (rad) of the next
+    reading on the same mounting.
 
-    The model learns nothing from a reading that does not fit. So one mistake does not spoil later
+    The model does not learn from a reading that does not fit. One mistake therefore does not spoil later
     expectations, and a lasting mistake is reported at every reading. Call `recall` first in a resumed run.
     """
 
@@ -144,7 +144,7 @@ class EarlyWarning:
         self._visits.clear()  # later differences come from the remounting, not from noise
 
     def strike(self, places: Collection[Place]) -> None:
-        """Forget the readings at `places`, which are to be repeated, and relearn from the others."""
+        """Forget the readings at `places`, which are to be repeated, and learn again from the others."""
         found = [sighting for place in places if (sighting := self._places.pop(place, None)) is not None]
         for sighting in found:
             sighting.struck = True
@@ -445,7 +445,8 @@ class EarlyWarning:
     def recall(self, taken: Sequence[tuple[int, Reading] | None], progress: PlanProgress) -> None:
         """Learn from the recorded readings of a resumed run; `taken` holds (step, reading) in order.
 
-        None in `taken` marks a remounting of the block. Readings that were repeated, or will be, are ignored.
+        None in `taken` marks a remounting of the block. Readings that were repeated, or will be repeated, are
+        ignored.
         """
         last = {one[0]: number for number, one in enumerate(taken) if one is not None}
         for number, one in enumerate(taken):

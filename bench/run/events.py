@@ -52,9 +52,9 @@ A record without a default was begun when simple acceptance was the default.
 class CheckedBefore(TypedDict, total=False):
     """The state of the check block at the start of the run.
 
-    `run` is the check block's latest run and `age_h` its age, h. `rule` is the bench file's: refuse or warn.
-    `state` is in control, out of control, too old or missing; `said` puts the state in words. `despite` is the
-    operator's reason for starting although the state was not good.
+    `run` is the check block's latest run and `age_h` its age, h. `rule` is the rule of the bench file: refuse or
+    warn. `state` is in control, out of control, too old or missing; `said` puts the state in words. `despite` is
+    the operator's reason for starting although the state was not good.
     """
 
     rule: str
@@ -172,7 +172,10 @@ class TemperatureSet:
 
 @dataclass(frozen=True)
 class CameToRest:
-    """A quantity settled after `settled_s` seconds at the values `settled_at`, in V (signals) or °C (chamber)."""
+    """A quantity settled after `settled_s` seconds.
+
+    `settled_at` are its values then, in V (signals) or °C (chamber).
+    """
 
     settled_s: float
     settled_at: tuple[float, ...]
@@ -208,8 +211,8 @@ class Levelled:
 
     `level_of` (installation) and `level_series` identify the mounting. `adjusted` says whether the platform was
     levelled first or left as found. `level_zero_arcsec` is the level's own zero along and across the shaft. Each
-    row of `level_readings` holds the head angle, along and across in the first position, and along and across
-    in the turned position, arcsec.
+    row of `level_readings` holds the head angle, then the level's readings along and across in the first and in the
+    turned position, arcsec.
     """
 
     level_of: str

@@ -144,7 +144,10 @@ class ReadingJudgement(NamedTuple):
 
 
 class Expectation:
-    """Kalman-filter states of m members, one per supposition: `mean` (m, 17), `covariance`; V/g, V and rad."""
+    """Kalman-filter states of m members.
+
+    Each member supposes another mistake (or none): `mean` (m, 17), `covariance`; V/g, V and rad.
+    """
 
     def __init__(self, mean: Floats, covariance: Floats) -> None:
         self.mean = mean
@@ -158,7 +161,7 @@ class Expectation:
         return cls(mean[None], np.diag(variance)[None])
 
     def repeated(self, members: int) -> Expectation:
-        """Return an expectation that holds the first member `members` times."""
+        """Return an expectation with `members` copies of the first member."""
         return Expectation(
             np.repeat(self.mean[:1], members, axis=0), np.repeat(self.covariance[:1], members, axis=0)
         )
@@ -196,7 +199,7 @@ class Expectation:
     ) -> ReadingJudgement:
         """Compare a reading, signals (3,) or (m, 3) in V, with its expectation.
 
-        `further` (m, 3) is the standard deviation of one additional error that the reading may have, V.
+        `further` (m, 3) is the standard deviation of an additional error of the reading, V.
         """
         angles = self.mean[:, COEFFICIENT_COUNT:, None]
         force = pose.force + (pose.slopes[..., :SETTING] @ angles)[..., 0]
@@ -253,11 +256,11 @@ class EarlySign:
     """A warning that a reading does not fit the earlier ones.
 
     `sentence` is the complete message. `sigma` are the residuals of x, y, z in standard deviations of the
-    expectation; `channels` are the conspicuous ones. `p` is the probability of so large a misfit by chance.
-    `causes` are the mistakes that explain it equally well, likeliest first, empty if none does; `kinds` are
-    their kinds. `in_a_row` counts consecutive readings that did not fit. `at_fault` is the place of an earlier
-    reading found to be wrong; the present reading fits without it, and `in_a_row` is 0. If `confident`, the
-    run has to stop and ask (`bench.run.causes`); `wrong` then identifies the reading at fault (series,
+    expectation; `channels` are the channels with large residuals. `p` is the probability of so large a misfit by
+    chance. `causes` are the mistakes that explain it equally well, likeliest first, empty if none does; `kinds` are
+    the kinds of these causes. `in_a_row` counts consecutive readings that did not fit. `at_fault` is the place of
+    an earlier reading found to be wrong; the present reading fits without it, and `in_a_row` is 0. If `confident`,
+    the run has to stop and ask (`bench.run.causes`); `wrong` then identifies the reading at fault (series,
     installation, pass, point).
     """
 
@@ -504,13 +507,13 @@ class Sighting:
 
     `new_mount` says that the block was mounted just before it. `loosened` (12,) are the variances by which the
     coefficients may have changed since the previous reading. `taken` means that the model has learnt from the
-    reading; `poorly_known`, that the model was too uncertain to reveal a mistake in it; `struck`, that it is
-    known to be wrong or was repeated.
+    reading; `poorly_known`, that the model was too uncertain to reveal a mistake in it; `struck`, that it is known
+    to be wrong or was repeated.
 
-    `poses` are, in this order: as recorded, with the head's sense reversed, in each other installation or
-    orientation, and at each other setting of the head. `sat_before` is the installation of the previous
-    mounting. `last_rad` is the head angle at the previous reading on this mounting, `pivot_rad` at the last
-    reading that fitted, `next_rad` at the next reading; each is None if there is no such reading.
+    `poses` are, in this order: the recorded pose, the pose with the head's sense reversed, the poses in each other
+    installation or orientation, and the poses at each other setting of the head. `sat_before` is the installation
+    of the previous mounting. `last_rad` is the head angle at the previous reading on this mounting, `pivot_rad` at
+    the last reading that fitted, `next_rad` at the next reading; each is None if there is no such reading.
     """
 
     place: str

@@ -121,13 +121,13 @@ class Run:
         return self.history
 
     def readings(self) -> Readings:
-        """Return the recorded readings in the order of measurement; of a repeated step, only the last one.
+        """Return the recorded readings in the order of measurement; of a repeated step, only the last reading.
 
         Raises `RecordError` if the record was changed or holds no reading.
         """
         taken = list(self.trusted_history().readings.values())
         if not taken:
-            raise RecordError(f"{self.folder}: no reading is recorded in this run")
+            raise RecordError(f"{self.folder}: the run has no reading; name another run, or resume this one")
         planned = sum(isinstance(s, Read) and s.installation == VERIFICATION for s in self.plan.steps)
         power = self.trusted_history().power
         table = with_levels(readings_of(taken, str(self.folder), power), self._seen_by_level())

@@ -217,7 +217,7 @@ class Asker:
             given = LeftAnswer(self._id, text, terminal.who)
             if not (after_another and terminal.by_hand and self._clock.now_s() - asked_s < READ_S):
                 break
-            self._refuse(given, "it was typed before this question appeared")
+            self._refuse(given, "it was typed before this question appeared; answer again")
         if problem := problem_with_answer(prompt, text):
             self._refuse(given, problem)
             self._refused = prompt.id.rpartition("#")[0]

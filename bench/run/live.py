@@ -45,7 +45,7 @@ SHOWN_V: Final = 5
 
 
 class LightlyRead(Protocol):
-    """A bench whose signals can be read between two readings."""
+    """A bench whose signals can be read between two readings without recording them."""
 
     def glance(self) -> tuple[float, ...]:
         """Return the present signals x, y, z, V. Raises `BenchError`."""
@@ -57,10 +57,10 @@ class LightlyRead(Protocol):
 
 @dataclass(frozen=True)
 class LiveValue:
-    """One look: the signals, V, or `why` there are none; `off_arcsec` is the deviation from the commanded angle.
+    """The signals at one moment, V, or `why` there are none.
 
-    `off_arcsec` is None where no angle is commanded or the deviation is not known well enough; `expanded_arcsec` is
-    its U (k = 2).
+    `off_arcsec` is the deviation from the commanded angle. `off_arcsec` is None where no angle is commanded or the
+    deviation is not known well enough; `expanded_arcsec` is its U (k = 2).
     """
 
     prompt: str

@@ -182,7 +182,7 @@ def parse_wish(text: str) -> RunControl:
         wish = Wish(word.lower())
     except ValueError:
         known = ", ".join(f"{SIGN}{w.value}" for w in Wish)
-        raise ValueError(f"{SIGN}{word} is unknown; possible are {known}") from None
+        raise ValueError(f"{SIGN}{word} is unknown; type one of {known}") from None
     if wish is Wish.SKIP and not reason.strip():
         raise ValueError(f"give a reason: {SIGN}skip REASON")
     return RunControl(wish, reason.strip(), by_person=True)
@@ -470,15 +470,19 @@ def _number(given: str, unit: str) -> float:
         return read_number(given.replace(",", ".").removesuffix(unit).strip())
     except ValueError:
         raise ValueError(
-            message(f"a number{' in ' + unit if unit else ''} is wanted, not {shortened(given)!r}")
+            message(f"type a number{' in ' + unit if unit else ''}, not {shortened(given)!r}")
         ) from None
 
 
 def _between(prompt: Prompt, value: float) -> float:
     if prompt.minimum is not None and value < prompt.minimum:
-        raise ValueError(message(f"{value:g} is below the least, {prompt.minimum:g} {prompt.unit}").rstrip())
+        raise ValueError(
+            message(f"type a number of {prompt.minimum:g} or more, not {value:g} {prompt.unit}").rstrip()
+        )
     if prompt.maximum is not None and value > prompt.maximum:
-        raise ValueError(message(f"{value:g} is above the most, {prompt.maximum:g} {prompt.unit}").rstrip())
+        raise ValueError(
+            message(f"type a number of at most {prompt.maximum:g}, not {value:g} {prompt.unit}").rstrip()
+        )
     if not math.isfinite(value):
         raise ValueError("type a number")
     return value
@@ -509,7 +513,9 @@ def ask(person: Person, prompt: Prompt) -> str:
         if not problem:
             return given
         text = f"{problem[0].upper()}{problem[1:]}. {prompt.text}"
-    raise BenchError("operator", f"no usable answer to {prompt.text!r}", "read the question again")
+    raise BenchError(
+        "operator", f"no usable answer to {prompt.text!r}", "resume the run and answer as the question says"
+    )
 
 
 def confirm(person: Person, prompt: Prompt) -> None:
@@ -520,13 +526,15 @@ def confirm(person: Person, prompt: Prompt) -> None:
             return
         text = message(f"There is no hurry: say yes when it is done. {prompt.text}")
         put = replace(prompt, id=f"{prompt.id}#wait{wait}", text=text)
-    raise BenchError("operator", f"answered no again and again to: {prompt.text}", "go on when it is done")
+    raise BenchError("operator", f"answered no several times to: {prompt.text}", "do it, then resume the run")
 
 
 def agree(person: Person, prompt: Prompt) -> None:
     """Ask for permission to continue. Raises `BenchError` if the person answers no, and the errors of `ask`."""
     if ask(person, prompt).lower() in NO:
-        raise BenchError("operator", f"answered no to: {prompt.text}", "go on when that is settled")
+        raise BenchError(
+            "operator", f"answered no to: {prompt.text}", "settle it, then start or resume again"
+        )
 
 
 PICTURES: Final[Mapping[str, str]] = {

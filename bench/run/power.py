@@ -60,10 +60,10 @@ class Feeding:
 class UnitPower:
     """The block's power supply during a run; `now_s` returns the bench time since the run began, s.
 
-    `nap` is called repeatedly during waits and handles wishes; `tell` records events. `on` says whether the
-    block is on, by the last switching or check. `off_since_s` is the time of switching off (s since the run
-    began, None if unknown); `on_since_s` is the time of switching on, on `clock`. `in_charge` says whether this
-    run has switched the block or has taken it over switched on.
+    `nap` is called repeatedly during waits and handles wishes; `tell` records events. `on` says whether the block
+    is on, by the last switching or check. `off_since_s` is the time of switching off (s since the run began, None
+    if unknown); `on_since_s` is the time of switching on, on `clock`. `in_charge` says whether this run has
+    switched the block, or found it switched on and continued with it.
     """
 
     supply: PowerSupply
@@ -377,7 +377,7 @@ def _until_settled(
     except NotSettled as moved:
         raise NotSettled(
             moved.instrument,
-            f"not warm {duration(wanted.timeout)} after it was switched on: {moved.cause}",
+            f"it was not warm {duration(wanted.timeout)} after it was switched on: {moved.cause}",
             "find what moves or warms it and resume, or lengthen the timeout of its warm-up in the bench file",
             moved.state,
         ) from moved
@@ -399,9 +399,9 @@ def take_up(
 ) -> None:
     """Restore the block's power state before step `first` of a resumed run.
 
-    The block is warmed up again if it was off (by the record, the supply's state or the person) or not yet
-    warm. If it was off during a visit, the visit's later readings form a new one; `another_visit` gets the
-    first.
+    The block is warmed up again if it was off (by the record, the supply's state or the person) or not yet warm. If
+    the block was off during a visit to an installation, the later readings of that visit form a new visit;
+    `another_visit` gets the first visit.
     """
     if not _on_at(plan, first):
         return

@@ -76,12 +76,12 @@ class History:
     """The content of a run's record, and the problems found in it.
 
     `problems` are sentences about the file; `torn` is an incomplete last line. `head` is the SHA-256 of the last
-    complete line, which identifies all lines up to it; `length` is the number of their bytes. `taken` holds
-    (step, reading without samples) in the order of measurement, and None where the block was remounted
-    unplanned. `identities` and `serials` are those of the instruments at the start of the run; serial numbers
-    are recorded if certificates are checked. `levelled` holds (bench time, levelling result), and `power` holds
-    (bench time, state of the block's supply: "on", "found on", "off" or "fault").
-    Events after an invalid line are left out of all fields.
+    complete line, which identifies all lines up to it; `length` is the number of their bytes. `taken` holds (step,
+    reading without samples) in the order of measurement, and None where the block was remounted unplanned.
+    `identities` and `serials` are the instruments' identities and serial numbers at the start of the run; serial
+    numbers are recorded if certificates are checked. `levelled` holds (bench time, levelling result), and `power`
+    holds (bench time, state of the block's supply: "on", "found on", "off" or "fault"). Events after an invalid
+    line are left out of all fields.
     """
 
     events: Events
@@ -226,7 +226,8 @@ def parse_line(line: bytes) -> tuple[Event, str]:
 class ResumePoint:
     """The place where a run is resumed: `step` is the next step, `turn` the turn to repeat before it, if any.
 
-    `bench_s` is the bench time at which `step` was begun last, or else that of the last event, s.
+    `bench_s` is the bench time at which `step` was begun last or, if it was never begun, the bench time of the last
+    event, s.
     """
 
     step: int
@@ -237,9 +238,9 @@ class ResumePoint:
 def resume_point(plan: Plan, history: History) -> ResumePoint:
     """Return the point at which a run is resumed; `step` is `len(plan.steps)` when nothing is left to do.
 
-    If the run stopped between a turn and the readings of its point, the head may have been moved since. So the
-    turn is repeated, and so are the steps after the point's last reading. Finished readings are never
-    repeated. Raises `RecordError` if the record mentions steps that the plan lacks.
+    If the run stopped between a turn and the readings of its point, the head may have been moved since. Therefore
+    the turn and the steps after the point's last reading are repeated. Finished readings are never repeated. Raises
+    `RecordError` if the record mentions steps that the plan lacks.
     """
     progress = history.progress
     known = progress.done | progress.skipped | progress.left_out

@@ -24,13 +24,14 @@ class PlanProgress:
     `remounts` maps (series, installation) to the series number of the readings after an unplanned remounting.
 
     `doubt` is the unanswered early sign that stopped the run. `in_vain` holds the steps whose point was redone
-    because of an early sign, `gone_on` the steps whose early sign was overruled. `signs` counts the early signs.
+    because of an early sign, `gone_on` the steps where a person continued despite an early sign. `signs` counts the
+    early signs.
 
     `power` is the last recorded state of the block's supply: "on", "found on", "off", "fault", or empty.
     `off_since_s` is the bench time of switching off; `warm` says whether the block has warmed up since it was
     switched on. `asked` tracks the open prompt; `answers_heard` is the number of lines already processed in the
-    folder's file of answers. `chosen` lists the choices of points made during the run, in order; `left_out`
-    holds the steps that these choices drop.
+    folder's file of answers. `chosen` lists the choices of points made during the run, in order; `left_out` holds
+    the steps that these choices drop.
     """
 
     done: set[int] = field(default_factory=set)
@@ -297,7 +298,9 @@ def how_to_go_on(person: Person, doubt: Event, *, again: bool = False) -> str:
 
 
 def step_in_doubt(plan: Plan, doubt: Event) -> int:
-    """Return the step after the reading at fault, the sign's own one or an earlier one of its mounting."""
+    """Return the step after the reading at fault: the reading of the early sign itself, or an earlier reading on
+    the same mounting.
+    """
     _, _, pass_number, point = doubt.data.get("wrong") or (0, "", 0, 0)
     for index in range(doubt.step, -1, -1):
         step = plan.steps[index]

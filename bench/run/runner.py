@@ -78,7 +78,7 @@ class People:
 
 @dataclass
 class Recorder:
-    """Recorder of a run's events: updates `progress` and then calls `observers` once an event is on disk.
+    """Records a run's events: once an event is on disk, updates `progress` and then calls `observers`.
 
     `clocks` detects jumps of civil time. `now_s` returns the bench time since the start of the run, s.
     """

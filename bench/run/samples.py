@@ -73,7 +73,9 @@ def _statistics(channel: str, samples: Sequence[float]) -> Statistics:
     n = len(x)
     mean = float(x.sum()) / n if n else math.nan
     if not math.isfinite(mean):
-        raise ValueError(f"channel {channel}: a reading is one or more finite numbers, not {list(samples)!r}")
+        raise ValueError(
+            f"channel {channel}: expected one or more finite numbers, got {list(samples)!r}; check its wiring"
+        )
     deviation = x - mean
     squares = float(deviation @ deviation)
     if squares <= n * (_ROUNDING * mean) ** 2:
@@ -197,9 +199,13 @@ class Window:
         if self._samples:
             last_s, last = self._samples[-1]
             if time_s < last_s:
-                raise ValueError(f"settling: a sample at {time_s:g} s follows one at {last_s:g} s")
+                raise ValueError(
+                    f"settling: a sample at {time_s:g} s follows one at {last_s:g} s; give them in order of time"
+                )
             if len(last) != len(taken):
-                raise ValueError(f"settling: {len(taken)} signals follow {len(last)}")
+                raise ValueError(
+                    f"settling: a sample has {len(taken)} signals, the last had {len(last)}; give all the same"
+                )
         if self._first_s is None:
             self._first_s = time_s
         self._samples.append((time_s, taken))

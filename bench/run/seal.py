@@ -99,11 +99,13 @@ class Seal:
         now = seal_of(run, self.sealed)
         wrong = []
         if now.events != self.events:
-            wrong.append(f"the seal covers {self.events} events, but the record has {now.events}")
+            wrong.append(
+                f"the seal covers {self.events} events, but the record has {now.events}; restore it from a copy"
+            )
         elif now.head != self.head:
-            wrong.append("the last hash of its chain differs from the sealed one")
+            wrong.append("the last hash of its chain differs from the sealed one; restore it from a copy")
         if (now.run, now.manifest_sha256, now.files) != (self.run, self.manifest_sha256, self.files):
-            wrong.append(f"its inputs ({MANIFEST}) differ from the sealed ones")
+            wrong.append(f"its inputs ({MANIFEST}) differ from the sealed ones; restore them from a copy")
         return tuple(f"the record changed after it was sealed: {text}" for text in wrong)
 
 
@@ -127,7 +129,7 @@ def new_seal(run: Run, now: datetime) -> Seal:
     """
     state = run.trusted_history().state
     if (before := read_seal(run.folder)) is not None and (wrong := before.differences(run)):
-        raise RecordError(f"{run.folder}: {'; '.join(wrong)}; it was not sealed again")
+        raise RecordError(f"{run.folder}: not sealed again: {'; '.join(wrong)}")
     if state not in ENDED and not run.imported:
         raise RecordError(f"{run.name}: only an ended run can be sealed; this one is {state}")
     if run.history.torn:
@@ -157,7 +159,9 @@ def write_seal(folder: Path, seal: Seal) -> Path:
 
 
 def signed(seal: Seal, public_key: str, signature: bytes) -> Seal:
-    """Return the seal with this signature and without a time stamp, because that was made for other bytes."""
+    """Return the seal with this signature and without a time stamp, because the time stamp was made for other
+    bytes.
+    """
     return replace(seal, public_key=public_key, signature=signature, time_stamp=b"")
 
 
@@ -390,7 +394,7 @@ def read_time_stamp(response: bytes, message: bytes, authority: Path | None) -> 
     except ValueError as error:
         raise NoTimeStamp("its time stamp is damaged; restore the seal from a copy") from error
     if told.message_imprint.message != hashlib.sha256(message).digest():
-        raise NoTimeStamp("its time stamp belongs to another seal")
+        raise NoTimeStamp("its time stamp belongs to another seal; restore the seal from a copy")
     if authority is None:
         return TimeStamp(told.gen_time, trusted=False)
     try:
@@ -408,6 +412,7 @@ def read_time_stamp(response: bytes, message: bytes, authority: Path | None) -> 
         builder.build().verify_message(decoded, message)
     except (rfc3161.VerificationError, ValueError) as error:
         raise NoTimeStamp(
-            f"its time stamp was not signed by the authority in {authority} ({error})"
+            f"its time stamp was not signed by the authority in {authority} ({error}); give that authority's "
+            "certificate"
         ) from error
     return TimeStamp(told.gen_time, trusted=True)

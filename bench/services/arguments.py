@@ -125,7 +125,8 @@ def kinds_of(request: type) -> dict[str, Kind]:
 
 
 def checked(**kinds: Kind) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Return a decorator that raises `Refused` for an argument of another kind than `kinds` states by its name.
+    """Return a decorator that raises `Refused` for an argument whose kind differs from the one that `kinds` states
+    for its name.
 
     None is accepted where it is the default. The decorated function also turns an `OSError` into `Refused`.
     """
@@ -154,7 +155,7 @@ def checked(**kinds: Kind) -> Callable[[Callable[P, R]], Callable[P, R]]:
 def python_call(request: Callable[P, Asked], act: Callable[[Asked], R], name: str = "") -> Callable[P, R]:
     """Return the public Python function that carries out a request: its parameters are the request's fields.
 
-    The function is called `name`, or else as `act` without the underscore, and has the docstring of `act`.
+    The function's name is `name`, by default the name of `act` without underscores; its docstring is that of `act`.
     """
 
     def call(*args: P.args, **kwargs: P.kwargs) -> R:

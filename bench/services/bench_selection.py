@@ -126,7 +126,7 @@ class OriginBeside:
 
 
 def origin_of_run(run: Run) -> OriginBeside:
-    """Return the origin of a run's readings; for an imported run, that of the imported file."""
+    """Return the origin of a run's readings; for an imported run, the origin stated by the imported file."""
     if run.imported:
         told = origin_beside(run.folder / IMPORTED)
         if told.origin is not None or told.notes:
@@ -277,7 +277,7 @@ def bench_path(given: str | None) -> Path:
 
 
 def why_taken(given: str | None) -> str:
-    """Return the reason for the choice that `bench_path` makes."""
+    """Return the reason why `bench_path` chooses this file."""
     if given:
         return message("as asked for")
     return message("named by BENCH_FILE") if os.environ.get("BENCH_FILE") else _NONE_NAMED
@@ -353,7 +353,7 @@ def _of_run(run: Run, given: str | BenchFile | None) -> tuple[BenchTaken, tuple[
 def own_bench(run: Run) -> tuple[BenchFile, Path]:
     """Return the bench file that a run recorded, and the path to which its references are relative.
 
-    That is the path of the original file, or of the run's copy if the original is gone.
+    This path is the original file, or the run's copy if the original no longer exists.
     """
     stated = Path(str(run.manifest.get("bench", "")))
     return load_recorded_bench(run.folder / BENCH), stated if stated.is_file() else run.folder / BENCH

@@ -173,7 +173,8 @@ class _Named:
 
 
 def put_right(source: Source) -> tuple[Readings, tuple[Mistake, ...]]:
-    """Return the readings of a source with the mistakes corrected that the early warning named, and these mistakes.
+    """Return the readings of a source with corrections of the mistakes that the early warning named, and these
+    mistakes.
 
     The readings are returned unchanged if the early warning raised no sign during the run.
     """

@@ -88,7 +88,10 @@ class BodyResult(ABC):
         return f"{as_text(self.print_on)}\nbench: {self.bench}"
 
     def tried(self, what: str, write: Callable[[], T]) -> tuple[T | None, Self]:
-        """Return the value of `write` and the result; None and a note in the result if writing fails."""
+        """Call `write` and return its value with the result.
+
+        If writing fails, return None and a result that notes the failure.
+        """
         try:
             return write(), self
         except OSError as error:

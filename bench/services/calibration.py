@@ -57,7 +57,9 @@ def read_prior(path: Path) -> Prior:
 
     file: PriorFile = load_prior(path)
     if file.per_g_m_s2 != STANDARD_GRAVITY:
-        raise Refused(f"{path}: per_g_m_s2 is {file.per_g_m_s2:g}, expected {STANDARD_GRAVITY}")
+        raise Refused(
+            f"{path}: per_g_m_s2 is {file.per_g_m_s2:g}, expected {STANDARD_GRAVITY}; make the file again"
+        )
     rows = [file.coefficients[name] for name in COEFFICIENTS]
     return Prior(
         kind=file.type,
@@ -80,7 +82,8 @@ def read_prior(path: Path) -> Prior:
 def with_prior(
     found: Calibration, source: Source, path: Path
 ) -> tuple[Calibration, PriorPart, tuple[str, ...]]:
-    """Return a calibration combined with the prior of its unit's type, the result part on that prior, and notes.
+    """Return a calibration combined with the prior for its unit's type, the part of the result on this prior, and
+    notes.
 
     If readings and prior contradict each other, the calibration is returned unchanged, with a note. Raises
     `Refused` for a prior of another type or signal unit, for simulated readings with a real prior or the reverse,
@@ -140,10 +143,13 @@ def _refuse_other(prior: Prior, found: Calibration, source: Source, path: Path) 
         )
     if (unit.type or "") != prior.kind:
         raise Refused(
-            f"{path}: is of type {prior.kind!r}, the unit here is of type {(unit.type or 'unknown')!r}"
+            f"{path}: is for type {prior.kind!r}, but this unit is of type {(unit.type or 'unknown')!r}; give its "
+            "own prior file"
         )
     if found.unit != prior.signal:
-        raise Refused(f"{path}: coefficients in {prior.signal}/g, but the readings are in {found.unit}")
+        raise Refused(
+            f"{path}: coefficients in {prior.signal}/g, but the readings are in {found.unit}; use one unit"
+        )
     if source.simulated != prior.simulated:
         its, here = ("simulated", "real") if prior.simulated else ("real", "simulated")
         raise Refused(f"{path}: made of {its} calibrations, this one is {here}: use one kind")
@@ -202,7 +208,8 @@ class CalibrationResult:
 
     @cached_property
     def intrinsic(self) -> Intrinsic | None:
-        """The nine numbers that do not depend on the mounting: `names`, `values`, `u`, `U`, `covariance` (9, 9).
+        """The nine intrinsic numbers, which do not depend on the mounting: `names`, `values`, `u`, `U`,
+        `covariance` (9, 9).
 
         None for a block with a dead channel.
         """
@@ -432,7 +439,9 @@ def verification_of(
         return judged(source, judgement, taken, warnings=(warning,) * foreign)
     own = coefficients.calibration
     if own.unit != source.readings.unit:
-        raise Refused(f"coefficients in {own.unit}/g, but the readings are in {source.readings.unit}")
+        raise Refused(
+            f"coefficients in {own.unit}/g, but the readings are in {source.readings.unit}; use one unit"
+        )
     same = own if coefficients.source is source else None
     return judged(source, judgement, coefficients.as_coefficients(), same)
 

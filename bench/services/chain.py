@@ -113,11 +113,14 @@ class Chain:
         self._take(line)
 
     def catch_up(self) -> None:
-        """Read the lines added since. Raises `Refused` for a changed line."""
+        """Read the lines that were added since the last call. Raises `Refused` for a changed line."""
         self.read_lines()
 
     def read_lines(self) -> None:
-        """Read the lines added since, without changing any file. Raises `Refused` for a changed line."""
+        """Read the lines that were added since the last call, without changing any file.
+
+        Raises `Refused` for a changed line.
+        """
         path = self.folder / LINES
         if (path.stat().st_size if path.exists() else 0) < self.length:
             raise Refused(f"{path}: its last lines are missing; restore it from a copy")

@@ -69,7 +69,7 @@ def read_coefficients(path: Path, unit: str) -> Coefficients:
     """
     taken = coefficients_of(_read(path), str(path))
     if taken.unit != unit:
-        raise Refused(f"{path}: coefficients in {taken.unit}/g, but the readings are in {unit}")
+        raise Refused(f"{path}: coefficients in {taken.unit}/g, but the readings are in {unit}; use one unit")
     return taken
 
 
@@ -177,7 +177,9 @@ def _temperature(data: Any) -> str:
 
 
 def require_temperature(results: Sequence[BlockResult], *, without: bool) -> None:
-    """Raise `Refused` if a result used temperature, which no form holds, unless it is asked for `without`."""
+    """Raise `Refused` if a result used temperature, which no form can hold, unless the user asks for the form
+    `without` it.
+    """
     for result in results:
         if result.temperature and not without:
             raise Refused(
@@ -263,7 +265,7 @@ def _covariance(data: Any, name: str) -> Floats:
     rows = _numbers(data[name])
     size = len(COEFFICIENTS)
     if [len(row) for row in rows] != [size] * size or len(data["order"]) != size:
-        raise ValueError(f"it has not {size} coefficients")
+        raise ValueError(f"expected {size} coefficients")
     return np.array(rows)[np.ix_(order, order)]
 
 
@@ -293,7 +295,7 @@ def _number(value: Any) -> float:
     except OverflowError:
         number = math.inf
     if not math.isfinite(number):
-        raise ValueError("it has a value that is not a number")
+        raise ValueError("a value is infinite or not a number")
     return number
 
 
@@ -378,7 +380,10 @@ def _least_dof(data: Any) -> float:
 
 
 def date_of(text: str | None, where: str) -> datetime | None:
-    """Return an ISO 8601 date, in UTC if it names no zone; None for no text. Raises `Refused` for another text."""
+    """Return an ISO 8601 date, in UTC if it names no zone; None for no text.
+
+    Raises `Refused` for a text that is no date.
+    """
     if not text:
         return None
     try:
@@ -394,7 +399,9 @@ ALL: Final = "all"
 
 
 def forms_of(names: list[str]) -> list[ExportForm]:
-    """Return the requested forms, each once, in their order; "all" stands for all forms. Raises `Refused`."""
+    """Return the requested forms, each once, in the requested order; "all" stands for all forms. Raises
+    `Refused`.
+    """
     from bench.exchange.forms import FORMS
 
     strange = [name for name in names if name not in FORMS and name != ALL]

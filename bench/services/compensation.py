@@ -54,9 +54,9 @@ class SignedModel:
 
 
 def sign_model(model: TemperatureModel, source: Source) -> SignedModel:
-    """Return a model to whose covariance the bench errors are added that its readings do not show.
+    """Return a model whose covariance includes the bench errors that its readings do not show.
 
-    They are computed from one `source`, because they act on the readings equally at all temperatures.
+    They are computed from one `source`, because they act equally at all temperatures.
     """
     assumed = {name: size.u for name, size in assumed_stand(source.bench).items()}
     found = calibrate(

@@ -228,7 +228,7 @@ def _converted(request: asked.ImportReadings, content: bytes) -> ConvertedLog:
 
 
 def preview_log(request: asked.ImportReadings) -> ConvertedLog:
-    """Return a log as the readings file that it would be imported as. Raises as `import_readings`."""
+    """Return a log converted to the readings file that an import would use. Raises as `import_readings`."""
     if request.columns is None:
         raise Refused(
             "--preview shows how a log is read; name the mapping of its columns with --columns FILE"

@@ -123,7 +123,9 @@ class DiagnosisResult(ResultWithPage):
             text.print_one(self.found, self.files, out)
 
     def model_is_due(self, *, accept_first: bool = False) -> bool:
-        """Return whether there is a model to write: named effects, unnamed terms or an accepted first of a tie."""
+        """Return whether there is a model to write: named effects, unnamed terms, or the first effect of an
+        accepted tie.
+        """
         verdict, form = self.diagnosis.of_copy, self.diagnosis.form
         # an effect that does not narrow the gap gives no better model, even if it is accepted
         accepted = accept_first and verdict == "confounded" and self.diagnosis.gap.shrinks is not False
@@ -137,7 +139,11 @@ class DiagnosisResult(ResultWithPage):
         """
         if not self.model_is_due(accept_first=accept_first):
             tied = self.diagnosis.of_copy == "confounded"
-            why = words.why_no_model(self.diagnosis) if tied else "without a named effect"
+            why = (
+                words.why_no_model(self.diagnosis)
+                if tied
+                else "without a named effect; measure what 'next' proposes"
+            )
             raise Refused(f"{path}: no model file was written {why}")
         with knowing_effects_of(self.source):
             self._write_model(Path(path))

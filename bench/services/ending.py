@@ -22,7 +22,7 @@ _MOST_SENTENCES: Final = 2
 def ending(found: Conclusion) -> list[str]:
     """Return the end of a run in lines: the verdict first, then its basis, the files, and what to do next.
 
-    The verdict on the check block, if the run is of that, comes before all.
+    If the run measured the check block, the verdict on the check block comes first.
     """
     chart = [] if found.chart is None else [found.chart.sentence()]
     lines = [*chart, _verdict(found), *_basis(found)]

@@ -30,7 +30,7 @@ class Refused(Exception):
 
 
 class NoCheckBlock(Refused):
-    """Raised where a folder of runs has none of a check block."""
+    """Raised if a folder of runs contains no run of a check block."""
 
 
 def _in_python(option: re.Match[str]) -> str:

@@ -516,7 +516,7 @@ def unfinished_run(name: str | None, runs: Path, *, results_too: bool = False) -
         if results_too and not waiting:
             waiting = [run for run, state in states if _lacks_results(run, state)]
         if not waiting:
-            raise Refused(f"{runs}: no unfinished run there")
+            raise Refused(f"{runs}: no unfinished run there; name a run, or its folder with --runs")
         return waiting[-1]
     found = find_run(name, runs)
     if found.imported:

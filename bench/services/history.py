@@ -377,8 +377,8 @@ def _meter_run(source: Source, meters: tuple[str, str, str], day: float) -> Mete
 def written_meters(found: MeterDifferences) -> dict[str, Any]:
     """Return the voltmeters' section of a learned file.
 
-    Each covariance is multiplied by ν/(ν − 2), where ν is the least degrees of freedom of the meters' differences,
-    but at least `FEW_DOF`; the factor is 1 if ν is infinite.
+    Each covariance is multiplied by ν/(ν − 2), where ν is the smallest degrees of freedom of the meters'
+    differences, or `FEW_DOF` if that is larger; the factor is 1 if ν is infinite.
     """
     return {
         "meters": list(found.meters),

@@ -102,7 +102,7 @@ class InstrumentLook:
 
     @property
     def failures(self) -> list[BenchError]:
-        """All faults, including that of the self-test."""
+        """All faults, including a failed self-test."""
         found = [self.failure] if self.failure is not None else []
         if self.test_failed:
             remedy = "disconnect its input and test again; if it fails again, have it serviced"

@@ -27,7 +27,10 @@ if TYPE_CHECKING:
 
 @contextmanager
 def knowing_effects_of(*sources: Source) -> Iterator[None]:
-    """Register the user's own effects of sources within a context. Raises `Refused` if two of a name differ."""
+    """Register the user's own effects of sources within a context.
+
+    Raises `Refused` if two effects of the same name differ.
+    """
     with ExitStack() as known:
         try:
             known.enter_context(CATALOGUE.also(effect for source in sources for effect in source.effects))

@@ -281,10 +281,10 @@ def budget_of(request: Budget) -> BudgetResult:
     """Return the contribution of each bench error to the coefficients and to any measured acceleration.
 
     `procedure` states the readings of the calibration, `coefficients` (a result of `bench calibrate --json`) the
-    block, by default that of the bench file. `trials` is the number of Monte Carlo trials that check the linear
+    block, by default the one in the bench file. `trials` is the number of Monte Carlo trials that check the linear
     propagation (0: none). `limit` of Δg in g, `rule` ("simple", "guarded" or "non-binary") and `guard_band` in U
-    replace those of the bench file. `same_voltmeters` states that the block will be used with the voltmeters of
-    the calibration. `g` is local gravity in m/s². Raises `Refused`, `CalibrationError`, `FileMistakes`.
+    replace the values of the bench file. `same_voltmeters` states that the block will be used with the voltmeters
+    of the calibration. `g` is local gravity in m/s². Raises `Refused`, `CalibrationError`, `FileMistakes`.
     """
     check_gravity(request.g)
     estimator = in_a_budget(request.estimator).name

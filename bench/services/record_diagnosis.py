@@ -21,7 +21,9 @@ from bench.services.source import provenance
 
 @dataclass(frozen=True, repr=False)
 class RecordDiagnosisResult(ResultWithPage):
-    """What meters and reference of a record at a known input follow, and how well it predicts what is held out."""
+    """The effects to which meters and reference respond in a record at a known input, and how well they predict
+    held-out readings.
+    """
 
     found: RecordDiagnosis
 
@@ -53,7 +55,9 @@ class RecordDiagnosisResult(ResultWithPage):
     def write_model(self, path: str | Path, *, accept_first: bool = False) -> Path:
         """Write the model file with the effects found; return its path. Raises `Refused`, `FileMistakes`."""
         if not self._model_is_due(accept_first=accept_first):
-            raise Refused(f"{path}: no model file is written where nothing was found that has one name")
+            raise Refused(
+                f"{path}: not written, as no effect was named; --accept-first takes the first of several"
+            )
         effects = (*self.source.model.effects, *self.found.applied)
         name = " + ".join([self.source.model.name, *map(label, self.found.applied)])
         evidence = of_record.evidence_in_words(self.found)

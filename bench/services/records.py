@@ -174,7 +174,7 @@ def proof_of(run: Run, request: ShowRun) -> tuple[list[str], list[str]]:
             told.append("the head equals the given one: no line was changed, removed or added since")
         else:
             problems.append(
-                "the head differs from the given one: the record was changed, or the head is of another run"
+                "the head differs from the given one; check that it belongs to this run, or restore the run"
             )
     try:
         seal = read_seal(run.folder)
@@ -182,7 +182,7 @@ def proof_of(run: Run, request: ShowRun) -> tuple[list[str], list[str]]:
             told.append("no seal")
             if key is not None or authority is not None:
                 problems.append(
-                    "the run has no seal for the key or the authority to confirm; make one with 'bench seal'"
+                    "the run has no seal that --key or --authority could check; make one with 'bench seal RUN'"
                 )
         else:
             outside |= _signature(seal, given, told, problems)
@@ -203,11 +203,11 @@ def _signature(seal: Seal, given: Ed25519PublicKey | None, told: list[str], prob
             "made this seal"
         )
         if given is not None:
-            problems.append("the seal is not signed; the given key cannot confirm it")
+            problems.append("the seal has no signature that the key could check; remove --key")
         return False
     key = public_key(seal.public_key, "the seal")
     if not is_signed(key, seal.signature, seal.signed_bytes):
-        problems.append("the signature does not belong to this seal")
+        problems.append("the signature does not belong to this seal; restore the seal from a copy")
         return False
     name = fingerprint(key)
     if given is None:
@@ -216,7 +216,7 @@ def _signature(seal: Seal, given: Ed25519PublicKey | None, told: list[str], prob
         )
         return False
     if fingerprint(given) != name:
-        problems.append(f"the seal is signed with another key than the given one: {name}")
+        problems.append(f"the seal is signed with another key than the given one; give the key {name}")
         return False
     told.append(
         f"sealed at {seal.events} events, signed with the given key, by the owner of its private half"
@@ -229,7 +229,7 @@ def _time_stamp(seal: Seal, authority: Path | None, told: list[str], problems: l
     if not seal.time_stamp:
         told.append(f"no time stamp: that it was sealed at {seal.sealed} is by the computer's clock only")
         if authority is not None:
-            problems.append("the seal has no time stamp for the authority to confirm")
+            problems.append("the seal has no time stamp that the authority could confirm; remove --authority")
         return False
     try:
         stamp = read_time_stamp(seal.time_stamp, seal.stamped_bytes, authority)

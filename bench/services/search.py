@@ -29,8 +29,8 @@ RANGE_V: Final = 10.0
 class FoundResource:
     """A resource of this computer: what it is, and once it was addressed, its identity or the failure.
 
-    `driver` is the driver of such an instrument, empty if none is known. `interface` is that of a voltmeter,
-    `shows` a reading.
+    `driver` is the driver of such an instrument, empty if none is known. `interface` is the interface of a
+    voltmeter, `shows` a reading.
     """
 
     resource: str
@@ -58,7 +58,7 @@ def offered() -> tuple[list[FoundResource], list[str]]:
 
 
 def checked_resource(text: str) -> str:
-    """Return a resource as typed. Raises `Refused` if it is none."""
+    """Return a resource as typed. Raises `Refused` if the text is no resource."""
     try:
         return any_resource(text)
     except ValueError as mistake:

@@ -100,9 +100,9 @@ class Source:
     `taken` is the bench file with the reason for its choice; `bench` is its content, with the unit that was
     measured. `origin` is the origin of the readings, None if it is not recorded. `readings` are corrected by the
     certificates of the instruments (`traced`) and by learned differences of the voltmeters; `as_read` are the
-    uncorrected ones. `effects` are the user's own effects, known to the program or written as formulas in the
-    bench file or the model file. `known` are stand and noise as learned from other runs, None if none were.
-    `known_meters` are the learned differences of the voltmeters, identified by `learned_of`.
+    uncorrected readings. `effects` are the user's own effects, known to the program or written as formulas in the
+    bench file or the model file. `known` are stand and noise as learned from other runs, None if nothing was
+    learned. `known_meters` are the learned differences of the voltmeters, identified by `learned_of`.
     """
 
     name: str
@@ -165,7 +165,10 @@ class Source:
 
     @property
     def stand_u(self) -> dict[str, float]:
-        """Standard uncertainties of the stand's errors by name, rad; the voltmeter's in V, 0 for other signals."""
+        """Standard uncertainties of the stand's errors by name, rad.
+
+        The voltmeter's is in V; it is 0 for signals in other units.
+        """
         sizes = {name: d.u for name, d in self.bench.stand_distributions().items()}
         return sizes if self.readings.unit == VOLTS else sizes | {"voltmeter_error": 0.0}
 
@@ -227,7 +230,7 @@ def _output(name: str, run: Run | None, out: Path | None, command: str, suffix: 
 
 
 def data_sha256(readings: Readings) -> str:
-    """Return the SHA-256 that identifies readings in a model file: that of the readings written as CSV."""
+    """Return the SHA-256 that identifies readings in a model file: the hash of the readings written as CSV."""
     return _hash(readings, to_the_bit=False)
 
 
@@ -447,7 +450,7 @@ def each(loaded: Sequence[Source | Failed], work: Callable[[Source], R]) -> list
 
 
 def done(results: Iterable[T | Failed]) -> list[T]:
-    """Return the results without the `Failed` ones."""
+    """Return the results that are not a `Failed`."""
     return [one for one in results if not isinstance(one, Failed)]
 
 

@@ -41,9 +41,10 @@ _NOTHING: Final = "it states no correction"
 class Traced:
     """The certificates of a bench for readings of a day, and the corrections of the readings.
 
-    Each entry is a certificate with the reason why it corrects nothing, empty if it does correct. `recorded` says
-    whether a run recorded the readings; other readings are assumed to be as the instruments showed them. `by` are
-    all corrections of the readings, `by_certificates` those from certificates; the rest was learned.
+    Each entry is a certificate with the reason why it corrects nothing; the reason is empty if it corrects
+    something. `recorded` says whether a run recorded the readings; other readings are assumed to be as the
+    instruments showed them. `by` are all corrections of the readings, `by_certificates` the corrections from
+    certificates; all others were learned.
     """
 
     day: datetime.date
@@ -102,7 +103,9 @@ def _in_words(standing: Standing, why_not: str) -> str:
 def trace(
     taken: BenchTaken, bench: BenchFile, readings: Readings, origin: Origin | None
 ) -> tuple[BenchFile, Readings, Traced]:
-    """Return the bench without certificates of other instruments, the corrected readings, and the certificates."""
+    """Return the bench without certificates that belong to other instruments, the corrected readings, and the
+    certificates.
+    """
     day = _day(origin)
     found = standings(bench, day, _answered(bench, origin))
     entries = tuple((standing, _why_not(standing, taken, readings, origin)) for standing in found)

@@ -321,7 +321,9 @@ def noted_goals(manifest: Manifest, plan: Plan, bench: BenchFile, texts: Sequenc
 def outlook_until(
     plan: Plan, bench: BenchFile, texts: Sequence[str], learned: LearnedTaken = NOTHING_LEARNED
 ) -> TimeOutlook:
-    """Return the expected duration of a run to these goals, at the noise stated by the bench file or learned."""
+    """Return the expected duration of a run with these goals, at the noise that the bench file states or that was
+    learned.
+    """
     found = time_outlook(chooser_of(plan, bench, texts, learned))
     return replace(found, learned=learned.known is not None and learned.known.noise is not None)
 

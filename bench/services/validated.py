@@ -72,7 +72,7 @@ def _needed(one: metadata.Distribution, *, of_program: bool) -> list[str]:
 
 
 def fingerprint() -> ProgramFingerprint:
-    """Return what a validation holds for: files of the program, packages, Python and platform."""
+    """Return what a validation is valid for: files of the program, packages, Python and platform."""
     named = {}
     for one in packages():
         record = one.read_text("RECORD") or ""
@@ -93,7 +93,7 @@ def fingerprint() -> ProgramFingerprint:
 
 @dataclass
 class Validations(Chain):
-    """The register of validations: `entries` in their order, `withdrawn` the numbers that hold no longer."""
+    """The register of validations: `entries` in their order, `withdrawn` the numbers of those no longer valid."""
 
     FIRST: ClassVar[str] = first_head("triaxial-bench validations 1\n")
 
@@ -108,19 +108,21 @@ class Validations(Chain):
             self.entries.append(entry)
             self.withdrawn.add(entry.number)
         else:
-            raise Refused(f"{where}: {entry.kind} of {entry.number} is nothing that can follow here")
+            raise Refused(
+                f"{where}: {entry.kind} of {entry.number} cannot follow here; restore the register from a copy"
+            )
 
     def standing(self) -> list[Entry]:
         """Return the accepted validations that were not withdrawn, the latest last."""
         return [one for one in self.entries if one.kind == ACCEPTED and one.number not in self.withdrawn]
 
     def latest(self, bench_file: Path | str) -> Entry | None:
-        """Return the latest validation that holds of a bench file's name; None if there is none."""
+        """Return the latest valid validation for a bench file of this name; None if there is none."""
         name = Path(bench_file).name
         return next((one for one in reversed(self.standing()) if one.data["bench"] == name), None)
 
     def accepts(self, program: str, bench_sha256: str | None) -> bool:
-        """Return whether a validation that holds is of this program and bench file (of any, if None)."""
+        """Return whether a valid validation covers this program and bench file (any bench file, if None)."""
         return any(
             one.data["fingerprint"] == program and bench_sha256 in (None, one.data["bench_sha256"])
             for one in self.standing()
@@ -143,7 +145,9 @@ def read_validations(laboratory: Path) -> Validations:
 
 
 def laboratory_known(given: Path | None) -> Path | None:
-    """Return the laboratory file: the one given, else that of BENCH_LABORATORY, None without either."""
+    """Return the laboratory file: the given file, else the one that BENCH_LABORATORY names; None if neither
+    is set.
+    """
     named = os.environ.get(LABORATORY)
     return given or (Path(named) if named else None)
 
@@ -157,7 +161,9 @@ def demanded_by(laboratory: Path | None) -> bool:
 
 
 def refuse_unvalidated_run(bench: BenchFile, path: Path, laboratory: Path | None = None) -> None:
-    """Raise `Refused` for a real run that the bench or laboratory file wants validated, and that is not."""
+    """Raise `Refused` for a real run by a program that is not validated, if the bench or laboratory file requires
+    validation.
+    """
     laboratory = laboratory_known(laboratory)
     if bench.require_validation or demanded_by(laboratory):
         by = path if bench.require_validation else laboratory
@@ -165,7 +171,9 @@ def refuse_unvalidated_run(bench: BenchFile, path: Path, laboratory: Path | None
 
 
 def refuse_unvalidated_certificate(laboratory: Path) -> None:
-    """Raise `Refused` for a certificate of a laboratory that demands validated programs, by one that is not."""
+    """Raise `Refused` for a certificate made by a program that is not validated, if the laboratory requires
+    validation.
+    """
     if demanded_by(laboratory):
         _refuse(laboratory, str(laboratory), None)
 

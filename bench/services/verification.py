@@ -141,9 +141,10 @@ def judgement_of(
 
 
 def own_judgement(source: Source, *asked: VerdictOptions, agreed: DecisionRule | None = None) -> Judgement:
-    """Return the basis of the verdict on a source: options `asked`, else those of the run, else the bench file.
+    """Return the basis of the verdict on a source: the options `asked`, else the options of its run, else the bench
+    file.
 
-    `agreed` is the decision rule if none of these names one.
+    `agreed` is the decision rule if none of these names a rule.
     """
     return judgement_of(
         source.bench, VerdictOptions.of_run(source.run), *asked, default=agreed or _default_of(source.run)
@@ -198,7 +199,7 @@ class VerificationResult:
 
     @property
     def bench(self) -> str:
-        """The name of the bench file used for limit, rule, errors of the stand and gravity; why it was used."""
+        """The name of the bench file used for limit, rule, stand errors and gravity, with the reason for it."""
         return self.source.taken.words
 
     @property
@@ -230,7 +231,7 @@ class VerificationResult:
         return self.result().to_dict()
 
     def verdict(self) -> str:
-        """Return the verdict in one line, with the lack of fit of the coefficients if it speaks against them."""
+        """Return the verdict in one line, with the lack of fit of the coefficients if the fit is rejected."""
         return "; ".join((verdict_line(self.source.name, self.verification), *self._against))
 
     def print_on(self, out: Console) -> None:

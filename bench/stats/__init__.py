@@ -11,7 +11,10 @@ from bench.base.arrays import Floats, Ints
 
 
 def holm(p: Floats) -> Floats:
-    """Return Holm's adjusted p-values: p_(k), k from 0, times (m - k), made non-decreasing, at most 1."""
+    """Return Holm's adjusted p-values of m tests.
+
+    The k-th smallest p-value (k from 0) is multiplied by m - k; the results are made non-decreasing and at most 1.
+    """
     order = np.argsort(p)
     stepped = np.maximum.accumulate(p[order] * np.arange(len(p), 0, -1))
     adjusted = np.empty_like(p)

@@ -36,7 +36,8 @@ class AllanCurve:
     def freedom(self, alpha: Floats) -> Floats:
         """Return the equivalent degrees of freedom (k,), at least 1, for noise with a spectrum f^alpha.
 
-        alpha (k,) is 2 (quantisation), 0 (white), -1 (flicker) or -2 (random walk). Raises `KeyError` for another.
+        alpha (k,) is 2 (quantisation), 0 (white), -1 (flicker) or -2 (random walk). Raises `KeyError` for any other
+        alpha.
         """
         rows = zip(self.multiples.tolist(), np.asarray(alpha).tolist(), strict=True)
         return np.array([max(_freedom(int(a), m, self.samples), 1.0) for m, a in rows], dtype=np.float64)

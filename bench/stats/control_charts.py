@@ -107,11 +107,12 @@ BASES: Final = ("stated", "scaled", "scatter")
 
 @dataclass(frozen=True)
 class Centre:
-    """The centre from a baseline of m runs: `value` (…, p) with `covariance` (p, p), and the true size of u.
+    """The centre of a chart from a baseline of m runs, and the size of u.
 
-    `scale` (…,) is the factor on the stated covariance: 1 if that is believed, else the squared Birge ratio.
-    `scatter` (…, p, p) is the sample covariance if the limits rest on it alone, else None. `dof` are the degrees of
-    freedom of `scale` or `scatter`, infinite if u is believed. Leading axes are separate charts.
+    `value` (…, p) of p coefficients has the `covariance` (p, p). `scale` (…,) is the factor on the stated
+    covariance: 1 if the stated u is used, else the squared Birge ratio. `scatter` (…, p, p) is the sample
+    covariance if the limits rest on it alone, else None. `dof` are the degrees of freedom of `scale` or `scatter`,
+    infinite if the stated u is used. Leading axes are separate charts.
     """
 
     value: Floats
@@ -175,7 +176,10 @@ class JudgedDeviations:
 
 
 def least_runs(basis: Basis, dimensions: int) -> int:
-    """Return the least number of runs in a baseline; scatter alone needs more runs than coefficients."""
+    """Return the least number of runs in a baseline.
+
+    A chart with limits from scatter alone needs more runs than coefficients.
+    """
     return {"stated": 1, "scaled": 3, "scatter": dimensions + 2}[basis]
 
 
@@ -219,8 +223,8 @@ def judge(
     """Judge runs (…, n, p), in their order, with covariances (n, p, p) against a centre.
 
     With `smoothing` below 1 their EWMA is judged: Z_t = smoothing r_t + (1 - smoothing) Z_{t-1} of the deviations r
-    from the centre, Z_0 = 0. `shared` (n, p, q) is the change of each run by errors of size u that all runs share.
-    With `settled` the EWMA has its asymptotic variance from the first value on, as in published tables.
+    from the centre, Z_0 = 0. `shared` (n, p, q) is the change of each run by q errors, each of size u, that all
+    runs share. With `settled` the EWMA has its asymptotic variance from the first value on, as in published tables.
     """
     weight = 1.0 - smoothing
     deviation = _filtered(values - centre.value[..., None, :], smoothing, weight, -2)
@@ -250,7 +254,9 @@ def judge(
 
 
 def without_one(values: Floats, covariances: Floats, basis: Basis) -> Floats | None:
-    """Return the p-value (m,) of each run of a baseline (m, p) against the others; None if these are too few."""
+    """Return the p-value (m,) of each run of a baseline (m, p) against the others; None if the others are too
+    few.
+    """
     runs, p = values.shape
     if runs - 1 < least_runs(basis, p) or runs < 2:
         return None
@@ -278,7 +284,8 @@ DEFAULT_SMOOTHING: Final = 0.2
 class ChartDesign:
     """Design of a chart: average run length between false alarms, smoothing of the EWMA, basis of limits.
 
-    The three statistics that reject share the false-alarm rate equally: rates of rare alarms add up.
+    Each of the three statistics that can reject a run gets a third of the false-alarm rate, because the rates of
+    rare alarms add up.
     """
 
     arl: float = DEFAULT_ARL
@@ -292,11 +299,13 @@ class ChartDesign:
 
     @property
     def alpha(self) -> float:
-        """False-alarm probability per run of T² of a run, and of its short-term standard deviation."""
+        """False-alarm probability per run of T² of a run, and of the run's short-term standard deviation."""
         return 1.0 / self.each_arl
 
     def alpha_ewma(self, dimensions: int) -> float:
-        """Return the chi-square tail probability at the limit of the EWMA's T² that has `each_arl`."""
+        """Return the chi-square tail probability at the limit of the EWMA's T² for which the average run length is
+        `each_arl`.
+        """
         return float(special.chdtrc(dimensions, mewma_limit(self.smoothing, self.each_arl, dimensions)))
 
     def alpha_single(self, dimensions: int) -> float:
@@ -356,8 +365,8 @@ class Components:
     between runs, `scatter` the standard deviation between runs, with `runs` - 1 degrees of freedom. `f` is the
     squared ratio of scatter to stated, `p` its one-sided p-value. `between` is the scatter beyond stated u,
     `between_most` its upper limit (95 %). `birge2` is the same ratio for all coefficients together, with
-    `birge_dof` and two-sided p-value `birge_p`. `alike_p` is the p-value of stated u being equally right in every
-    direction.
+    `birge_dof` and two-sided p-value `birge_p`. `alike_p` is the p-value of the hypothesis that one factor on the
+    stated u suits all directions.
     """
 
     runs: int

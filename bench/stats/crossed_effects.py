@@ -51,7 +51,9 @@ class Crossing:
 
     @cached_property
     def cells(self) -> tuple[Ints, Ints, Ints]:
-        """The cells (pairs of unit and bench): that of each value (n,), then unit and bench of each cell (m,)."""
+        """The cells (pairs of unit and bench): the cell of each value (n,), then the unit and the bench of each of
+        the m cells (m,).
+        """
         keys, cell = np.unique(self.unit * self.benches + self.bench, return_inverse=True)
         return cell, keys // self.benches, keys % self.benches
 
@@ -273,7 +275,7 @@ class Crossed:
         return about @ self.at.bench, about @ own @ about.T
 
     def unit(self) -> tuple[Floats, Floats]:
-        """Return predicted effects of units (U,), and these effects over their standard deviations."""
+        """Return the predicted effects of units (U,), and each effect divided by its standard deviation."""
         effect, spread = self.at.unit(self.y)
         return effect, effect / np.sqrt(np.where(spread > 0, spread, np.inf))
 

@@ -148,7 +148,8 @@ def scoring_step(
 def maximise(
     mixed: Mixed, start: Floats, scale: Floats, believed: Floats | None = None
 ) -> tuple[Floats, Projection]:
-    """Return the non-negative variances (k,) that maximise the restricted likelihood, and P there.
+    """Return the non-negative variances (k,) that maximise the restricted likelihood, and the projection P at the
+    maximum.
 
     `start` (k,) are start values. A variance below 1e-5 of `scale` (k,) counts as zero. `believed` (k,) are lower
     limits of the variances, by default zero.
@@ -183,13 +184,13 @@ class ComponentsAsked:
 def asked_for(at: Projection, Z: ComponentColumns, inside: int, dof: float) -> ComponentsAsked:
     """Return the tests of the components after the first `inside`.
 
-    The variances of the first `inside` components are being estimated. Their share is taken off score and
-    information, for their estimates come from the repeats alone and do not maximise the likelihood (the
-    C(alpha) test: J. Neyman, in Probability and Statistics: The Harald Cramer Volume (1959) 213). A quadratic
-    form divided by its mean is treated as chi-square divided by its degrees of freedom, which match its mean
-    and variance (Satterthwaite, Biometrics Bull. 2 (1946) 110). It is tested as F, with at most `dof`
-    denominator degrees of freedom, because the inside sizes are estimates. With few degrees of freedom of
-    either kind, as for a drift or few repeats, large values are not rare.
+    The variances of the first `inside` components are being estimated. Their part is subtracted from score and
+    information, because their estimates come from the repeats alone and do not maximise the likelihood (the
+    C(alpha) test: J. Neyman, in Probability and Statistics: The Harald Cramer Volume (1959) 213). A quadratic form
+    divided by its mean is treated as chi-square divided by its degrees of freedom, which match its mean and
+    variance (Satterthwaite, Biometrics Bull. 2 (1946) 110). It is tested as F, with at most `dof` denominator
+    degrees of freedom, because the inside sizes are estimates. With few degrees of freedom of either kind, as for a
+    drift or few repeats, large values are not rare.
     """
     scores, traces, whole = at.moments(Z)
     scale = np.sqrt(np.diag(whole)[:inside])
@@ -230,8 +231,8 @@ LIMIT_AT_REST: Final = 0.01
 class Profile:
     """A profile of the restricted likelihood along one size, 1 sigma; the other variances follow linearly.
 
-    That is exact near the maximum, which is at `variances` (k,). `follow` (k,) is the change of each variance per
-    change of the variance of size `which`; `scale` is a start value.
+    The linear relation is exact near the maximum, which is at `variances` (k,). `follow` (k,) is the change of each
+    variance per change of the variance of size `which`; `scale` is a start value.
     """
 
     likelihood: Callable[[Floats], float]
@@ -276,7 +277,10 @@ class Profile:
         )
 
     def mean(self) -> float:
-        """Return the root mean square of the size, weighted by the likelihood; `middle` if that has no end."""
+        """Return the root mean square of the size, weighted by the likelihood.
+
+        `middle` if the likelihood does not fall towards infinity.
+        """
         end = self.beyond(GONE)
         if not np.isfinite(end):
             return self.middle
@@ -296,7 +300,7 @@ def profile_of(
 ) -> Profile:
     """Return the profile along size `which`; the variances `free` were estimated, all others are fixed.
 
-    `information` (k, k) is that of the variances (k,) at the maximum of the likelihood.
+    `information` (k, k) is the information on the variances at the maximum of the likelihood.
     """
     others = [j for j in free if j != which]
     follow = np.zeros(len(variances))

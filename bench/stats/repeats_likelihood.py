@@ -91,7 +91,8 @@ def sizes_of(
 class Sizes:
     """The accepted variances (runs, 4) of x, y, z and the setting, with the channels' degrees of freedom (runs, 3).
 
-    `p_equal` (runs,) is the p-value of equal channels; from `EQUAL_P` up a run has one size for all three.
+    `p_equal` (runs,) is the p-value of equal channels; if it is at least `EQUAL_P`, a run has one size for all
+    three.
     """
 
     variances: Floats

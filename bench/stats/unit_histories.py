@@ -235,11 +235,10 @@ def _curved(kept: Sequence[Weighed], G: Floats, h: Floats, X: Floats) -> tuple[F
 class CalibrationSpread:
     """Scatter of a laboratory's calibrations without the units' own drift, 1 sigma each.
 
-    `scatter` is what exceeds the stated u: a root mean square over sizes weighted by their likelihood, which is
-    larger for few calibrations. `scatter_least` and `scatter_most` are its 90 % limits. `bench` is the
-    maximum-likelihood spread of the benches, `bench_most` its upper 95 % limit.
-    `rate` (a year) and `walk` (in a year) are the drifts of units, zero unless significant; `p` is the p-value
-    of no drift.
+    `scatter` is the scatter beyond the stated u: the root mean square of possible sizes, weighted by likelihood, so
+    that it is larger for few calibrations. `scatter_least` and `scatter_most` are its 90 % limits. `bench` is the
+    maximum-likelihood spread of the benches, `bench_most` its upper 95 % limit. `rate` (a year) and `walk` (in a
+    year) are the drifts of units, zero unless significant; `p` is the p-value of no drift.
     """
 
     scatter: float
@@ -260,8 +259,8 @@ class CalibrationSpread:
 def spread_of(within: Within, *, several: bool, drifts: bool = True) -> CalibrationSpread:
     """Return scatter and benches (if there are `several`), separated from the drift of units.
 
-    A rate or walk that is not significant counts as scatter. Without `drifts`, for units with too few runs, any
-    drift does.
+    A rate or walk that is not significant counts as scatter. Without `drifts`, as for units with too few runs, any
+    drift counts as scatter.
     """
     first = STEADY if several else (SCATTER,)
     steady = within.fit(first)

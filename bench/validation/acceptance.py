@@ -30,8 +30,8 @@ from drivers.clock import utc_now
 def accept(request: Validate, folder: Path) -> ValidationRegisterResult:
     """Register the validation in a folder as accepted by an authorised person; return the register.
 
-    The first validation is accepted in the same way. Raises `Refused` for a validation of another program, one in
-    which a check failed, and one that is not what was sealed; for a person who is not authorised; without a reason.
+    The first validation is accepted in the same way. Raises `Refused` if the validation is of another program, has
+    a failed check, or differs from its seal; if the person is not authorised; and if no reason is given.
     """
     laboratory, person, reason = _authority(request)
     content, result = _sealed(folder)
@@ -62,7 +62,7 @@ def accept(request: Validate, folder: Path) -> ValidationRegisterResult:
 
 
 def withdraw(request: Validate, number: str) -> ValidationRegisterResult:
-    """Register that a validation holds no longer. Raises `Refused` as `accept`, and for an unknown number."""
+    """Register the withdrawal of a validation. Raises `Refused` as `accept`, and for an unknown number."""
     laboratory, person, reason = _authority(request)
     with opened(Validations(register_beside(laboratory))) as register:
         found = next((one for one in register.standing() if one.number == number), None)
@@ -77,12 +77,15 @@ def withdraw(request: Validate, number: str) -> ValidationRegisterResult:
 
 
 def register_of(request: Validate) -> ValidationRegisterResult:
-    """Return the register of a laboratory, read without changing it. Raises `Refused` without a laboratory."""
+    """Return the register of a laboratory, read without changing it.
+
+    Raises `Refused` if no laboratory file is given.
+    """
     return listed(read_validations(_laboratory(request)))
 
 
 def listed(register: Validations) -> ValidationRegisterResult:
-    """Return the content of a register."""
+    """Return the content of a register as a result."""
     holding: dict[tuple[str, str], str] = {}
     for one in register.standing():
         holding[one.data["fingerprint"], one.data["bench_sha256"]] = one.number

@@ -22,7 +22,10 @@ THRESHOLD_U: Final = 0.1
 
 
 def past_runs(request: Validate, over: str) -> list[str]:
-    """Return the runs that `over` names: a path pattern or a query of the catalogue. Raises `Refused` for none."""
+    """Return the runs that `over` names: a path pattern or a query of the catalogue.
+
+    Raises `Refused` if there are none.
+    """
     return list(list_runs([over], runs_folder(request.runs), request.catalogue, "--against").runs)
 
 

@@ -26,7 +26,10 @@ UNITS = {"units": [{"received": "2026-11-16", "condition": "undamaged", "state":
 
 
 def write_files(folder: Path, laboratory: Any = None, order: Any = None) -> tuple[Path, Path]:
-    """Write the shipped laboratory and order files into a folder, with other sections; return both."""
+    """Write the shipped laboratory and order files into a folder, with the given sections replaced.
+
+    Return both paths.
+    """
     written = []
     for name, sections in (("laboratory", laboratory), ("order", order)):
         data = yaml.safe_load((shipped_folder(CERTIFICATE) / f"{name}.yaml").read_text(encoding="utf-8"))
@@ -40,7 +43,7 @@ def write_files(folder: Path, laboratory: Any = None, order: Any = None) -> tupl
 
 @check("certificate", "7.8.1", "")
 def life(context: Context) -> Iterator[Finding]:
-    """Issue the certificate of a dry run, verify, change and revoke it; try one of a changed record."""
+    """Issue the certificate of a dry run, verify, change and revoke it; try to issue one for a changed record."""
     try:
         from bench.certificate import life as certificates
         from bench.certificate.verify import verify_certificate

@@ -23,7 +23,7 @@ _SHOWN = 5
 
 
 def compared(now: Mapping[str, Any], before: Mapping[str, Any]) -> Finding:
-    """Return the finding of two mappings that shall be the same; it names what was changed, added and removed."""
+    """Return the finding on two mappings that must be equal; it names the changed, added and removed keys."""
     changed = sorted(name for name in now.keys() & before.keys() if now[name] != before[name])
     added, gone = sorted(now.keys() - before.keys()), sorted(before.keys() - now.keys())
     parts = [
@@ -57,7 +57,7 @@ def packages(context: Context) -> Finding:
 
 @check("bench file", "6.4.4", "as accepted")
 def bench_file(context: Context) -> Finding:
-    """Compare the bench file with that of the accepted validation."""
+    """Compare the bench file with the bench file of the accepted validation."""
     if context.accepted is None:
         return Finding(True, _NOTHING)
     digest, before = sha256_of_file(context.bench_path), context.accepted["bench"]["sha256"]

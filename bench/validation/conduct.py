@@ -53,7 +53,7 @@ DEFAULT_BENCH: Final = "paper-stand"
 def validated(request: Validate, passphrase: Callable[[], bytes]) -> ValidationResult:
     """Carry out a validation; return its result, which is written into a folder with its page, PDF and seal.
 
-    Raises `Refused` for a folder that holds one already or cannot be written, and for an unusable key.
+    Raises `Refused` for a folder that already holds a validation or cannot be written, and for an unusable key.
     """
     began, clock, cpu_s = utc_now(), SystemClock(), _cpu_s()
     began_s = clock.now_s()
@@ -186,7 +186,9 @@ def _write(result: ValidationResult, folder: Path, began: datetime) -> tuple[lis
 
 
 def pdf_of(result: ValidationResult, moment: int) -> bytes:
-    """Return the PDF/A of a validation, with its result attached. Raises `ImportError` without typst."""
+    """Return the PDF/A of a validation, with its result attached. Raises `ImportError` if typst is not
+    installed.
+    """
     from bench.certificate.page import typeset_pdf
 
     told = result.to_dict()
@@ -229,12 +231,12 @@ def _shown(told: Any, *, plain: bool = False) -> Any:
 
 
 def damage_of(folder: Path, seal: Seal) -> list[str]:
-    """Return a sentence for each file of a validation that is missing or is not the sealed one."""
+    """Return a sentence for each file of a validation that is missing or differs from the sealed file."""
     wrong = []
     for name, digest in seal.files.items():
         try:
             if sha256((folder / name).read_bytes()) != digest:
-                wrong.append(f"{folder / name} is not what was sealed")
+                wrong.append(f"{folder / name} differs from the sealed file; restore it from a copy")
         except OSError as error:
             wrong.append(sentence(error))
     return wrong

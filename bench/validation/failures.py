@@ -36,7 +36,7 @@ KINDS: Final = frozenset(
 
 @dataclass
 class FailureRegister(Chain):
-    """The register of failures: `seen` by number, and what was `noted` of each."""
+    """The register of failures: `seen` maps numbers to failures, `noted` maps numbers to the notes on each."""
 
     FIRST: ClassVar[str] = first_head("triaxial-bench failures 1\n")
 
@@ -50,17 +50,22 @@ class FailureRegister(Chain):
         elif entry.kind == NOTED and entry.number in self.seen:
             self.noted[entry.number].append(entry)
         else:
-            raise Refused(f"{where}: {entry.kind} of {entry.number} is nothing that can follow here")
+            raise Refused(
+                f"{where}: {entry.kind} of {entry.number} cannot follow here; restore the register from a copy"
+            )
 
     def keys(self) -> set[tuple[str, str, int]]:
-        """Return the failures that are known, by creation time of the run, its name and the event's number."""
+        """Return the keys of the known failures: creation time of the run, its name, and the number of the
+        event.
+        """
         return {(one.data["created"], one.data["run"], one.data["event"]) for one in self.seen.values()}
 
 
 def failures(request: Failures) -> FailuresResult:
-    """Add what is new in the records to the register, note what the request says, and return the register.
+    """Add new failures from the records to the register, note what the request says, and return the register.
 
-    Raises `Refused` without a laboratory file, for an unknown number, and where a remedy lacks words or a person.
+    Raises `Refused` without a laboratory file, for an unknown number, and for a remedy without text or without a
+    person.
     """
     laboratory = laboratory_known(request.laboratory)
     if laboratory is None:

@@ -39,7 +39,10 @@ FALSE_ALARM: Final = 1e-6
 
 
 def independent(value: ArrayLike, rows: ArrayLike, u: Floats, dof: ArrayLike = np.inf) -> Propagated:
-    """Return outputs of independent inputs: `rows` (m, n) are sensitivities, `u` (n,) uncertainties."""
+    """Return the m outputs of n independent inputs.
+
+    `rows` (m, n) are the sensitivities, `u` (n,) the uncertainties of the inputs.
+    """
     rows = np.atleast_2d(np.asarray(rows, float))
     parts = (rows * u) ** 2
     of_each = effective_dof(parts, np.broadcast_to(np.asarray(dof, float), parts.shape[1:]))
@@ -47,18 +50,20 @@ def independent(value: ArrayLike, rows: ArrayLike, u: Floats, dof: ArrayLike = n
 
 
 def together(value: Floats, rows: Floats, covariance: Floats, dof: float) -> Propagated:
-    """Return outputs (m,) of inputs that were found together, as one source: `covariance` (n, n) of the inputs."""
+    """Return the m outputs of n inputs that were estimated jointly and form one source: `covariance` (n, n) of the
+    inputs.
+    """
     whole = rows @ covariance @ rows.T
     return Propagated(value, whole, effective_dof(np.diag(whole)[:, None], [dof]))
 
 
 def sampled(function: Callable[[Floats], Floats], draws: Floats, probability: float = 0.95) -> Distributed:
-    """Return the statistics of a function of draws (trials, n) of its inputs."""
+    """Return the Monte Carlo statistics of a function of draws (trials, n) of its n inputs."""
     return summary(np.asarray(function(draws)).reshape(len(draws), -1), probability)
 
 
 def draws_of(seed: int, *inputs: tuple[float, Distribution]) -> Floats:
-    """Return draws (TRIALS, n) of inputs, each with its mean and distribution."""
+    """Return draws (TRIALS, n) of n inputs, each with its mean and distribution."""
     rng = np.random.default_rng(seed + SEED_OFFSET)
     return np.stack([mean + drawn(d, (TRIALS,), rng) for mean, d in inputs], axis=-1)
 
@@ -85,13 +90,15 @@ PHASE: Final = np.array([1.0456, 1.0438, 1.0468, 1.0428, 1.0433])
 
 
 def impedance(x: Floats) -> Floats:
-    """Return R, X, Z of V, I, phi along the last axis."""
+    """Return R, X and Z computed from V, I and phi, which are along the last axis."""
     ratio = x[..., 0] / x[..., 1]
     return np.stack([ratio * np.cos(x[..., 2]), ratio * np.sin(x[..., 2]), ratio], axis=-1)
 
 
 def linear_impedance() -> tuple[Propagated, Floats, Floats]:
-    """Return the linear propagation of H.2, and the mean (3,) and covariance (3, 3) of its inputs."""
+    """Return the linear propagation of example H.2 of the GUM, and the mean (3,) and covariance (3, 3) of its
+    inputs.
+    """
     samples = np.stack([VOLTS, AMPERES, PHASE])
     mean, covariance = samples.mean(axis=1), np.cov(samples) / 5
     v, i, phi = mean
@@ -152,7 +159,7 @@ FOUR: Final[dict[str, Sum]] = {
 
 
 def sum_of_four(name: str) -> tuple[Propagated, Distributed]:
-    """Return the sum of four inputs, linear and by Monte Carlo."""
+    """Return the sum of four inputs, by linear propagation and by Monte Carlo."""
     inputs = FOUR[name][0]
     found = sampled(lambda x: np.asarray(x.sum(axis=-1)), draws_of(2, *((0.0, d) for d in inputs)))
     return independent(0.0, np.ones(4), np.array([d.u for d in inputs])), found
@@ -161,7 +168,7 @@ def sum_of_four(name: str) -> tuple[Propagated, Distributed]:
 @check("Supplement 1, sums of four", "7.6", "", source="JCGM 101:2008, 9.2; tolerance by its 7.9",
        p_false=3 * FALSE_ALARM)  # fmt: skip
 def sums(context: Context) -> Iterator[Finding]:
-    """Propagate sums of four inputs by 400,000 trials; ends of the 95 % interval within the tolerance of u.
+    """Propagate sums of four inputs by 400,000 trials; the ends of the 95 % interval must lie within the tolerance.
 
     An end scatters by 0.009 in all three cases; the tolerance is 0.05, in the third 0.5, which leaves 5.5 standard
     errors: p < 4e-8 for each of two ends.
@@ -183,7 +190,7 @@ def mass_deviation(x: Floats) -> Floats:
 
 
 def mass_calibration() -> tuple[Propagated, Distributed]:
-    """Return the mass calibration of 9.3, linear and by Monte Carlo."""
+    """Return the mass calibration of JCGM 101:2008, 9.3, by linear propagation and by Monte Carlo."""
     draws = draws_of(
         6,
         (100_000.0, Distribution(0.050)),
@@ -199,10 +206,10 @@ def mass_calibration() -> tuple[Propagated, Distributed]:
 @check("Supplement 1, mass calibration", "7.6", "", source="JCGM 101:2008, 9.3; tolerance by its 7.9",
        p_false=FALSE_ALARM)  # fmt: skip
 def mass(context: Context) -> Iterator[Finding]:
-    """Propagate a mass calibration by 400,000 trials, and see that linear propagation is not validated.
+    """Propagate a mass calibration by 400,000 trials; check that linear propagation is found invalid.
 
-    The estimate scatters by 0.00012 mg, u by 0.00008 mg, an end of the interval by 0.0005 mg: the tolerance of
-    one digit is 0.005 mg, ten times that.
+    The estimate scatters by 0.00012 mg, u by 0.00008 mg, an end of the interval by 0.0005 mg: the tolerance of one
+    digit is 0.005 mg, ten times that.
     """
     linear, found = mass_calibration()
     delta = numerical_tolerance(0.0754, 1)

@@ -109,7 +109,7 @@ _NUMBER: Final = re.compile(rb"(?<=[ ,])[+-]?\d+(?:\.\d+)?")
 
 @check("settings", "6.4.4", "refused, with the meter's name", place="drivers")
 def other_settings(context: Context) -> Iterator[Finding]:
-    """Let each voltmeter take another number than it was sent: its settings must not be taken as made."""
+    """Let each voltmeter apply another number than the one sent: the program must notice the wrong setting."""
     bench = context.bench
     with dry_bench(bench, simulated_truth(bench, None), 1) as assembly:
         for meter in assembly.instruments.voltmeters:
@@ -138,7 +138,7 @@ def _mishear(bench: SimulatedBench, name: str) -> None:
 
 @check("overload", "7.7.1", "refused, with the meter's name", place="drivers")
 def overload(context: Context) -> Iterator[Finding]:
-    """Overload the input of each voltmeter during a reading: its samples must not be taken for numbers."""
+    """Overload the input of each voltmeter during a reading: the program must not accept the samples as numbers."""
     bench = context.bench
     with dry_bench(bench, simulated_truth(bench, None), 1) as assembly:
         for meter in assembly.instruments.voltmeters:

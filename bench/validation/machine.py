@@ -43,7 +43,7 @@ _STEP: Final = re.compile(r"(~=|===?|!=|<=?|>=?)\s*([0-9][0-9A-Za-z.*+-]*)")
 
 
 def description() -> dict[str, str]:
-    """Return what identifies the machine and its settings, by name."""
+    """Return the name and settings that identify this computer."""
     now = utc_now().astimezone()
     return {
         "computer": platform.node(),
@@ -56,7 +56,7 @@ def description() -> dict[str, str]:
 
 
 def zone_of_system() -> str:
-    """Return the name of the system's time zone; "" where the system does not say it."""
+    """Return the name of the system's time zone; "" if the system does not state it."""
     link = Path("/etc/localtime")
     if link.is_symlink():
         return str(link.resolve()).partition("zoneinfo/")[2]
@@ -165,7 +165,7 @@ def _keeps(version: str, sign: str, bound: str) -> bool:
 
 @check("clock", "7.5.1", "")
 def clock(context: Context) -> Iterator[Finding]:
-    """Compare the clock with the newest files of program and records, and let it run beside the monotonic one."""
+    """Compare the clock with the newest files of program and records, and its rate with the monotonic clock."""
     now = utc_now()
     yield Finding(
         now >= _NOT_BEFORE, f"{now:%Y-%m-%d %H:%M} UTC", of="not before the program", where="the computer's clock",
@@ -199,7 +199,7 @@ def _newest(context: Context) -> tuple[float, str]:
 
 @check("time zone", "7.5.1", "")
 def zone(context: Context) -> Iterator[Finding]:
-    """Hold the offset that the program writes against the zone's own rules, and read a written time back."""
+    """Compare the UTC offset that the program writes with the rules of the zone, and read a written time back."""
     name = os.environ.get("TZ", "").removeprefix(":") or zone_of_system()
     now = utc_now()
     offset = now.astimezone().utcoffset() or timedelta(0)
@@ -265,7 +265,7 @@ def numbers_and_text(context: Context) -> Iterator[Finding]:
 
 @check("disk", "7.11.3", "")
 def disks(context: Context) -> Iterator[Finding]:
-    """Write, replace, flush and lock a file in each folder that the program writes, and ask for free space."""
+    """Write, replace, flush and lock a file in each folder that the program writes, and query the free space."""
     places = [*context.folders, Path(tempfile.gettempdir()), cache_folder("validation")]
     for folder in dict.fromkeys(place.absolute() for place in places):
         there = next(one for one in (folder, *folder.parents) if one.exists())
@@ -315,7 +315,7 @@ def _unwritable(folder: Path) -> str:
 
 @check("permissions", "7.11.3", "")
 def permissions(context: Context) -> Iterator[Finding]:
-    """Look whether others may write the program, the bench file, the runs or the register."""
+    """Check whether other users may write the program, the bench file, the runs or the register."""
     if os.name != "posix":
         yield Finding(
             True, "not looked at: this system has other permissions", expected="only the user writes"

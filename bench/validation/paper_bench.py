@@ -26,7 +26,7 @@ SETTING_U_RAD = 10 / 3 * ARCSEC
 
 
 def design(passes: int = 3, points: int = 9) -> tuple[list[str], list[int], list[int], np.ndarray]:
-    """The paper's order of readings: installation, pass, point, head angle (rad)."""
+    """The paper's order of readings: installation, pass, point and head angle (rad) of each."""
     rows = [(i, p, t) for i in "12" for p in range(1, passes + 1) for t in range(1, points + 1)]
     installation, pass_number, point = (list(column) for column in zip(*rows, strict=True))
     return installation, pass_number, point, np.radians(45.0) * (np.array(point) - 1)
@@ -42,10 +42,10 @@ def specific_force(
     alpha5: np.ndarray | float = 0.0,
     psi: float = 0.0,
 ) -> np.ndarray:
-    """Specific force on the block's axes, g, shape (n, 3): how far each axis points upwards.
+    """Specific force on the block's axes, g, shape (n, 3): the upward component of each axis.
 
-    The shaft is y. Angles in rad, (n,) or one for all. A right-hand turn about a vector along the shaft
-    would carry x downwards; the head counts the other way.
+    The shaft is y. Angles in rad, (n,) or one for all. A right-hand turn about a vector along the shaft would carry
+    x downwards; the head counts the other way.
     """
 
     def turn(axis: int, angle: np.ndarray | float) -> Rotation:
@@ -74,8 +74,8 @@ def simulate(
 ) -> Readings:
     """One run of the paper's procedure in volts: stand errors drawn per installation, noise per reading.
 
-    Without `rng` there is no error at all. `K2` (g/g^2) adds K_ii K2_i a_i^2 to channel i; `eccentricity_rad`
-    (cosine, sine) adds e_c cos(phi) + e_s sin(phi) to the head's angle.
+    Without `rng` there are no errors. `K2` (g/g^2) adds K_ii K2_i a_i^2 to channel i; `eccentricity_rad` (cosine,
+    sine) adds e_c cos(phi) + e_s sin(phi) to the head's angle.
     """
     installation, pass_number, point, phi = design(passes)
     n = len(phi)

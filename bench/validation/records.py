@@ -43,7 +43,10 @@ _COMMAND: Final = "from bench.cli.program import main; main()"
 
 
 def bench_to_run(context: Context) -> tuple[Path, str]:
-    """Return the bench file for the runs, and a note if it is another because that one cannot run the procedure."""
+    """Return the bench file for the validation's runs.
+
+    If the given one cannot run the procedure, return another and a note.
+    """
     plan = load_procedure(find_procedure(PROCEDURE)).expand()
     if not plan_check(plan, context.bench, dry_run=True):
         return context.bench_path, ""
@@ -51,12 +54,17 @@ def bench_to_run(context: Context) -> tuple[Path, str]:
 
 
 def whole_run(context: Context) -> Run:
-    """Return a finished dry run, made once."""
+    """Return a finished dry run of 'quick' on the bench under validation.
+
+    It is made at the first call, then reused.
+    """
     return _finished(context, bench_to_run(context)[0], "whole")
 
 
 def standard_run(context: Context) -> Run:
-    """Return a finished dry run on the shipped paper-stand, whose record has all that a certificate needs."""
+    """Return a finished dry run on the shipped paper-stand, whose record has everything that a certificate
+    needs.
+    """
     return _finished(context, find_bench("paper-stand"), "standard")
 
 
@@ -77,7 +85,7 @@ def _finished(context: Context, bench: Path, name: str) -> Run:
 @check("run on the simulated bench", "7.2.1", "", place="bench/run, drivers, sim", p_false=FALSE_ALARM,
        source="truth of the simulated bench; chi-square distribution")  # fmt: skip
 def from_run_to_coefficients(context: Context) -> Finding:
-    """Run the procedure 'quick' dry; compare its coefficients with the truth of the simulated bench."""
+    """Run the procedure 'quick' dry, and compare its coefficients with the true ones of the simulated bench."""
     run, (_, note) = whole_run(context), bench_to_run(context)
     (source,) = load_sources(Request([str(run.folder)], run.folder.parent))
     found = calibration_of(source)
@@ -104,7 +112,7 @@ def from_run_to_coefficients(context: Context) -> Finding:
     place="bench/run/record.py, bench/run/resume.py",
 )
 def killed(context: Context) -> Iterator[Finding]:
-    """Kill the program in the middle of a run, resume it, and compare its readings with those of a whole run."""
+    """Kill the program during a run, resume it, and compare its readings with those of an uninterrupted run."""
     whole = whole_run(context).readings()
     bench, note = bench_to_run(context)
     runs = context.scratch / "runs"
@@ -152,7 +160,7 @@ def _killed_after(process: subprocess.Popen[bytes], events: Path, count: int) ->
 
 @check("changed record", "7.5.2", "refused", place="bench/run/record.py")
 def changed(context: Context) -> Iterator[Finding]:
-    """Change one digit of a recorded reading, take a line out, change an input: each must be refused by name."""
+    """Change one digit of a recorded reading, remove a line, change an input: each must be detected and named."""
     run = whole_run(context)
     lines, at, digit = _with_another_digit(run)
     for of, content in {

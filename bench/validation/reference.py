@@ -30,7 +30,7 @@ MODEL: Final = ForwardModel({"1": INSTALLATION_1, "2": INSTALLATION_2})
 
 
 def agreement(of: str, found: ArrayLike, expected: ArrayLike, tolerance: ArrayLike) -> Finding:
-    """Return the finding of numbers that shall lie within a tolerance of others, all of one shape."""
+    """Return the finding on numbers that must agree with others of the same shape within a tolerance."""
     mine, theirs = np.atleast_1d(np.asarray(found, float)), np.atleast_1d(np.asarray(expected, float))
     share = np.abs(mine - theirs) / np.asarray(tolerance, float)
     worst = int(np.argmax(share))
@@ -54,7 +54,7 @@ FILES: Final = {
 
 @check("files of reference data", "7.11.6", "", source="their SHA-256 in the program")
 def reference_files(context: Context) -> Iterator[Finding]:
-    """Hash the files of reference data: a case that was changed proves nothing."""
+    """Hash the files of reference data, because a changed case would prove nothing."""
     for name, digest in FILES.items():
         found = sha256((REFERENCE / name).read_bytes())
         yield Finding(
@@ -70,13 +70,13 @@ def reference_files(context: Context) -> Iterator[Finding]:
 
 
 def strd() -> dict[str, Any]:
-    """Return the sets of NIST by name; numbers are decimal text."""
+    """Return the data sets of the NIST Statistical Reference Datasets (StRD) by name; numbers are decimal text."""
     sets: dict[str, Any] = json.loads((REFERENCE / "strd.json").read_text(encoding="utf-8"))
     return sets
 
 
 def columns_of(one: dict[str, Any]) -> Floats:
-    """Return the design matrix (n, p) of a set: powers of x, or a constant and the stated columns."""
+    """Return the design matrix (n, p) of a data set: powers of x, or a constant and the stated columns."""
     x = np.array(one["x"], float)
     if one["powers"] == "columns":
         return np.column_stack([np.ones(len(x)), x])
@@ -84,7 +84,7 @@ def columns_of(one: dict[str, Any]) -> Floats:
 
 
 def correct_digits(found: Floats, certified: Sequence[str]) -> float:
-    """Return the log relative error: the least number of correct digits, at most 15."""
+    """Return the log relative error: the smallest number of correct digits among the estimates, at most 15."""
     true = np.array(certified, float)
     error = np.abs(found - true) / np.where(true == 0.0, 1.0, np.abs(true))
     return float(np.min(-np.log10(np.maximum(error, 1e-15))))
@@ -114,7 +114,7 @@ def regressions(context: Context) -> Iterator[Finding]:
 @check("start values", "7.11.2", "≥ 9 digits", place="bench/base/arrays.py: least_squares",
        source="NIST StRD, Longley and Norris")  # fmt: skip
 def start_values(context: Context) -> Iterator[Finding]:
-    """Fit two regressions with certified values by the least squares that give start values and find mistakes."""
+    """Fit two regressions with certified values by the least squares used for start values and mistakes."""
     for name in ("Longley", "Norris"):
         one = strd()[name]
         found, _ = least_squares(columns_of(one), np.array(one["y"], float))
@@ -167,7 +167,7 @@ def run_length(context: Context) -> Finding:
 @check("real accelerometers", "7.2.1", "", place="bench/calibration/free.py",
        source="github.com/Kyle-ak/imu_tk; github.com/mahmood-ul-hasan/IMU-Accelerometer-Calibration")  # fmt: skip
 def real_sets(context: Context) -> Iterator[Finding]:
-    """Calibrate real sets in free positions, and compare with the numbers of their authors."""
+    """Calibrate published data sets of free positions, and compare the results with the authors' numbers."""
 
     def calibrated(name: str, g_m_s2: float = 9.80665) -> Any:
         return calibrate(read_csv(REFERENCE / f"{name}.csv", ["1", "2"]), MODEL, {}, g_m_s2, "gls")
@@ -186,7 +186,7 @@ def real_sets(context: Context) -> Iterator[Finding]:
 @check("the paper's (11), a simulated round trip", "7.2.1", "", place="bench/model/geometry.py",
        source="Chernyak, Palyushok, Baranovska, equation (11)")  # fmt: skip
 def round_trip(context: Context) -> Iterator[Finding]:
-    """Simulate readings without errors from the coefficients (11) with a geometry of its own; calibrate them."""
+    """Simulate readings of the coefficients (11) without errors, by a geometry of its own, and calibrate them."""
     readings = simulate(None, 0.0)
     for estimator in ("closed-form", "gls"):
         found = calibrate(readings, MODEL, STAND_U, 9.81, estimator)
@@ -203,7 +203,7 @@ def gravity(context: Context) -> Iterator[Finding]:
 
 @check("gravity of the bench file", "6.4.13", "", place="the bench file, gravity")
 def gravity_of_the_bench(context: Context) -> Finding:
-    """Compare the stated gravity with what the earth has between equator and poles, at most 9 km high."""
+    """Compare the stated gravity with the values that occur on the earth, up to a height of 9 km."""
     g = context.bench.gravity_m_s2
     if g is None:
         return Finding(True, "not stated: results are per local g", expected="between 9.75 and 9.85 m/s²")

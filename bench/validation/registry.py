@@ -32,7 +32,8 @@ _OURS: Final = ("bench", "drivers", "sim")
 
 @dataclass(frozen=True)
 class Finding:
-    """The outcome of a check: whether it passed, what was found, of which part, and where a failure lies.
+    """The outcome of a check for one part: whether it passed, what was found, the name of the part (`of`), and
+    where a failure lies.
 
     `expected` replaces the check's own expectation for this part.
     """
@@ -46,7 +47,7 @@ class Finding:
 
 @dataclass
 class Context:
-    """What checks may use: the bench file, a scratch folder, and the folders that the installation writes.
+    """The context of checks: the bench file, a scratch folder, and the folders that the installation writes.
 
     `accepted` is the result of the last accepted validation as JSON, None if there is none. `release` is the
     manifest of a release, None if none was given, and `release_key` the public key of who signed it.
@@ -77,8 +78,8 @@ Act = Callable[[Context], Finding | Iterable[Finding]]
 class Check:
     """A check: its family, clause of ISO/IEC 17025:2017, expectation, and the function that carries it out.
 
-    `place` is the code that it proves. `p_false` is the bound of the probability that it fails on a correct
-    program with other random numbers. With `change`, a failure is a change that a person may accept.
+    `place` is the code that it tests. `p_false` bounds the probability that it fails on a correct program with
+    other random numbers. With `change`, a failure is a change that a person may accept.
     """
 
     name: str
@@ -130,7 +131,7 @@ TABLE: Final[list[Check]] = []
 
 
 def check(name: str, clause: str, expected: str, *, family: str, **more: Any) -> Callable[[Act], Act]:
-    """Return a decorator that enters a function in `TABLE`; `more` are further fields of `Check`."""
+    """Return a decorator that adds a function to `TABLE` as a check; `more` are further fields of `Check`."""
 
     def entered(act: Act) -> Act:
         TABLE.append(Check(name, family, clause, expected, act, **more))
@@ -140,7 +141,10 @@ def check(name: str, clause: str, expected: str, *, family: str, **more: Any) ->
 
 
 def raised_at(error: BaseException) -> str:
-    """Return file, line and function of our own code where an error was raised; "" if none took part."""
+    """Return file, line and function of the program's own code where an error was raised.
+
+    "" if it was raised elsewhere.
+    """
     for frame in reversed(traceback.extract_tb(error.__traceback__)):
         path = Path(frame.filename)
         if path.is_relative_to(_ROOT) and path.relative_to(_ROOT).parts[0] in _OURS:

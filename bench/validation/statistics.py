@@ -28,7 +28,7 @@ FALSE_ALARM: Final = 1e-5
 
 
 def errors(count: int) -> tuple[Floats, Floats, Floats]:
-    """Return errors and u of the coefficients (count, 12), and p of lack of fit (count,), of simulated files.
+    """Return errors and u of the coefficients, (count, 12) each, and p of lack of fit (count,), of simulated files.
 
     Stand angles and noise are drawn again for each file, from [SEED, number].
     """
@@ -43,7 +43,7 @@ def errors(count: int) -> tuple[Floats, Floats, Floats]:
 
 
 def counted(context: Context) -> tuple[Floats, Floats, Floats]:
-    """Return `errors` of as many files as the validation takes, computed once."""
+    """Return `errors` for the number of files that the validation uses; they are computed once."""
     if "errors" not in context.shared:
         context.shared["errors"] = errors(QUICK_FILES if context.quick else FILES)
     found: tuple[Floats, Floats, Floats] = context.shared["errors"]
@@ -53,7 +53,7 @@ def counted(context: Context) -> tuple[Floats, Floats, Floats]:
 @check("coverage of U", "7.6", "", p_false=12 * FALSE_ALARM,
        source="binomial distribution; (11) is the truth, readings from a geometry of its own")  # fmt: skip
 def coverage(context: Context) -> Iterator[Finding]:
-    """Count how often U (k = 2) holds the truth, for each coefficient, in simulated files with known truth."""
+    """Count how often the true value lies within U (k = 2), for each coefficient, in simulated files."""
     error, u, _ = counted(context)
     files = len(error)
     inside = np.sum(np.abs(error) <= 2.0 * u, axis=0)
@@ -70,7 +70,7 @@ def coverage(context: Context) -> Iterator[Finding]:
 @check("size of the errors", "7.6", "", p_false=2 * FALSE_ALARM,
        source="chi-square distribution")  # fmt: skip
 def size_of_errors(context: Context) -> Iterator[Finding]:
-    """Compare the squares of error over u with one, over coefficients of simulated files."""
+    """Test whether the mean square of error divided by u is one, over the coefficients of simulated files."""
     error, u, _ = counted(context)
     # Kxx and Kyy are determined by readings of different channels: independent within a file
     for name in ("Kxx", "Kyy"):
@@ -86,7 +86,7 @@ def size_of_errors(context: Context) -> Iterator[Finding]:
 
 @check("lack of fit", "7.7.1", "", p_false=FALSE_ALARM, source="Kolmogorov-Smirnov test")
 def lack_of_fit(context: Context) -> Finding:
-    """Test whether p of lack of fit is uniform where the model is true."""
+    """Test whether the lack-of-fit p-value is uniformly distributed if the model is true."""
     _, _, p = counted(context)
     test = stats.kstest(p, "uniform")
     return Finding(

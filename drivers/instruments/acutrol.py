@@ -101,7 +101,7 @@ class AcutrolHead(MotorisedHead):
     def stop(self) -> None:
         """Stop the table by rate mode at rate 0; if the controller refuses, switch the axis off.
 
-        Rate 0 is demanded before the rate mode is entered, as an older demand would turn the table.
+        The driver demands rate 0 before it enters the rate mode: a rate demanded earlier would turn the table.
         Raises `InstrumentRefused` or `InstrumentLost` unless rate 0 was accepted.
         """
         self._positioning = False

@@ -56,7 +56,7 @@ class Agilent34401A(ScpiVoltmeter):
 
     @property
     def limits(self) -> VoltmeterLimits:
-        """The limits of the connected model; before `open`, those of the first model of `dialects`."""
+        """The limits of the connected model; before `open`, the limits of the first model in `dialects`."""
         return self._dialect.limits
 
     def _accept(self, identity: Identity, reply: str) -> None:

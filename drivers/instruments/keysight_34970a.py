@@ -232,8 +232,8 @@ class Keysight34970AThermometer:
     """A `Thermometer`: a sensor named as in `SENSORS` on a multiplexer channel such as 104.
 
     If the voltmeter of the signals is the same instrument, pass it as `meter` and its session as `session`: it is
-    then configured again after each temperature. Raises `LimitExceeded` for a channel that a card does not have,
-    or not for four wires.
+    then configured again after each temperature. Raises `LimitExceeded` for a channel that no card has, or that
+    cannot measure with four wires.
     """
 
     asks_person = False

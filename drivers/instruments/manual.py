@@ -123,7 +123,8 @@ class ManualLevel(ByHand):
     """A `Level` with one vial, which a person lays along the shaft and across it; a division is `division_rad`.
 
     `reading_divisions` is the standard uncertainty of a reading; the vial has `most_divisions` to either side.
-    `scale` is the relative standard uncertainty of a division, `turn_rad` that of the level's alignment.
+    `scale` is the relative standard uncertainty of a division, `turn_rad` the standard uncertainty of the level's
+    alignment.
     """
 
     model = "bubble level"

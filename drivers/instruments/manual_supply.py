@@ -40,7 +40,7 @@ _CALLED: Final[dict[Quantity, tuple[str, SupplyUnit]]] = {
 class ManualSupply(ByHand):
     """A `PowerSupply` that a person operates.
 
-    `limits` are those of its outputs. A measured voltage may differ from the set one by `tolerance_v`.
+    `limits` are the limits of its outputs. A measured voltage may differ from the set one by `tolerance_v`.
     """
 
     model = "power supply"

@@ -86,7 +86,10 @@ class AdapterConnection:
 
     @property
     def stands(self) -> bool:
-        """Whether the adapter still has the link of this connection: another instrument may have lost it."""
+        """Whether the adapter still has this connection's link.
+
+        Another instrument behind the adapter may have lost it.
+        """
         return self._adapter.has_link(self._link_number)
 
     def close(self) -> None:

@@ -151,7 +151,10 @@ class Logged:
 
 @dataclass(frozen=True, slots=True)
 class Exchange:
-    """A command (None: a failure or data without a command) with its reply, its failure, or None for neither."""
+    """A command with its reply, its failure, or None if the log has neither.
+
+    The command is None for a failure or data that no command preceded.
+    """
 
     line: int
     sent: str | None
@@ -176,7 +179,9 @@ def read_log(path: Path, instrument: str) -> list[Logged]:
             f"{path}, line {len(lines) + 1}: the line is incomplete; if the log broke off here, delete it"
         )
     if not mistakes and instrument not in logged:
-        mistakes.append(f"{path}: nothing of {instrument}; it has {', '.join(sorted(logged)) or 'no line'}")
+        mistakes.append(
+            f"{path}: no line of {instrument}; choose from {', '.join(sorted(logged)) or 'another log'}"
+        )
     if mistakes:
         raise WireLogError("\n".join(mistakes))
     return logged[instrument]
@@ -185,18 +190,20 @@ def read_log(path: Path, instrument: str) -> list[Logged]:
 def _read_line(number: int, text: str) -> tuple[str, Logged]:
     match = _LINE.fullmatch(text)
     if match is None:
-        raise ValueError(f"{escaped(text)[:60]!r} is not 'time instrument > text', or with < or !")
+        raise ValueError(
+            f"{escaped(text)[:60]!r} is not a line of a log; write 'time instrument > text', or < or ! instead of >"
+        )
     stamp, instrument, way, message, failed = match.groups()
     time = datetime.fromisoformat(stamp)
     if time.tzinfo is None:
-        raise ValueError(f"{stamp!r} has no offset, such as +00:00")
+        raise ValueError(f"the time {stamp!r} has no UTC offset; add it, such as +00:00")
     entry = Logged(number, time, way or "!", message or failed or "")
     if not failed:
         return instrument, entry
     match = _FAILURE.fullmatch(failed)
     if match is None:
         raise ValueError(
-            f"{failed[:60]!r} is not '{AFTER_SENDING}: InstrumentLost: cause; remedy' or the like"
+            f"{failed[:60]!r} is no failure; write it as '{AFTER_SENDING}: InstrumentLost: cause; remedy'"
         )
     when, kind, cause, remedy = match.groups()
     failure: BaseException = SystemExit() if failed.endswith("SystemExit") else KeyboardInterrupt()
@@ -247,7 +254,8 @@ def replayed(log: Path, instrument: str, **settings: Any) -> Iterator[tuple[Mess
 class Replay(Connection):
     """The replay of a log: a `Connection` for the session and the `Clock` for the driver.
 
-    `left` holds the lines still to come. The time is that of the last line plus the driver's sleeps since.
+    `left` holds the lines still to come. The time is the time of the last line, plus the driver's sleeps since
+    then.
     """
 
     def __init__(self, log: str, instrument: str, lines: Sequence[Logged], read_termination: str) -> None:
@@ -365,7 +373,10 @@ class _ReplayedSession(MessageSession):
 
 
 def as_pairs(made: Iterable[Exchange]) -> str:
-    """Return exchanges as a Python list literal of pairs (sent, answered); one without a command is a comment."""
+    """Return exchanges as a Python list literal of pairs (sent, answered).
+
+    An exchange without a command becomes a comment.
+    """
     lines = []
     for exchange in made:
         answered, shown = exchange.answered, repr(exchange.answered)

@@ -125,12 +125,12 @@ _NO_LOCKS: Final = (OSError, NotImplementedError)
 
 
 def normalised(resource: str) -> str:
-    """Return a name of the resource that is equal for its usual spellings.
+    """Return one name for all usual spellings of a resource.
 
     Case, parts that VISA lets one omit, hexadecimal numbers, and localhost for 127.0.0.1 make no difference.
-    Leading zeros do (`GPIB0::022` is not `GPIB0::22`), and so do host names in place of addresses, which are
-    not resolved. Instruments behind one adapter share the adapter's name. A serial port is named after the
-    device to which its symbolic links resolve.
+    Leading zeros do (`GPIB0::022` is not `GPIB0::22`), and so do host names in place of addresses, which are not
+    resolved. Instruments behind one adapter share the adapter's name. A serial port is named after the device to
+    which its symbolic links resolve.
     """
     if (adapter := _ADAPTER.fullmatch(resource)) is not None:
         place = adapter[1]
@@ -173,7 +173,8 @@ class Holding:
     def take(self, name: str, resource: str, called: str = "") -> None:
         """Lock the resource of instrument `name`. Raises `InstrumentRefused`, naming the holder, if it is in use.
 
-        `called` replaces the resource in that message, if the resource is not a name that a person typed.
+        The message names the resource; `called`, if given, replaces it there, as for a resource that no person
+        typed.
         """
         path = self._path(resource)
         with self._guard:

@@ -48,9 +48,9 @@ class MessageSession:
 
     `name` is the instrument's name on the bench. `resource` is a VISA resource string or, behind a GPIB adapter,
     such as `prologix://192.0.2.10:1234/22`. The terminations and `serial` apply to sockets and serial ports; GPIB,
-    USB and VXI-11 mark the end of a message themselves. With `read_tail`, so many bytes (a check sum) follow the
-    termination of each reply; the reply is then returned with both, one character per byte. `haste` can shorten
-    the wait for replies. `holding` keeps other programs away while the session is open.
+    USB and VXI-11 mark the end of a message themselves. `read_tail` is the number of bytes, such as a check sum,
+    that follow the termination of each reply; the reply then includes termination and tail, one character per byte.
+    `haste` can shorten the wait for replies. `holding` keeps other programs away while the session is open.
     Thread-safe; open only one session per resource.
     """
 
@@ -90,7 +90,8 @@ class MessageSession:
     def connection(self) -> int | None:
         """The number of the current connection, or None without a usable one.
 
-        A driver stores it with the settings that it sent: a different number means to verify them again.
+        A driver stores this number with the settings that it sent; if the number has changed, it verifies them
+        again.
         """
         return self._count if self._stands() else None
 
@@ -146,7 +147,7 @@ class MessageSession:
         expected: str = "one line of text",
         lines: int = 1,
     ) -> str:
-        """Send a command and return its reply without the termination; `lines` is how many lines it has.
+        """Send a command and return its reply, of `lines` lines, without the termination.
 
         The whole reply must match `pattern` (default: printable ASCII), which `expected` describes in errors.
         Raises `InstrumentLost` if nothing arrives within `timeout_s` (None: the session's timeout), and
@@ -427,7 +428,7 @@ class ProvedSession:
         self._session.close()
 
     def ensure_proved(self) -> None:
-        """Prove the instrument unless this was done over the current connection."""
+        """Prove the instrument unless it was proved over the current connection."""
         if self._proving or (self._proved is not None and self._proved == self._session.connection):
             return
         self._proving = True

@@ -180,7 +180,7 @@ class Power:
         """Schedule a disturbance. Raises `ValueError` for an output that feeds no rail."""
         fed = [name for name, output in self._outputs.items() if output.rails]
         if disturbance.output and disturbance.output not in fed:
-            raise ValueError(f"no rail is fed by an output {disturbance.output}; those are {', '.join(fed)}")
+            raise ValueError(f"output {disturbance.output} feeds no rail; choose from {', '.join(fed)}")
         together = not disturbance.output or (disturbance.kind == "off" and self.one_switch)
         names = fed if together else [disturbance.output]
         begin, end = disturbance.at_s, disturbance.at_s + disturbance.lasts_s
@@ -259,7 +259,7 @@ class Power:
 
     @property
     def switchings(self) -> tuple[tuple[float, bool], ...]:
-        """The times at which the block gained (True) or lost (False) power, beginning with a False entry."""
+        """The times at which the block gained (True) or lost (False) power; the first entry is False."""
         return tuple(self._lives)
 
     # --- advance of time ----------------------------------------------------------------------------

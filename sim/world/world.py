@@ -261,7 +261,7 @@ class World(KeyedNumbers):
     def aside(self) -> Iterator[None]:
         """Let instruments be read without a change: afterwards time, history and random numbers are as before.
 
-        Its own random numbers belong to no step. Only a virtual clock can go back.
+        Random numbers drawn meanwhile belong to no step. It needs a virtual clock, which alone can go back.
         """
         with self._lock:
             now_s, kept = self.clock.now_s(), (self._step, self._counts.copy(), self._aside)
@@ -283,13 +283,15 @@ class World(KeyedNumbers):
         """
         if installation not in self.settings.model.installations:
             known = ", ".join(self.settings.model.installations)
-            raise KeyError(f"the bench has no installation {installation!r}; it has {known}")
+            raise KeyError(f"the bench has no installation {installation!r}; choose from {known}")
         with self._lock:
             stand_rad = self._stand_rad(installation, series)
             self._pose_on(installation=installation, series=series, stand_rad=stand_rad)
 
     def level_platform(self, installation: str, series: int) -> None:
-        """Give the platform the tilt and zero offset of a mounting, as levelling before that mounting does."""
+        """Give the platform the tilt and zero offset that it has in a mounting, as when it is levelled before that
+        mounting.
+        """
         with self._lock:
             stand_rad = self._poses[-1].stand_rad.copy()
             stand_rad[:2] = self._stand_rad(installation, series)[:2]
@@ -349,10 +351,10 @@ class World(KeyedNumbers):
         """
         inputs = {"signal": None, "short": 0.0, "reference": reference_v}
         if source not in inputs:
-            raise ValueError(f"an input is switched to {', '.join(inputs)}, not to {source!r}")
+            raise ValueError(f"no input {source!r}; choose from {', '.join(inputs)}")
         input_v = inputs[source]
         if source == "reference" and input_v is None:
-            raise ValueError("a reference has a voltage")
+            raise ValueError("the reference needs a voltage; give reference_v")
         with self._lock:
             self._pose_on(input_v=input_v)
 
@@ -424,7 +426,7 @@ class World(KeyedNumbers):
     ) -> None:
         """Add a setting that was read before the world was rebuilt to the history on which effects depend.
 
-        Arguments are as recorded; without an installation the block is as in the previous recalled setting. Call
+        Arguments are as recorded; without an installation the block stays as in the setting recalled before. Call
         it in the order of measurement, before the first new reading.
         """
         with self._lock:
@@ -566,5 +568,5 @@ class World(KeyedNumbers):
     def terminals(self, channel: Channel) -> Terminals:
         """Return the terminals of `channel` for a meter. Raises `ValueError` for an unknown channel."""
         if channel not in CHANNELS:
-            raise ValueError(f"the block has the channels {', '.join(CHANNELS)}, not {channel!r}")
+            raise ValueError(f"the block has no channel {channel!r}; choose from {', '.join(CHANNELS)}")
         return Terminals(self, channel)

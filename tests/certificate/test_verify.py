@@ -197,7 +197,7 @@ def no_certificate(made):
         (other_number, "its XML of certificate SIM-2026-0002"),
         (unsigned_within, "the attached dcc.xml: it claims a signature but has none"),
         (changed_within, "the attached dcc.xml: the signature is invalid"),
-        (other_values, "are not those of its result"),
+        (other_values, "differ from its result"),
         (other_result, "result.json in the XML differs"),
         (no_certificate, "the attached dcc.xml: it is not a digital calibration certificate"),
     ],
@@ -218,7 +218,10 @@ def test_another_certificate_beside_it_is_told(made, written):
     assert "c.pdf beside it differs" in looked_at(written / "c.xml").wrong[0]
     (written / "c.xml").write_bytes(made.xml)
     (written / "c.pdf").write_bytes(made.pdf + b"\n")
-    assert "c.pdf beside it: its signature does not cover its end" in looked_at(written / "c.xml").wrong[0]
+    assert (
+        "c.pdf beside it: its signature does not cover the end of the file"
+        in looked_at(written / "c.xml").wrong[0]
+    )
 
 
 def test_files_that_cannot_be_read_are_told(tmp_path):
@@ -348,12 +351,12 @@ def test_a_signature_that_was_taken_off_is_missed(forms, tmp_path):
     file, _ = nowhere(tmp_path, forms[True])
     body = file.read_bytes()
     file.write_bytes(body[: body.index(b"%%EOF") + 6])
-    assert "the XML in it is signed, but not the PDF" in verify_certificate(file, None, NOWHERE).wrong
+    assert "the XML in it is signed, but not the PDF" in verify_certificate(file, None, NOWHERE).wrong[0]
     xml = file.with_suffix(".xml")
     start, end = xml.read_bytes().index(b"<ds:Signature "), xml.read_bytes().index(b"</ds:Signature>")
     xml.write_bytes(xml.read_bytes()[:start] + xml.read_bytes()[end + 15 :])
     wrong = verify_certificate(xml, None, NOWHERE).wrong
-    assert wrong == ["it claims a signature but has none"]
+    assert wrong == ["it claims a signature but has none; ask the laboratory for the original"]
     xml.write_bytes(sign_xml(forms[False]["xml"], a_signatory(), NOW))
     wrong = verify_certificate(xml, None, NOWHERE).wrong
     assert wrong == ["it claims to be unsigned but has a signature"]
@@ -366,7 +369,7 @@ def test_parts_of_an_unsigned_certificate_that_do_not_agree_are_a_change(forms, 
     xml.write_bytes(forms[False]["xml"].replace(value + b" ", b"-2.0 ", 1))
     verdict = verify_certificate(xml, None, NOWHERE)
     assert verdict.headline == "CHANGED"
-    assert "are not those of its result" in verdict.wrong[0]
+    assert "differ from its result" in verdict.wrong[0]
     xml.write_bytes(forms[False]["xml"].replace(b"Navigation Works", b"Navigation Work"))
     assert "c.xml beside it differs" in verify_certificate(file, None, NOWHERE).wrong[0].replace(NUMBER, "c")
 
@@ -374,7 +377,9 @@ def test_parts_of_an_unsigned_certificate_that_do_not_agree_are_a_change(forms, 
 def test_a_draft_and_a_register_that_is_not_there_are_told(forms, tmp_path):
     (tmp_path / "draft.pdf").write_bytes(forms["draft"])
     verdict = verify_certificate(tmp_path / "draft.pdf", None, NOWHERE)
-    assert (verdict.headline, verdict.wrong) == ("NO CERTIFICATE", ["it is a draft and was never issued"])
+    assert (verdict.headline, verdict.wrong) == (
+        "NO CERTIFICATE", ["it is a draft and was never issued; ask the laboratory for the original"]
+    )  # fmt: skip
     file, _ = nowhere(tmp_path, forms[False])
     with pytest.raises(Refused, match="no register there"):
         verify_certificate(file, None, NOWHERE, tmp_path / "none")

@@ -169,7 +169,7 @@ def test_two_terms_become_one_effect_that_a_model_has(accept):
         (NAME, "act at different places"),
         (
             (*NAME, "--term", "unnamed_7"),
-            "there is no term unnamed_7; there are unnamed_1, unnamed_2, unnamed_3",
+            "there is no term unnamed_7; choose from unnamed_1, unnamed_2, unnamed_3",
         ),
         (("--name", "Slow!", "--sentence", "x", "--term", "unnamed_1"), "small letters"),
         (("--name", "warm_up", "--sentence", "x", "--term", "unnamed_1"), "already has an effect 'warm_up'"),

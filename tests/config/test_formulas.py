@@ -59,7 +59,7 @@ def test_a_formula_is_read_in_si_and_written_back_the_same(tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "line", "told"),
     [
-        ("100 µg", "100 µV", 6, "the expression gives V|V and a plain number"),
+        ("100 µg", "100 µV", 6, "the expression gives V|combines V with a plain number"),
         ("100 µg", "100", None, None),
         ("100 µg", "-100 ug", 7, "above 0"),
         ("100 µg", "100 ugg", 7, "unknown unit 'ugg'"),
@@ -71,10 +71,10 @@ def test_a_formula_is_read_in_si_and_written_back_the_same(tmp_path):
         ("lag: {grid: [0 min, 10 "
         "min]}", "lag: {grid: [1 V]}", 6, "state a time as the second argument of 'lagged'"),
         ("travelled / turns", "time * turns", 6, "exp needs a plain number or an angle, not s"),
-        ("+ B", "+ time * B", 6, "stand on both sides of '\\+'"),
+        ("+ B", "+ time * B", 6, "combines a plain number or an angle with s; give both the same unit"),
         ("travelled / turns", "turns * (time > 40 min)", None, None),
         ("travelled / turns", "turns * (time > 2400)", 6, "write the number with its unit, such as '2400 s'"),
-        ("travelled / turns", "turns * (time > 3 V)", 6, "s and V stand on both sides of '>'"),
+        ("travelled / turns", "turns * (time > 3 V)", 6, "'>' combines s with V; give both the same unit"),
         ("settling", "hysteresis", 3, "the bench already has an effect 'hysteresis'"),
         ("settling", "Settling!", 3, "small letters"),
         ("stage: block output", "stage: block", 5, "did you mean 'block output'"),

@@ -93,7 +93,7 @@ def test_a_parameter_of_the_wrong_form_is_a_mistake(tmp_path, parameters, text):
 
 def test_a_channel_that_the_effect_does_not_have_has_no_value(tmp_path):
     head = "model_file: 1\nname: m\neffects:\n  - name: quadratic_nonlinearity\n    channels: [x]\n"
-    with pytest.raises(FileMistakes, match="channel y is not among the channels"):
+    with pytest.raises(FileMistakes, match="channel y is not among 'channels'"):
         load(tmp_path, head + "    parameters: {K2: {y: 1 ug/g^2}}\n")
 
 

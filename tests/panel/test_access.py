@@ -232,3 +232,8 @@ def test_requests_drawn_at_random_change_nothing_without_the_right_to(tmp_path):
     assert outcome.requests == 200
     assert outcome.entitled > 5
     assert {200, 303, 401, 403, 404, 405, 413} <= outcome.statuses.keys()
+
+
+def test_who_comes_without_a_link_types_a_token(tmp_path):
+    assert 'name="token"' in stranger(tmp_path / "runs").get("/sign-in").text
+    assert 'value="once"' in stranger(tmp_path / "runs").get("/sign-in?link=once").text

@@ -124,7 +124,7 @@ def test_stop_is_everybodys_and_all_else_the_holders(runs, one, alive):
 def test_nobody_hears_a_wish_for_a_run_that_nobody_carries_out(anna, one):
     anna.ask("/runs/one/control", do="take")
     status, told = anna.ask("/runs/one/wish", wish="pause")
-    assert (status, told["problem"]) == (409, "no program is carrying out this run")
+    assert (status, told["problem"]) == (409, "no program is carrying out this run; resume it first")
     assert not (one / CONTROL).exists()
 
 

@@ -225,7 +225,7 @@ def test_no_file_of_another_folder_is_included(anna, include):
     text = f"procedure: x\nsteps:\n  - include: {include}\n"
     sent, _ = opened(anna, "start=quick")
     page = send(anna, {**sent, "typed": text, "new_name": "mine"}, do="text").text
-    assert "stands in the same folder" in page
+    assert "includes files of the same folder only" in page
     assert send(anna, {**sent, "text": text, "typed": text}, new_name="mine", do="write").status_code == 200
     assert not Path("procedures").exists()
 

@@ -47,9 +47,9 @@ def test_a_number_is_asked_until_it_fits():
     person = Script("many", "9", "31", "15,5")
     assert ask(person, NUMBER) == "15,5"
     assert [p.id for p in person.seen] == [f"0007/ask#{n}" for n in (1, 2, 3, 4)]
-    assert person.seen[1].text.startswith("A number in V is wanted, not 'many'. Supply")
-    assert "below the least, 10 V" in person.seen[2].text
-    assert "above the most, 30 V" in person.seen[3].text
+    assert person.seen[1].text.startswith("Type a number in V, not 'many'. Supply")
+    assert "ype a number of 10 or more, not 9 V" in person.seen[2].text
+    assert "ype a number of at most 30, not 31 V" in person.seen[3].text
 
 
 def test_a_stale_answer_is_ignored():
@@ -149,7 +149,7 @@ def test_a_wish_typed_at_a_prompt_is_heard_and_a_misspelt_one_explained():
     with pytest.raises(OperatorWish) as heard:
         person.ask(Prompt("1#1", PromptKind.ANGLE, "Turn"))
     assert heard.value.control == RunControl(Wish.SKIP, "the cable came loose", by_person=True)
-    assert ":rdo is unknown; possible are :pause, :continue, :redo" in shown.getvalue()
+    assert ":rdo is unknown; type one of :pause, :continue, :redo" in shown.getvalue()
     assert "give a reason" in shown.getvalue()
 
 

@@ -139,5 +139,5 @@ def test_samples_that_do_not_follow_each_other_are_refused():
     window.add(1.0, [1.0, 2.0])
     with pytest.raises(ValueError, match="follow"):
         window.add(0.0, [1.0, 2.0])
-    with pytest.raises(ValueError, match="1 signals follow 2"):
+    with pytest.raises(ValueError, match="a sample has 1 signals, the last had 2"):
         window.add(2.0, [1.0])

@@ -153,7 +153,7 @@ def test_a_signal_on_the_way_out_changes_nothing(
 
 def test_abort_and_a_mistake_of_the_program_write_the_page_too(path: Path, tmp_path: Path) -> None:
     for error, said in (
-        (OperatorWish(RunControl(Wish.ABORT)), "ended by the person"),
+        (OperatorWish(RunControl(Wish.ABORT)), "the person ended the session"),
         (ZeroDivisionError("x"), "the program failed with ZeroDivisionError (x)"),
     ):
         out = tmp_path / type(error).__name__

@@ -100,7 +100,9 @@ def test_a_result_that_was_edited_cannot_be_accepted(bench, few, laboratory):
     printed(bench("validate", "--out", "v"))
     file = Path("v/validation.json")
     file.write_text(file.read_text(encoding="utf-8").replace("11.1", "11.2", 1), encoding="utf-8")
-    refused(bench("validate", "--accept", "v", "--laboratory", laboratory, *BY), "is not what was sealed")
+    refused(
+        bench("validate", "--accept", "v", "--laboratory", laboratory, *BY), "differs from the sealed file"
+    )
 
 
 def test_a_folder_is_used_once(bench, few):

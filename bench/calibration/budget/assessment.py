@@ -91,9 +91,9 @@ def measured(
 ) -> MeasuredAcceleration:
     """Return the uncertainty of accelerations `force` (d, 3), g, each from one reading.
 
-    Without `reading` only the errors of the coefficients count. With `same_voltmeters` those of the calibration
-    read the block, and their gain and offset cancel; otherwise others of the same accuracy do. The temperature is
-    that of the calibration. Raises `CalibrationError` for an acceleration of zero.
+    Without `reading` only the errors of the coefficients count. With `same_voltmeters`, the voltmeters of the
+    calibration read the block and their gain and offset cancel; otherwise other voltmeters of the same accuracy
+    read it. The temperature is the calibration temperature. Raises `CalibrationError` for an acceleration of zero.
     """
     if not np.all(np.linalg.norm(force, axis=1) > 0.0):
         raise CalibrationError("an acceleration of zero has no direction; give at least a few micro g")
@@ -213,7 +213,9 @@ def over_directions(
 
 
 class DeltaG(ResultModel):
-    """Delta g at one verification point, local g: its uncertainty, and what the decision rule accepts."""
+    """Delta g at one verification point, in local g: its uncertainty, and the limit up to which the decision rule
+    accepts it.
+    """
 
     angle_deg: float
     point: int
@@ -250,7 +252,8 @@ def delta_g(
     reading: bool = True,
     population: Population | None = None,
 ) -> tuple[DeltaG, ...]:
-    """Return, for each verification point of the setup, the uncertainty of delta g and what the rule accepts.
+    """Return, for each verification point of the setup, the uncertainty of delta g and the limit up to which the
+    rule accepts it.
 
     For `reading` see `delta_g_variances`. Raises `CalibrationError` for an unknown rule.
     """
@@ -426,7 +429,7 @@ class Question:
 
 @dataclass(frozen=True)
 class Assessment:
-    """A budget and its consequences; `exact` is None without Monte Carlo; `beside` are additional notes."""
+    """A budget and its consequences; `exact` is None without Monte Carlo; `beside` holds additional notes."""
 
     budget: Budget
     question: Question

@@ -68,7 +68,7 @@ class Setup:
 
     @cached_property
     def setting_slope(self) -> Floats:
-        """du/dphi, V/rad, shape (n, 3)."""
+        """Derivatives du/dphi of the signals by the head angle, V/rad, shape (n, 3)."""
         return self._slope(lambda step: (self._angles(), step))
 
     def stand_slope(self, name: str) -> Floats:
@@ -102,7 +102,7 @@ class Setup:
 
     @cached_property
     def effect_columns(self) -> Floats:
-        """Derivatives of the readings by the parameters of effects, V per SI, shape (n, 3, q)."""
+        """Derivatives of the readings by the q parameters of effects, V per SI unit, shape (n, 3, q)."""
         problem = self.effect_problem
         return problem.jacobian(self.block, problem.prior_mean)[:, :, FIXED:]
 
@@ -196,9 +196,9 @@ def estimator_map(
     """Return an estimator's linear map (12, n, 3) from readings to coefficients; zero at verification points.
 
     `stated` maps stand errors to standard uncertainties (rad, V), by which generalised least squares weighs the
-    readings; `known`, prior knowledge from other runs, replaces them. An iterative estimator has the map of its
-    last step on readings without outliers. Raises `CalibrationError` for an unknown estimator, and for readings
-    that do not determine the coefficients or do not suit the closed form.
+    readings. `known`, prior knowledge from other runs, replaces these uncertainties. An iterative estimator has the
+    map of its last step on readings without outliers. Raises `CalibrationError` for an unknown estimator, and for
+    readings that do not determine the coefficients or do not suit the closed form.
     """
     by = in_a_budget(estimator)
     require_rank(setup.force[setup.fitted])
@@ -248,7 +248,7 @@ class Influence:
         return cls(pattern, numbers.reshape(pattern.shape), len(labels))
 
     def through(self, functionals: Floats) -> Floats:
-        """Return the change (m, draws) of linear functionals (m, n, 3) of the readings per unit of each draw."""
+        """Return the change (m, draws) of m linear functionals (m, n, 3) of the readings, per unit of each draw."""
         m = len(functionals)
         flat: Floats = (functionals * self.pattern).reshape(m, -1)
         group = self.group.ravel()
@@ -264,7 +264,7 @@ class Influence:
 
 
 class AnyReadings(Protocol):
-    """Protocol of the n readings that error patterns act on: a `Setup`, or measured readings."""
+    """Protocol of the n readings on which error patterns act: a `Setup`, or measured readings."""
 
     @property
     def signal(self) -> Floats:
@@ -276,7 +276,7 @@ class AnyReadings(Protocol):
 
     @property
     def setting_slope(self) -> Floats:
-        """du/dphi, V/rad, shape (n, 3)."""
+        """Derivatives du/dphi of the signals by the head angle, V/rad, shape (n, 3)."""
 
     @property
     def orientation(self) -> Ints:
@@ -439,7 +439,9 @@ _PATTERNS: Final[Mapping[str, Callable[[ErrorSource, AnyReadings], _Patterns]]] 
 
 @dataclass(frozen=True)
 class Contribution:
-    """The contribution of a source: `parts` (12, q) are the changes of the coefficients by u of each draw."""
+    """The contribution of a source: column k of `parts` (12, q) is the change of the coefficients by draw k of size
+    u.
+    """
 
     source: ErrorSource
     parts: Floats
@@ -457,7 +459,10 @@ class Contribution:
 
 @dataclass(frozen=True)
 class Budget:
-    """The budget of an estimator for the readings of a setup; `gain` (12, n, 3) is the estimator's map."""
+    """The uncertainty budget of an estimator for the n readings of a setup.
+
+    `gain` (12, n, 3) is the estimator's linear map.
+    """
 
     estimator: str
     setup: Setup
@@ -501,11 +506,11 @@ def make_budget(
     probability: float = COVERAGE,
     known: KnownStand | None = None,
 ) -> Budget:
-    """Return the budget of an estimator, one of `bench.calibration.estimators` by name.
+    """Return the uncertainty budget of the estimator named `estimator`.
 
-    `stated` are the sizes by which the estimator weighs the readings (see `estimator_map`), by default those of the
-    sources; `known`, prior knowledge from other runs, replaces them. Raises `CalibrationError` if the readings do
-    not determine the coefficients.
+    It weighs the readings by the standard uncertainties `stated`, by default those of the sources (see
+    `estimator_map`). If `known`, prior knowledge from other runs, is given, it uses that instead. Raises
+    `CalibrationError` if the readings do not determine the coefficients.
     """
     gain = estimator_map(estimator, setup, sizes_by_name(sources) if stated is None else stated, known)
     contributions = tuple(Contribution(source, parts_of(source, setup, gain)) for source in sources)
@@ -518,6 +523,8 @@ def sizes_by_name(sources: Iterable[ErrorSource]) -> dict[str, float]:
 
 
 def parts_of(source: ErrorSource, setup: AnyReadings, functionals: Floats) -> Floats:
-    """Return the changes (m, q) of linear functionals (m, n, 3) of the readings by u of each draw of a source."""
+    """Return the changes (m, q) of m linear functionals (m, n, 3) of the n readings, one column for each of a
+    source's q draws of size u.
+    """
     parts = [influence.through(functionals) for influence in influences(source, setup)]
     return source.acting(np.concatenate(parts, axis=1))

@@ -47,14 +47,15 @@ _SHOWN: Final[Mapping[str, tuple[str, float]]] = {
 
 @dataclass(frozen=True)
 class ErrorSource:
-    """An error source with its distribution in `unit` (SI), the scope `common` of one draw, and degrees of freedom.
+    """An error source: its distribution in `unit` (SI), the readings that share one draw (`common`), and degrees of
+    freedom.
 
     `origin` says where the size comes from; `prior` marks a plausible size that nobody stated. `factors` scale the
     error where it acts (temperature coefficients, per K). For a parameter of an effect, `effect` is set, and
-    `written_in` has the unit of model files and its size in SI. `channels` are those affected: a voltmeter's own;
-    for K2 and K3 those whose model has no such effect. For correlated draws `root` (q, k) makes q of them from k
-    independent ones. `angles` are the kinds of stand angle whose means over mountings this source describes.
-    `correlation_s` is the correlation time of an error that is common in "time".
+    `written_in` has the unit of model files and its size in SI. `channels` are the affected channels: those of one
+    voltmeter; for K2 and K3, those whose model has no such effect. For correlated draws `root` (q, k) makes q of
+    them from k independent ones. `angles` are the kinds of stand angle whose means over mountings this source
+    describes. `correlation_s` is the correlation time of an error that is common in "time".
     """
 
     name: str
@@ -98,7 +99,7 @@ class ErrorSource:
         return np.array([float(channel in self.channels) for channel in CHANNELS])
 
     def acting(self, draws: Floats) -> Floats:
-        """Return the effects of draws of size u, given those of draws of size 1, (..., q)."""
+        """Return the effects (..., q) of draws of size u, from the effects of draws of size 1."""
         return self.u * draws if self.root is None else self.u * draws @ np.array(self.root)
 
     def sized(self, u: float) -> ErrorSource:
@@ -115,9 +116,9 @@ def learned_sources(
 ) -> tuple[ErrorSource, ...]:
     """Return the stand's sources for readings in these mountings, with knowledge from other runs.
 
-    An angle of a mounting is a mean shared by mountings plus a departure of its own. The departures keep the names
-    of the `stated` sources; the means are one source with correlated draws. Reading noise becomes one source per
-    channel.
+    Each angle of a mounting is a mean, which mountings share, plus a deviation of this mounting. The deviations
+    keep the names of the `stated` sources; the means form one source with correlated draws. Reading noise becomes
+    one source per channel.
     """
     return tuple(_sources(stated, known, mounts))
 
@@ -212,7 +213,7 @@ class TiltRate:
         self, conditions: Conditions, block: Block, across: Floats, installations: Mapping[str, Installation],
         functionals: Floats,
     ) -> Floats:  # fmt: skip
-        """Return the changes (m, 2) of linear functionals (m, n, 3) by both tilts, each of size u.
+        """Return the changes (m, 2) of m linear functionals (m, n, 3) by the two tilt rates, each of size u.
 
         `across` (n, 3) is the derivative of the signals by an angle about the shaft.
         """

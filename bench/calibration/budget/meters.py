@@ -138,7 +138,7 @@ CONTRADICTS_P: Final = 0.01
 
 @dataclass(frozen=True)
 class LearnedDifferences:
-    """Learned differences of M meters from their group's mean: `values` (M,), `covariance` (M, M).
+    """Learned differences of M meters from the mean of their group: `values` (M,) with `covariance` (M, M).
 
     Meters with the same number in `group` were compared with each other.
     """
@@ -171,11 +171,11 @@ class JointErrors:
 def joint_errors(
     told: LearnedDifferences, at: Sequence[int | None], prior_u: Floats, certified: Mask, kept: float
 ) -> JointErrors | str:
-    """Return the joint errors of n meters given learned differences, or the reason for not using these.
+    """Return the joint errors of n meters given learned differences, or the reason for not using the differences.
 
-    `at` has the index of each meter in `told`, None if it is not there. `prior_u` (n,) is u by certificate or
-    limits, `certified` (n,) marks those by certificate. `kept`, from 0 to 1, is the correlation of a meter's error
-    today with its error when the differences were learned.
+    `at` has the index of each meter in the differences `told`, None for a meter that they lack. `prior_u` (n,) is u
+    from certificates or makers' limits; `certified` (n,) marks the meters with certificates. `kept`, from 0 to 1,
+    is the correlation of a meter's error today with its error when the differences were learned.
     """
     n = len(prior_u)
     places = [place if place is not None else -1 for place in at]
@@ -239,7 +239,7 @@ class LearnedMeters:
 
 @dataclass(frozen=True)
 class KnownMeters:
-    """The errors of a bench's voltmeters, as far as differences between them were learned.
+    """The errors of a bench's voltmeters that follow from learned differences between them.
 
     `quantities` maps a source's name to its size and the joint errors of the meters. `gain` and `offset_v` (x, y,
     z) correct the readings: U (1 + gain) + offset.
@@ -314,8 +314,8 @@ GRADIENT: Final = Distribution(0.2, "rectangular")
 def thermometer_size(bench: BenchFile) -> Size | None:
     """Return the uncertainty of the measured temperature of the block, K.
 
-    It is None for a chamber's thermometer without certificate: the band of the air, which counts anyway, is
-    larger.
+    It is None for a chamber's thermometer without certificate, because the band of the air temperature, which
+    always counts, is larger.
     """
     told_by = bench.instruments.thermometer or bench.instruments.chamber
     certificate = None if told_by is None else told_by.certificate

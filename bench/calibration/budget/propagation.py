@@ -70,7 +70,10 @@ class Propagated(HasCovariance):
 
 
 def correlation_of(covariance: Floats) -> Floats:
-    """Return the correlation coefficients of a covariance (m, m); zero off the diagonal where a u is zero."""
+    """Return the correlation coefficients of a covariance (m, m).
+
+    They are zero off the diagonal for a quantity with u = 0.
+    """
     u = u_of(covariance)
     size = np.where(u > 0.0, u, np.inf)
     matrix: Floats = covariance / np.outer(size, size)
@@ -96,7 +99,7 @@ class Distributed(HasCovariance):
     """Statistics of Monte Carlo outputs: `mean` (m,), `u` (m,), `covariance` (m, m).
 
     `symmetric` (m, 2) are the ends of the probabilistically symmetric coverage intervals for `probability`,
-    `shortest` (m, 2) those of the shortest coverage intervals.
+    `shortest` (m, 2) the ends of the shortest coverage intervals.
     """
 
     mean: Floats
@@ -110,7 +113,10 @@ class Distributed(HasCovariance):
 def summary(outputs: Floats, probability: float = COVERAGE) -> Distributed:
     """Return the statistics of outputs (trials, m). Source: JCGM 101:2008, 7.5 to 7.7, 5.3.4."""
     if not np.all(np.isfinite(outputs)):
-        raise CalibrationError("the function fails for some draws of its inputs; limit the inputs")
+        bad = int(np.sum(~np.isfinite(outputs).all(axis=1)))
+        raise CalibrationError(
+            f"{bad} of {len(outputs)} draws give no finite result; narrow the distributions of the inputs"
+        )
     ordered = np.sort(outputs, axis=0)
     trials = len(ordered)
     inside = math.floor(probability * trials + 0.5)
@@ -150,7 +156,7 @@ class Validation:
 
     @property
     def validated(self) -> Mask:
-        """Where both ends agree within delta, shape (m,)."""
+        """Whether both interval ends agree within delta, for each output, shape (m,)."""
         return np.asarray((self.low <= self.tolerance) & (self.high <= self.tolerance))
 
 

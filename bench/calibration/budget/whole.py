@@ -86,7 +86,8 @@ def sign(
     day: date | None = None,
     meters: KnownMeters | None = None,
 ) -> Calibration:
-    """Return the calibration with the combined covariance: that of its readings and of the errors they do not show.
+    """Return the calibration with its combined covariance: the covariance from its readings plus that from errors
+    which no reading shows.
 
     `readings` is the whole table of the calibration, `day` its date, `meters` the learned errors of the voltmeters.
     For readings in another unit than volts, whose meters' errors are unknown, only the scatter of the zeros from
@@ -186,10 +187,10 @@ def delta_g_elsewhere(
 ) -> Floats:  # fmt: skip
     """Return the covariance (v, v) of |a| at the verification rows for coefficients of another day, local g².
 
-    `covariance` (12, 12) and `noise` (3,) belong to the coefficients. With `same_meters` the gain and offset of the
-    meters cancel and must not be in that covariance; otherwise those of today's meters are added. `block_terms`
-    (12, q) of `Calibration` correlate K2 and K3 in the coefficients with K2 and K3 in the readings at the points.
-    All other errors of the readings count in full.
+    `covariance` (12, 12) and `noise` (3,) belong to the coefficients. With `same_meters`, the meters' gain and
+    offset cancel and must not be in that covariance; otherwise the gain and offset errors of today's meters are
+    added. `block_terms` (12, q), as in `Calibration`, correlate the effect of K2 and K3 on the coefficients with
+    their effect on the readings at the points. All other errors of the readings count in full.
     """
     rows = np.flatnonzero(readings.installation == VERIFICATION)
     taken = MeasuredReadings(readings, block, _meters(bench), np.zeros((len(readings), 3)))

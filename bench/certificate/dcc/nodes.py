@@ -84,7 +84,7 @@ def read_unit(text: str) -> tuple[float, dict[str, int]]:
     powers: dict[str, int] = {}
     for scale, name, power in _parts(text):
         if name not in _UNITS:
-            raise ValueError(f"{text!r}: the unit {name} is not known here")
+            raise ValueError(f"{text!r}: the unit {name} is unknown; write it in SI base units")
         size, dimension = _UNITS[name]
         factor *= (size * 10.0**scale) ** power
         for base, count in dimension.items():
@@ -402,7 +402,9 @@ _STAND_INS: Final = {
 
 @dataclass(frozen=True)
 class Schemas:
-    """The compiled schemas of a folder; `stood_in` names imported schemas that were missing and replaced."""
+    """The compiled schemas of a folder; `stood_in` names missing imported schemas that were replaced by empty
+    ones.
+    """
 
     folder: Path
     checker: etree.XMLSchema
@@ -432,7 +434,9 @@ def read_schemas(folder: Path) -> Schemas:
             )
         stated = _version_of(path)
         if stated != version:
-            raise Refused(f"{path}: version {stated}, but certificates are written by {version}")
+            raise Refused(
+                f"{path}: is version {stated}, but certificates follow {version}; give the schemas of {version}"
+            )
     stood_in: list[str] = []
 
     base: Any = etree.Resolver
@@ -456,7 +460,7 @@ def read_schemas(folder: Path) -> Schemas:
     try:
         checker = etree.XMLSchema(etree.parse(str(there["dcc.xsd"]), reader))
     except (etree.XMLSchemaParseError, etree.XMLSyntaxError, OSError) as error:
-        raise Refused(f"--schema {folder}: cannot be used ({error})") from error
+        raise Refused(f"--schema {folder}: cannot be used ({error}); download the schemas again") from error
     return Schemas(folder, checker, tuple(stood_in))
 
 

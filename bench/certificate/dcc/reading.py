@@ -64,12 +64,12 @@ def document_in(path: Path) -> tuple[Node, tuple[str, ...]]:
     if root.find(f".//{{{SIGNATURE}}}Signature") is None:
         return root, ("this document has no signature",)
     from bench.certificate.signatory import name_of
-    from bench.certificate.signatures import NotIntact, check_xml
+    from bench.certificate.signatures import ORIGINAL, NotIntact, check_xml
 
     try:
         signed = check_xml(content)
     except NotIntact as error:
-        raise Refused(f"{path}: {error}; it was not read") from error
+        raise Refused(f"{path}: not read, as {error}; {ORIGINAL}") from error
     who = name_of(signed.chain[0])
     note = f"signed as {who}, intact; whose key that is, 'bench certificate verify {path} --trust FILE' tells"
     return etree.fromstring(signed.content, parser()), (note,)
@@ -92,7 +92,7 @@ def _attached(path: Path, paper: bytes) -> bytes:
 
 
 def has_coefficients(root: Node) -> bool:
-    """Return whether a document has a list with the names of the twelve coefficients."""
+    """Return whether a document has a list of quantities with the names of the twelve coefficients."""
     words = (one.text or "" for one in root.iter(f"{{{SI}}}labelXMLList"))
     members = (
         " ".join(label.text or "" for label in one.iter(f"{{{SI}}}label"))
@@ -116,7 +116,7 @@ def coefficients_in(path: Path, g_m_s2: float | None = None, noise: str | None =
     try:
         lists = list(real_lists(root))
     except NotRead as error:
-        raise Refused(f"{path}: {error}") from error
+        raise Refused(f"{path}: {error}; ask its laboratory to correct it") from error
     own = [one for one in lists if {OURS, "bench_found"} <= one.roles and one.covariance is not None]
     if len(own) == 1:
         return DocumentReading(_ours(path, root, own[0]), notes)
@@ -124,7 +124,8 @@ def coefficients_in(path: Path, g_m_s2: float | None = None, noise: str | None =
     if not named:
         there = "; ".join(one.words for one in lists[:6]) or "none"
         raise Refused(
-            f"{path}: no list of the twelve coefficients {COEFFICIENTS[0]} … {COEFFICIENTS[-1]}; its lists: {there}"
+            f"{path}: no list of the twelve coefficients (it has {there}); give a certificate that lists "
+            f"{COEFFICIENTS[0]} to {COEFFICIENTS[-1]}"
         )
     if len(named) > 1:
         with_covariance = [pair for pair in named if pair[0].covariance is not None]
@@ -145,7 +146,9 @@ def _ours(path: Path, root: Node, listed: RealList) -> dict[str, Any]:
         np.array_equal(listed.values, taken.block.vector)
         and np.array_equal(listed.covariance, taken.covariance)
     ):
-        raise Refused(f"{path}: {_FILE} in it states other coefficients than its list; it was not read")
+        raise Refused(
+            f"{path}: its {_FILE} and its list state different coefficients; ask the laboratory for the original"
+        )
     told = {name: value for name, value in data.items() if name != "verification"}
     return {**told, "certificate": _about(root)}
 
@@ -157,7 +160,7 @@ def _file(path: Path, root: Node) -> bytes:
                 return base64.b64decode(one.findtext("dcc:dataBase64", "", NAMESPACES), validate=True)
             except binascii.Error:
                 break
-    raise Refused(f"{path}: it has no {_FILE} that can be read")
+    raise Refused(f"{path}: it has no readable {_FILE}; ask the laboratory for the original")
 
 
 def _about(root: Node) -> dict[str, str]:
@@ -277,7 +280,9 @@ def section_of(path: Path, root: Node) -> Section:
     stated: dict[str, Any] = {**_about(root)}
     lacking = [name for name, text in stated.items() if not text]
     if lacking:
-        raise Refused(f"{path}: the document does not state its {', '.join(lacking)}")
+        raise Refused(
+            f"{path}: the document does not state its {', '.join(lacking)}; ask its laboratory to add it"
+        )
     serial = _serial(root)
     if serial:
         stated["serial"] = serial
@@ -303,7 +308,7 @@ def _values(path: Path, root: Node) -> tuple[list[dict[str, str]], list[str]]:
     try:
         tables = list(_tables(root))
     except NotRead as error:
-        raise Refused(f"{path}: {error}") from error
+        raise Refused(f"{path}: {error}; ask its laboratory to correct it") from error
     rows: list[dict[str, str]] = []
     notes = []
     for axis, off in tables:

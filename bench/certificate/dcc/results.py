@@ -354,10 +354,11 @@ _LIST: Final = ".//si:realListXMLList"
 
 @dataclass(frozen=True)
 class ShownValues:
-    """The values in a certificate; `covariance` is that of the coefficients, `files` maps names to attachments.
+    """The values in a certificate.
 
-    `release` is the version of the program that wrote it. `says_signed` is whether the certificate states that it
-    is signed; None if it states neither.
+    `covariance` is the covariance of the coefficients, `files` maps names to attachments. `release` is the version
+    of the program that wrote it. `says_signed` is whether the certificate states that it is signed; None if it
+    states neither.
     """
 
     says: CertificateSays
@@ -445,7 +446,7 @@ def _coefficients(root: Any) -> tuple[tuple[tuple[float, ...], ...], dict[str, C
     )
     covariance = tuple(zip(*(_numbers(one, "si:valueXMLList") for one in columns), strict=True))
     if not len(labels) == len(units) == len(values) == len(U) == len(k) == len(covariance):
-        raise NotIntact("the coefficients of the digital certificate are not one list")
+        raise NotIntact("the lists of coefficients in the digital certificate differ in length")
     rows = zip(labels, values, U, k, units, strict=True)
     return covariance, {
         label: CertifiedCoefficient(value=value, U=expanded_u, k=factor, unit=unit)

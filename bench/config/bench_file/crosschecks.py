@@ -73,9 +73,7 @@ def _one_range_mistakes(voltmeters: Any) -> Iterator[tuple[Place, str]]:
     ranges = [_value(part(meter, "range") or "10 V", VOLTAGE) for meter in _items(voltmeters)]
     for index, range_v in enumerate(ranges):
         if range_v is not None and ranges[0] is not None and range_v != ranges[0]:
-            text = (
-                f"all voltmeters need the same range: this one has {range_v:g} V, the first {ranges[0]:g} V"
-            )
+            text = f"this voltmeter has the range {range_v:g} V, the first {ranges[0]:g} V; give all the same range"
             yield ("instruments", "voltmeters", index, "range"), text
 
 
@@ -289,7 +287,7 @@ def _against_block(rail: _Rail) -> Iterator[tuple[Place, str]]:
     if limit_a is not None and most_a is not None and limit_a > most_a:
         yield (
             ("current_limit",),
-            f"the current limit of {limit_a:g} A is beyond the {most_a:g} A that the block may draw",
+            f"the current limit of {limit_a:g} A exceeds the {most_a:g} A that the block may draw; lower it",
         )
     largest_a = rail.get("current", "maximum")
     if largest_a is not None and limit_a is not None and largest_a >= limit_a:

@@ -124,7 +124,7 @@ class BenchFile(FileModel):
 
     @property
     def knows_its_meters(self) -> bool:
-        """Whether the drivers of all voltmeters are known; those of a recorded run may be missing."""
+        """Whether the drivers of all voltmeters are known; drivers of a recorded run may be missing."""
         return not any(isinstance(meter, UnknownVoltmeter) for meter in self.instruments.voltmeters)
 
     @property
@@ -285,7 +285,7 @@ class Standing:
 
     @property
     def correction(self) -> str:
-        """The correction that the certificate adds to readings, in words; empty for no correction."""
+        """What the certificate corrects in the readings, in words; empty if it corrects nothing."""
         certificate = self.certificate
         if isinstance(self.section, VoltmeterForm):
             return ", ".join(self._of_the_meter(self.section))
@@ -352,7 +352,7 @@ def standings(
 ) -> tuple[Standing, ...]:
     """Return the certificates of a bench as they apply on a day.
 
-    `answered` maps instrument names to reported serial numbers.
+    `answered` maps instrument names to the serial numbers that the instruments reported.
     """
     serials = answered or {}
     return tuple(
@@ -384,7 +384,7 @@ def without(bench: BenchFile, names: Set[str]) -> BenchFile:
 def corrections_of(bench: BenchFile) -> Corrections:
     """Return the corrections that the certificates of a bench add to readings.
 
-    Gain and offset are those of the voltmeter of each channel on its range.
+    Gain and offset are the corrections of each channel's voltmeter on its range.
     """
     gain, offset_v = dict.fromkeys(CHANNELS, 0.0), dict.fromkeys(CHANNELS, 0.0)
     for meter in bench.instruments.voltmeters:

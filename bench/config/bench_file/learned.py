@@ -33,7 +33,9 @@ Dof = Annotated[float, Field(gt=0.0)]
 
 
 class RunEntry(FileModel):
-    """A run behind the file: its name, the head of its record's hash chain (or empty), the hash of its readings."""
+    """A run from which the file was learned: its name, the head of its record's hash chain (or empty), the hash of
+    its readings.
+    """
 
     name: str
     head: str = Field("", min_length=0)
@@ -41,7 +43,9 @@ class RunEntry(FileModel):
 
 
 class MeanEntry(FileModel):
-    """The mean of an angle with its standard uncertainty, over all mountings or those of one `installation`."""
+    """The mean of an angle with its standard uncertainty: over all mountings, or over the mountings in one
+    `installation`.
+    """
 
     angle: AngleName
     installation: str = Field("", min_length=0)
@@ -85,7 +89,9 @@ class StandEntry(FileModel):
         k = len(self.means)
         matrix = self.covariance
         if matrix.shape != (k, k) or not _symmetric(matrix):
-            raise ValueError(f"covariance_rad2 of {k} means has {k} rows of {k} numbers, and is symmetric")
+            raise ValueError(
+                f"covariance_rad2 is not symmetric, {k} by {k}, for {k} means; run 'bench learn' again"
+            )
         if np.min(np.linalg.eigvalsh(matrix)) < -1e-9 * np.max(np.abs(matrix)):
             raise ValueError(
                 "covariance_rad2 is not a covariance: a combination of angles has a negative variance; "
@@ -93,7 +99,9 @@ class StandEntry(FileModel):
             )
         missing = {mean.angle for mean in self.means} - set(self.remount)
         if missing:
-            raise ValueError(f"remount lacks {', '.join(sorted(missing))}, of which there is a mean")
+            raise ValueError(
+                f"remount lacks {', '.join(sorted(missing))}, which 'means' has; run 'bench learn' again"
+            )
         return self
 
     @property
@@ -119,7 +127,8 @@ class MeterValuesEntry(FileModel):
 class MetersEntry(FileModel):
     """The differences between meters, referred to the date `day`.
 
-    Meters with the same `group` number were compared with each other; `runs` are those that exchanged meters.
+    Meters with the same `group` number were compared with each other; `runs` names the runs in which meters were
+    exchanged.
     """
 
     meters: Annotated[tuple[str, ...], Field(min_length=2)]
@@ -133,21 +142,27 @@ class MetersEntry(FileModel):
     def _one_shape(self) -> MetersEntry:
         k = len(self.meters)
         if len(self.group) != k or len(set(self.meters)) != k:
-            raise ValueError(f"each of {k} meters is named once and has a group")
+            raise ValueError(
+                f"the {k} meters need {k} different names and {k} groups; run 'bench learn' again"
+            )
         for name, entry in (("gain", self.gain), ("offset_v", self.offset_v)):
             lengths = {len(row) for row in entry.covariance}
             if len(entry.values) != k or len(entry.covariance) != k or lengths != {k}:
-                raise ValueError(f"{name} of {k} meters has {k} values and a covariance of {k} rows of {k}")
+                raise ValueError(
+                    f"{name} needs {k} values and {k} by {k} covariances for {k} meters; run 'bench learn' again"
+                )
             matrix = np.array(entry.covariance)
             if not _symmetric(matrix) or np.min(np.linalg.eigvalsh(matrix)) < -1e-9 * np.max(np.abs(matrix)):
-                raise ValueError(f"the covariance of {name} is none: it is symmetric and never negative")
+                raise ValueError(
+                    f"the covariance of {name} is not symmetric or not positive; run 'bench learn' again"
+                )
         return self
 
 
 class LearnedFile(WithEffects):
     """The errors of a bench as learned from its runs.
 
-    `sizes`, `contradicting` and `not_identified` inform the reader of the file; nothing is computed from them.
+    `sizes`, `contradicting` and `not_identified` are for the reader of the file; nothing is computed from them.
     """
 
     learned_file: Literal["1"]
@@ -168,7 +183,9 @@ class LearnedFile(WithEffects):
     not_identified: tuple[str, ...] = ()
 
     def has(self, head: str, readings: Sequence[str]) -> bool:
-        """Whether the record with this chain head, or readings with any of these hashes, are behind the file."""
+        """Whether the file was learned from the record with this chain head, or from readings with any of these
+        hashes.
+        """
         return any((head and run.head == head) or run.readings in readings for run in self.runs)
 
     def expired(self, day: datetime.date) -> bool:
@@ -218,7 +235,9 @@ Row = Annotated[tuple[float, ...], Field(min_length=len(COEFFICIENTS), max_lengt
 
 
 class PriorCoefficient(FileModel):
-    """The prior of one coefficient: mean, u, standard deviation between units, standard uncertainty of the mean."""
+    """The prior of one coefficient: its mean, u, the standard deviation between units, and the standard uncertainty
+    of the mean.
+    """
 
     mean: float
     u: Annotated[float, Field(gt=0)]

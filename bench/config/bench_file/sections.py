@@ -246,11 +246,12 @@ class CheckBlockSection(FileModel):
     that `reference` names: runs, or one result of `bench calibrate --json` from elsewhere (a path relative to this
     file).
 
-    The chart gives one false alarm in `arl` runs (default 370), or, with `k`, as many as one Shewhart chart with
-    limits of k standard deviations. `smoothing` is the λ of its EWMA, which starts again on the day `restarted`.
-    `limits` sets the basis of the limits: u as "stated", u "scaled" to the baseline, or the "scatter" of the
-    baseline alone. `between_runs` names the sources of u that vary from run to run. With `rule: refuse`, a run
-    starts only if the last check was in control and is no older than `max_age`; with `warn`, the run only warns.
+    The chart gives one false alarm in `arl` runs on average (default 370). With `k` instead, it gives as many false
+    alarms as a Shewhart chart with limits of k standard deviations. `smoothing` is the λ of its EWMA, which starts
+    again on the day `restarted`. `limits` sets the basis of the limits: u as "stated", u "scaled" to the baseline,
+    or the "scatter" of the baseline alone. `between_runs` names the sources of u that vary from run to run. With
+    `rule: refuse`, a run starts only if the last check was in control and is no older than `max_age`; with `warn`,
+    the run only warns.
     """
 
     serial: str

@@ -62,9 +62,9 @@ class RailLimits(FileModel):
 class RailSection(FileModel):
     """A rail of the block: the supply output that feeds it, its voltage with tolerance, and its current.
 
-    `limits` are those of the block. `current_limit` and `over_voltage` are set at the supply's output before it is
-    switched on. All voltages of a negative rail are negative. `bench.config.bench_file.crosschecks` checks these
-    values against each other and against the supply.
+    `limits` are the limits of the block. `current_limit` and `over_voltage` are set at the supply's output before
+    it is switched on. All voltages of a negative rail are negative. `bench.config.bench_file.crosschecks` checks
+    these values against each other and against the supply.
     """
 
     name: Annotated[str, AfterValidator(_names_a_column)]
@@ -94,7 +94,7 @@ MOST_SAMPLES: Final = 1_000_000
 class DriftForm(FileModel):
     """Criterion of warm-up: each signal has moved by no more than `drift` within the time `per`.
 
-    The signals are sampled every `interval`. Warm-up fails if they have not met the criterion by `timeout`.
+    The signals are sampled every `interval`. Warm-up fails if the signals have not met the criterion by `timeout`.
     """
 
     drift: SizeV
@@ -339,7 +339,7 @@ class UnitUnderTest(FileModel):
 
 
 class PopulationSection(FileModel):
-    """The normal distribution of Δg, the error of measured gravity, over blocks of this type, in g."""
+    """The normal distribution over blocks of this type of Δg, the error of measured gravity, in g."""
 
     mean: AccelerationG = 0.0
     standard_deviation: Annotated[
@@ -403,8 +403,8 @@ class GravityError(ErrorSize):
 class TemperatureError(ErrorSize):
     """The limit of the difference between the block's temperature and that of the calibration, K.
 
-    By default the difference is constant throughout a run. If it fluctuates, `correlation_time` is its correlation
-    time; only then do readings average it.
+    By default the difference is constant throughout a run. If the difference fluctuates, `correlation_time` is its
+    correlation time; only then does averaging over readings reduce it.
     """
 
     limit: SizeK

@@ -59,7 +59,9 @@ class DeviceSection(FileModel):
 
     @classmethod
     def alternatives(cls) -> Iterable[type[FileModel]]:
-        """Return the section classes of all instruments of a role if this is the form of the role, else nothing."""
+        """Return the section classes of all instruments of a role if this class is the form of the role, else
+        nothing.
+        """
         return cls.sections_of(cls.role) if "role" in cls.__dict__ else ()
 
     def driver_options(self) -> dict[str, Any]:
@@ -78,11 +80,11 @@ class DeviceSection(FileModel):
 class Device:
     """The declaration of an instrument, found as `DEVICE` in a module of this folder or of a plug-in.
 
-    `name` is the instrument's `driver` in bench files. `driver` and `simulation` name classes as
-    "module:Class"; a leading dot means a module in the folder of the declaration. `simulation` is None for an
-    instrument that a person operates. `example` is a bench-file section of the instrument (for a voltmeter with
-    one signal, that of x). `simulated` lists the keys of the role's simulation section that take effect.
-    `place` orders the instruments of a role in lists; equal places are ordered by name.
+    `name` is the instrument's `driver` in bench files. `driver` and `simulation` name classes as "module:Class"; a
+    leading dot means a module in the folder of the declaration. `simulation` is None for an instrument that a
+    person operates. `example` is a bench-file section of the instrument (for a voltmeter with one signal, the
+    section of channel x). `simulated` lists the keys of the role's simulation section that take effect. `place`
+    orders the instruments of a role in lists; equal places are ordered by name.
     """
 
     name: str
@@ -219,7 +221,7 @@ class PortSection(FileModel):
 
 
 def usual_baud_rate(baud_rate: int, known: tuple[int, ...]) -> int:
-    """Return the baud rate if it is one of those known. Raises `ValueError` otherwise."""
+    """Return the baud rate if it is one of the usual ones. Raises `ValueError` otherwise."""
     if baud_rate not in known:
         raise ValueError(f"expected one of {', '.join(map(str, known))}, got '{baud_rate}'")
     return baud_rate
@@ -238,7 +240,7 @@ IdentityPattern = Annotated[str, AfterValidator(_pattern)]
 
 
 def as_stated(identity: str) -> bool:
-    """Whether the identity is a plain name, not a regular expression; its simulation then has that name."""
+    """Whether the identity is a plain name and not a regular expression; the simulation then reports that name."""
     return re.fullmatch(r"[\w -]+", identity) is not None
 
 
@@ -444,7 +446,7 @@ def of_known_ranges(certificate: VoltmeterCertificate, known_v: Iterable[float])
         if value.range not in known:
             listed = ", ".join(f"{r:g} V" for r in known)
             raise ValueError(
-                f"the certificate states {value.range:g} V, but the meter has the ranges {listed}"
+                f"the certificate states the range {value.range:g} V, which the meter lacks; choose from {listed}"
             )
 
 

@@ -100,7 +100,7 @@ CERTIFICATE: Final = "certificate"
 
 
 class VoltmeterTruth(FileModel):
-    """The simulated voltmeters: with noise or without, and with or without errors.
+    """The errors of the simulated voltmeters: whether they have noise, and whether they have errors.
 
     `accuracy` chooses random errors within the 90-day limits of the maker, or the errors in the certificates. The
     further keys make an input as real ones are: a source of `source_ohm` is loaded by 10 MΩ unless the high
@@ -132,7 +132,7 @@ class VoltmeterTruth(FileModel):
 
 
 class SerialSection(FileModel):
-    """The serial port settings at a meter's front panel; 7 data bits with parity, 8 without."""
+    """The serial port settings at a meter's front panel: 7 data bits if there is parity, else 8."""
 
     baud_rate: int = 9600
     parity: Literal["none", "even", "odd"] = "none"
@@ -190,7 +190,9 @@ class VoltmeterForm(WiredForm):
         known = cls.facts.RANGES_V
         if range_v not in known:
             listed = ", ".join(f"{r:g} V" for r in known)
-            raise ValueError(f"the {info.data.get('driver')} has the ranges {listed}, not {range_v:g} V")
+            raise ValueError(
+                f"the {info.data.get('driver')} has no range of {range_v:g} V; choose from {listed}"
+            )
         return range_v
 
     @field_validator("certificate")
@@ -248,7 +250,9 @@ SpeedRadS = Annotated[float, not_negative(SPEED)]
 
 
 class HeadTruth(FileModel):
-    """A simulated head: whether it is homed (an encoder: referenced) at switch-on, and detects stalling."""
+    """A simulated head: whether it is homed at switch-on (for an encoder: referenced), and whether it detects
+    stalling.
+    """
 
     homed: bool = True
     encoder: bool = True
@@ -322,8 +326,9 @@ class ReadOutHeadForm(HeadForm, WiredForm):
 
     The head approaches an angle from at least `backoff` away. It has arrived within `tolerance` when its angle
     changed by no more than `rest` for the time `settle`. A change faster than `speed` is an error of the encoder.
-    With `hands_free` the encoder is read without a key. With `typed` the person also types the angle on the scale.
-    The encoder shows `zero` at 0° of the scale; `falling` values fall while the angle rises.
+    With `hands_free`, the angle is read as soon as the head rests, without a confirmation by the person. With
+    `typed`, the person also types the angle on the scale. The encoder shows `zero` at 0° of the scale. If
+    `falling`, its values fall as the angle rises.
     """
 
     tolerance: Annotated[SizeRad, above_zero(_NO_HEAD)]
@@ -368,7 +373,7 @@ class ReadOutHeadForm(HeadForm, WiredForm):
         return {"zero_rad": self.zero, "falling": self.falling}
 
     def simulation_options(self, truth: HeadTruth) -> dict[str, Any]:
-        """Return the options of every simulated counter: zero (deg), sense and referenced state."""
+        """Return the options of every simulated counter: zero (deg), sense, and whether it is referenced."""
         return {"zero_deg": math.degrees(self.zero), "falling": self.falling, "referenced": truth.homed}
 
 
@@ -417,14 +422,15 @@ class TemperatureRange(FileModel):
         """Raise `ValueError` for a temperature outside the range; `what` names it in the message."""
         if not self.minimum <= temperature_c <= self.maximum:
             raise ValueError(
-                f"{what} of {temperature_c:g} °C is outside {self.minimum:g} to {self.maximum:g} °C"
+                f"{what} of {temperature_c:g} °C is outside the chamber's {self.minimum:g} to {self.maximum:g} °C; "
+                "change it or the limits in the bench file"
             )
 
 
 class ChamberForm(TemperatureRange, DeviceSection):
     """The settings of every chamber: the range of temperatures that may be demanded.
 
-    `certificate` is that of the chamber's thermometer.
+    `certificate` is the certificate of the chamber's thermometer.
     """
 
     role: ClassVar[Role] = "chamber"

@@ -166,7 +166,7 @@ def _temperature_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
         for what, allowed in limits.items():
             if not allowed.minimum <= target_c <= allowed.maximum:
                 span = f"{allowed.minimum:g} to {allowed.maximum:g} °C"
-                yield f"step {key}: {target_c:g} °C is outside what {what} may be given, {span}"
+                yield f"step {key}: {target_c:g} °C exceeds the limits of {what}, {span}; change the temperature"
 
 
 def _settling_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:

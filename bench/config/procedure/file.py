@@ -183,14 +183,15 @@ Angle = Annotated[AngleRad, AfterValidator(_within_a_turn)]
 class LevelVerb(FileModel):
     """Read the level on the platform with the head at 0°, in two positions half a turn apart.
 
-    The head is set to 0° again `settings` times: its setting error dominates the uncertainty of the zero offset α2.
+    The head is set to 0° `settings` times, because its setting error dominates the uncertainty of the zero offset
+    α2.
     """
 
     settings: Annotated[int, Field(ge=1, le=100)] = 1
 
 
 class LevelSection(LevelVerb):
-    """Level the platform before the block is mounted, then read the level; repeat if it is off by over `within`."""
+    """Level the platform before the block is mounted, then read the level; repeat if the tilt exceeds `within`."""
 
     within: Annotated[SizeRad, above_zero("state a value above 0: no platform is exactly level")] = (
         10.0 * ARCSEC
@@ -316,8 +317,8 @@ class ReadVerb(FileModel):
 class InputVerb(FileModel):
     """Switch all three inputs to a short or a reference, do the steps, switch back to the signals.
 
-    Without steps, settle and take one reading. These readings have the installation S or R, and their points are
-    numbered separately.
+    Without steps, settle and take one reading. These readings have the installation S (short) or R (reference), and
+    their points are numbered separately.
     """
 
     source: Literal["short", "reference"]

@@ -101,7 +101,7 @@ class Plan:
     ) -> dict[str, float]:
         """Return the expected total duration of the steps of each kind that occurs, s, in the order of `counts`.
 
-        If the block is switched on before the first step, the time for that counts under "power".
+        If the block is switched on before the first step, the time of switching counts under "power".
         """
         total = dict.fromkeys(self.counts(), 0.0)
         for step in self.steps:

@@ -202,8 +202,8 @@ class Wait(Step):
 class Settle(Step):
     """The run waits until the signals or the temperature have settled; it fails after `timeout_s`.
 
-    A sample is taken every `interval_s`. They have settled when all samples of the last `window_s` lie within
-    `precision` (V or K, by `what`), and one sample is older than that window.
+    A sample is taken every `interval_s`. The quantity has settled when all samples of the last `window_s` lie
+    within `precision` (V or K, by `what`), and one sample is older than that window.
     """
 
     NAME: ClassVar[str] = "settle"
@@ -366,9 +366,9 @@ class Power(Step):
 class Level(Step):
     """The level on the platform is read with the head at 0°, in two positions half a turn apart.
 
-    The head is set to 0° again `settings` times. With `within_rad` the platform is levelled for the mounting
-    that follows, and levelled again while its tilt is larger than that. Without `within_rad` the tilt of the
-    platform is only read, at the end of the mounting for which it was levelled.
+    The head is set to 0° `settings` times. With `within_rad`, the platform is levelled before the next mounting
+    until its tilt is at most `within_rad`. Otherwise the tilt is only read, at the end of the mounting for which
+    the platform was levelled.
     """
 
     NAME: ClassVar[str] = "level"
@@ -408,7 +408,7 @@ _Meter = TypeVar("_Meter", bound=_HasChannels)
 
 
 def in_scan_order(meters: Sequence[_Meter], scan: str) -> list[_Meter]:
-    """Return the meters in the order in which a scan such as "zyx" triggers them; as listed for "".
+    """Return the meters in the order in which a scan such as "zyx" triggers them; for "" the order stays as listed.
 
     A meter with several channels is placed by its first channel; it reads its own channels in its own order.
     """

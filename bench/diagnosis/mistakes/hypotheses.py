@@ -34,10 +34,11 @@ NEAR_DEG: Final = 3.0
 
 @dataclass(frozen=True)
 class Seen:
-    """Whitened readings at one ratio of the noise sizes, with the model and all that is known projected out.
+    """Whitened readings at one ratio of the noise sizes, with the model and everything known projected out.
 
-    `white` is that noise, for a reading of unit noise. `basis` (3n, k) spans what is projected out, `pull` (3n,) is
-    what it leaves of the readings, `square` their product, and `log_det` completes the evidence.
+    `white` holds the noise sizes, with the noise of a reading as the unit. `basis` (3n, k) spans the directions
+    projected out, `pull` (3n,) are the remaining readings, `square` their squared length, and `log_det` completes
+    the evidence.
     """
 
     table: Table
@@ -49,7 +50,7 @@ class Seen:
 
     @property
     def log_evidence(self) -> float:
-        """ln of the evidence, the size of the noise integrated out."""
+        """ln of the evidence, integrated over the size of the noise."""
         return self.log_det - 0.5 * self.table.freedom * float(np.log(self.square))
 
     @property
@@ -142,7 +143,7 @@ class Table:
         return unit
 
     def chi2(self, noise_of: Seen) -> float:
-        """Return the chi-square of the readings beside the model, in the noise that other readings show."""
+        """Return the chi-square of the readings given the model, in the noise that the other readings show."""
         size = noise_of.noise
         table = replace(self, unit=size)
         return table.seen(noise_of.white.setting_rad * self.typical_slope / noise_of.table.unit).square
@@ -166,7 +167,7 @@ class Table:
 
     @property
     def deflection(self) -> Floats:
-        """The signals (n, 3) less those of no force, as the first guess predicts them."""
+        """The signals (n, 3) minus the signals at zero force that the first guess predicts."""
         return np.asarray(self.problem.predict(self.block, self.problem.prior_mean) - self.block.U0)
 
     @property

@@ -37,7 +37,9 @@ MOST: Final = 5
 
 @dataclass(frozen=True)
 class Evidence:
-    """Root mean square misfit of all readings and of the data sheet, in units of the noise (1 is noise alone)."""
+    """Root mean square misfit of all readings to the model and to the data sheet, in units of the noise (1: noise
+    alone).
+    """
 
     before: float
     after: float

@@ -75,7 +75,7 @@ class Catalogue(MutableMapping[str, Effect]):
 
     @property
     def own(self) -> tuple[Effect, ...]:
-        """The user's own effects that are known at present."""
+        """The user's own effects that `also` has added in this context."""
         return _OWN.get()
 
     @contextmanager

@@ -88,12 +88,12 @@ class Seen:
 class Effect(ABC):
     """An effect of the forward model. Stateless: the values of its parameters are passed in.
 
-    `sentence` describes the effect; `shown_by` names a measurement that would show it. A `per_mount` effect may
-    act in single mountings; if it `lasts`, it acts from that mounting to the end of the run. A `per_pass` effect
-    may act in single passes of a mounting; if it `outlasts_mount`, it may continue through remounts. `apart` lists
-    the sets of parameters that may occur without the others, where the parameter names do not imply them.
-    `needs_history` is true if a reading depends on earlier rows, `needs_path` if it depends on the path of the
-    head to the setting.
+    `sentence` describes the effect; `shown_by` names a measurement that would show it. A `per_mount` effect may act
+    in single mountings; if it `lasts`, it acts from that mounting to the end of the run. A `per_pass` effect may
+    act in single passes of a mounting; if it `outlasts_mount`, it may continue through remounts. `apart` lists sets
+    of parameters that may occur without the others, unless these sets follow from the parameter names.
+    `needs_history` is true if a reading depends on earlier rows, `needs_path` if it depends on the path of the head
+    to the setting.
     """
 
     name: str
@@ -163,8 +163,8 @@ def wave(values: Values, phase: Floats, prefix: str = "") -> Floats:
 def lagged(signal: Floats, time_s: Floats, lag_s: float) -> Floats:
     """Return a signal (n,) after a first-order lag that was in equilibrium at its first value.
 
-    The solution is exact for a signal linear between the times. It holds its value where time stands still, and
-    restarts from the signal where time goes back (a new run).
+    The solution is exact for a signal linear between the times. The result keeps its value where the time is equal,
+    and restarts from the signal where the time falls (a new run).
     """
     if lag_s <= 0.0 or len(signal) == 0:
         return signal
@@ -183,13 +183,16 @@ def lagged(signal: Floats, time_s: Floats, lag_s: float) -> Floats:
 
 
 def lag_of(*minutes: int) -> Parameter:
-    """Return a lag parameter whose grid is zero and the given minutes."""
+    """Return a lag parameter; its grid is zero and the given times, min."""
     grid = (0.0, *(m * MINUTE for m in minutes))
     return Parameter("lag", "min", MINUTE, plausible=10 * MINUTE, per_channel=False, grid=grid)
 
 
 def play(signal: Floats, width: float) -> Floats:
-    """Return a signal (n,) after a play of half-width `width`, whose slack is central at the first value."""
+    """Return a signal (n,) after mechanical play of half-width `width`.
+
+    At the first value the signal is at the centre of the play.
+    """
     if width <= 0.0 or len(signal) == 0:
         return signal
     behind = np.empty_like(signal)
@@ -229,8 +232,8 @@ class AppliedEffect:
     `values` and their standard uncertainties `u`, where known, are in SI: shape (3,) for a per-channel parameter,
     else (). An omitted size is zero, an omitted shape its default. `installations` are the mountings
     (`str(Mounting)`: "2", in series 3 "2/3") or passes (`pass_label`: "2 pass 1") in which the effect acts; empty
-    means all. `either_of` lists the names of effects that the readings cannot tell apart, this one included; it is
-    empty if the name is unambiguous.
+    means all. `either_of` lists the names of effects that the readings cannot distinguish, this effect included; it
+    is empty if they can.
     """
 
     effect: Effect
@@ -273,7 +276,10 @@ class AppliedEffect:
         return rows
 
     def addition(self, seen: Seen) -> Floats:
-        """Return the addition with these values, zero outside the effect's mountings (see `Effect.addition`)."""
+        """Return the effect's addition with these values.
+
+        It is zero outside the effect's mountings (see `Effect.addition`).
+        """
         added = self.effect.addition(self.complete_values(), seen)
         if not self.installations:
             return added
@@ -292,7 +298,10 @@ PART: Final = "part"
 
 @dataclass(frozen=True)
 class InPart(Effect):
-    """A part of the shape of effect `of`, of uncertain size: a scaled sum of effects with fixed values, `parts`."""
+    """A part of the shape of the effect named `of`.
+
+    Its size is uncertain and multiplies the sum of `parts`, effects with fixed values.
+    """
 
     name: str
     of: str

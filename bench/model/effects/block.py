@@ -246,7 +246,7 @@ class ThermalBias(BlockEffect):
 
 
 class ThermalScale(BlockEffect):
-    """Scale-factor change k_T T K_ii a_i, T the temperature minus the reference after a first-order lag."""
+    """Scale-factor change k_T T K_ii a_i; T is the temperature minus the reference after a first-order lag."""
 
     name = "thermal_scale"
     parameters = (Parameter("k_T", "ppm/K", 1e-6, plausible=100e-6, per_channel=True), lag_of(5, 10, 20, 30))
@@ -292,7 +292,9 @@ class ThermalMisalignment(BlockEffect):
 
 
 class WarmUp(BlockEffect):
-    """Decaying bias A exp(-t / tau), t since switch-on of the unit or, if unknown, since the start of the run."""
+    """Decaying bias A exp(-t / tau), where t is the time since switch-on of the unit or, if unknown, since the
+    start of the run.
+    """
 
     name = "warm_up"
     parameters = (
@@ -312,7 +314,7 @@ class WarmUp(BlockEffect):
 
 
 class BiasDrift(BlockEffect):
-    """Linear drift of the bias, r t, t since the start of the run."""
+    """Linear drift r t of the bias, where t is the time since the start of the run."""
 
     name = "bias_drift"
     parameters = (Parameter("rate", "ug/h", 1e-6 / HOUR, plausible=30e-6 / HOUR, per_channel=True),)
@@ -325,7 +327,7 @@ class BiasDrift(BlockEffect):
 
 
 class ScaleDrift(BlockEffect):
-    """Linear drift of the scale factor, r t K_ii a_i, t since the start of the run."""
+    """Linear drift r t K_ii a_i of the scale factor, where t is the time since the start of the run."""
 
     name = "scale_drift"
     parameters = (Parameter("rate", "ppm/h", 1e-6 / HOUR, plausible=20e-6 / HOUR, per_channel=True),)
@@ -370,7 +372,7 @@ class ScaleStep(BlockEffect):
 
 
 class ThermalSettling(BlockEffect):
-    """Decaying bias A exp(-t / tau), t since the first reading of each mounting."""
+    """Decaying bias A exp(-t / tau), where t is the time since the first reading of the mounting."""
 
     name = "thermal_settling"
     parameters = (
@@ -401,7 +403,9 @@ MOST_RAILS: Final = 3
 
 
 class SupplySensitivity(BlockEffect):
-    """Bias and scale-factor change (b_S + k_S a_i) v, v the voltage of a supply rail minus its nominal voltage."""
+    """Bias and scale-factor change (b_S + k_S a_i) v, where v is the voltage of a supply rail minus its nominal
+    voltage.
+    """
 
     name = "supply_sensitivity"
     parameters = (

@@ -101,7 +101,7 @@ def parse(text: str) -> ast.expr:
 def _refuse_others(node: ast.AST, text: str, deeper: int) -> None:
     """Raise `ExpressionError` for the first forbidden node, or for nesting beyond `deeper` levels."""
     if deeper == 0:
-        raise ExpressionError(f"the expression is nested more than {MOST_NESTED} deep")
+        raise ExpressionError(f"the expression is nested more than {MOST_NESTED} deep; simplify it")
     match node:
         case ast.Constant(value=bool() | str() | bytes() | complex() | None):
             pass
@@ -224,7 +224,7 @@ class ValueReading:
     def name(self, name: str) -> Floats:
         """Return the value of a name. Raises `ExpressionError` for a name without a value."""
         if name not in self._names:
-            raise ExpressionError(f"'{name}' has no value")
+            raise ExpressionError(f"'{name}' has no value; give it one")
         return self._names[name]
 
     def operation(self, symbol: str, left: Floats, right: Floats) -> Floats:
@@ -274,13 +274,13 @@ class DegreeReading:
             return 0
         raise ExpressionError(
             "a size is multiplied by another, or is in a power, a divisor or a comparison: the effect is "
-            "not linear in it; {GRID_HINT}"
+            f"not linear in it; {GRID_HINT}"
         )
 
     def call(self, name: str, arguments: list[int]) -> int:
         """Return 0. Raises `ExpressionError` if an argument contains a size."""
         if any(arguments):
-            raise ExpressionError(f"a size is in {name}: the effect is not linear in it; {GRID_HINT}")
+            raise ExpressionError(f"{name} contains a size, in which an effect must be linear; {GRID_HINT}")
         return 0
 
 

@@ -234,7 +234,9 @@ class BlockSlip(StandEffect):
 
 
 class MountingCreep(StandEffect):
-    """An exponential approach of the mounting angles to their final values: exp(-t / tau), t since mounting."""
+    """An exponential approach of the mounting angles to their final values: exp(-t / tau), where t is the time
+    since mounting.
+    """
 
     name = "mounting_creep"
     parameters = (

@@ -42,7 +42,7 @@ class VoltmeterNonlinearity(VoltmeterEffect):
 
 
 class VoltmeterDrift(VoltmeterEffect):
-    """A linear drift of the zero, common to all channels; t since the start of the run."""
+    """A linear drift of the zero, common to all channels; t is the time since the start of the run."""
 
     name = "voltmeter_drift"
     parameters = (Parameter("rate", "uV/h", 1e-6 / HOUR, plausible=15e-6 / HOUR, per_channel=False),)
@@ -55,7 +55,7 @@ class VoltmeterDrift(VoltmeterEffect):
 
 
 class VoltmeterWarmUp(VoltmeterEffect):
-    """Decaying zero A exp(-t / tau), common to all channels; t since the start of the run."""
+    """Decaying zero A exp(-t / tau), common to all channels; t is the time since the start of the run."""
 
     name = "voltmeter_warm_up"
     parameters = (
@@ -91,7 +91,10 @@ def _followed(values: Values, seen: Seen) -> Floats:
 
 
 class VoltmeterThermalGain(VoltmeterEffect):
-    """Gain change g T of each channel's meter, T its temperature less 23 °C, behind a lag or with hysteresis."""
+    """Gain change g T of each channel's meter.
+
+    T is the meter's temperature minus 23 °C, after a lag or with hysteresis.
+    """
 
     name = "voltmeter_thermal_gain"
     parameters = (Parameter("gain", "ppm/K", 1e-6, plausible=2e-6, per_channel=True), *_SHAPES)
@@ -107,7 +110,10 @@ class VoltmeterThermalGain(VoltmeterEffect):
 
 
 class VoltmeterThermalOffset(VoltmeterEffect):
-    """Zero change o T of each channel's meter, T its temperature less 23 °C, behind a lag or with hysteresis."""
+    """Zero change o T of each channel's meter.
+
+    T is the meter's temperature minus 23 °C, after a lag or with hysteresis.
+    """
 
     name = "voltmeter_thermal_offset"
     parameters = (Parameter("offset", "uV/K", 1e-6, plausible=1e-6, per_channel=True), *_SHAPES)
@@ -123,7 +129,7 @@ class VoltmeterThermalOffset(VoltmeterEffect):
 
 
 class VoltmeterMove(VoltmeterEffect):
-    """A jump of the zero of each channel's meter, `at` a time since the start of the run, as after a move."""
+    """A jump of the zero of each channel's meter at the time `at` since the start of the run, as after a move."""
 
     name = "voltmeter_move"
     parameters = (
@@ -143,7 +149,10 @@ class VoltmeterMove(VoltmeterEffect):
 
 
 class ReferenceSupply(VoltmeterEffect):
-    """Change s v of a reference at the inputs, v the voltage of its supply rail less the nominal voltage."""
+    """Change s v of a reference at the inputs.
+
+    V is the voltage of the reference's supply rail minus its nominal voltage.
+    """
 
     name = "reference_supply"
     parameters = (
@@ -184,7 +193,10 @@ class RangeOffset(VoltmeterEffect):
 
 
 class ChannelCrosstalk(VoltmeterEffect):
-    """A fraction of U_before - U, where U_before is the voltage scanned just before U, also in the row before."""
+    """The fraction of U_before - U that is added to U.
+
+    U_before is the voltage scanned just before U, possibly in the row before.
+    """
 
     name = "channel_crosstalk"
     parameters = (Parameter("fraction", "ppm", 1e-6, plausible=25e-6, per_channel=False),)

@@ -54,10 +54,10 @@ TARGETS: Final = ("x", "y", "z", "scanner", "head", "chamber")
 
 @dataclass
 class FormState:
-    """The form as it is shown: the file that it is of, what is typed, and what was found.
+    """The state of the form: its file, the typed values, and the findings.
 
-    `start` is the shipped file that a new one begins with, `name` the name of the file. `base` is the text on
-    which the form works; `written` is that text with what is typed.
+    `start` is the shipped file from which a new file begins, `name` the name of the file. `base` is the text that
+    the form edits; `written` is this text with the typed values.
     """
 
     name: str
@@ -107,7 +107,10 @@ def listed() -> list[Listed]:
             text = read_file(path)
             mistakes, file = mistakes_in(text.text, path)
         except Refusal:
-            mistakes, file = (FileMistake(0, "", message("it cannot be read")),), None
+            mistakes, file = (
+                (FileMistake(0, "", message("the file cannot be read; check its permissions")),),
+                None,
+            )
         rows.append(Listed(name, str(path), file.description if file else "", len(mistakes)))
     return rows
 
@@ -124,7 +127,7 @@ def mistakes_in(text: str, path: Path) -> tuple[tuple[FileMistake, ...], BenchFi
 
 
 def form(request: Request) -> Response:
-    """Show the form of a bench file (`file`), or of a new one that begins as a shipped one (`start`)."""
+    """Show the form of a bench file (`file`), or of a new file that begins as a copy of a shipped one (`start`)."""
     _operator(request)
     asked = request.query_params
     state = _begun(asked.get("file", ""), asked.get("start", ""), asked.get("name", ""))
@@ -169,7 +172,7 @@ def _judge(state: FormState) -> None:
 
 
 async def sent(request: Request) -> Response:
-    """Carry out what the pressed button of the form says: show, find, ask for identities, write, or test."""
+    """Carry out the action of the pressed button: show, find, ask for identities, write, or test."""
     person, given = await acting(request, Role.OPERATOR, most=MOST_FIELDS)
     return await run_in_threadpool(_sent, request, person, given)
 
@@ -324,7 +327,7 @@ def search_of(panel: Panel) -> Search:
 
 
 def searched(request: Request) -> Response:
-    """Answer whether a search is at work, for the script of the form."""
+    """Tell the script of the form whether a search is in progress."""
     _operator(request)
     return JSONResponse({"at_work": search_of(panel_of(request)).at_work()})
 

@@ -68,10 +68,10 @@ class CheckBeside:
 
 @dataclass
 class TableState:
-    """The table as it is shown: the file, the text on which it works, its groups and rows, what is wrong.
+    """The state of the table: its file, the text that the table edits, its groups and rows, and the mistakes.
 
-    `start` is the procedure that a new one begins with, `name` the name of the file, `base` the file as it was
-    read. `typed` is the text in the field for the text, `bench` the bench file of the check.
+    `start` is the procedure from which a new one begins, `name` the name of the file, `base` the file as it was
+    read. `typed` is the content of the text field, `bench` the bench file for the check.
     """
 
     name: str
@@ -102,7 +102,7 @@ class TableState:
 
     @property
     def path(self) -> Path:
-        """The file that is written; before a new one has a name, one like it."""
+        """The path of the written file; a new file without a name has a placeholder."""
         return self.base.path if not self.start else Path(PROCEDURES) / "new.yaml"
 
 
@@ -119,7 +119,7 @@ def procedures(request: Request) -> Response:
 
 
 def form(request: Request) -> Response:
-    """Show the table of a procedure (`file`), or of a new one that begins as another one (`start`)."""
+    """Show the table of a procedure (`file`), or of a new procedure that begins as a copy of another (`start`)."""
     _operator(request)
     asked = request.query_params
     state = _begun(asked.get("file", ""), asked.get("start", ""), "")
@@ -144,7 +144,7 @@ def _begun(name: str, start: str, new_name: str) -> TableState:
 
 
 async def sent(request: Request) -> Response:
-    """Carry out what the pressed button of the table says: show, write, take the text, copy or remove a step."""
+    """Carry out the action of the pressed button: show, write, take the text, copy or remove a step."""
     person, given = await acting(request, Role.OPERATOR, most=MOST_FIELDS)
     return await run_in_threadpool(_sent, request, person, given)
 
@@ -205,7 +205,7 @@ def _from_table(text: str, given: Mapping[str, str]) -> str:
     for number, one in enumerate(fields):
         typed = given.get(f"f{number}", values[one.name]).strip()
         if len(typed) > LONGEST or visible(typed) != typed or not (typed.isprintable() or not typed):
-            raise Refusal(400, message(f"{one.label}: at most {LONGEST} characters that can be printed"))
+            raise Refusal(400, message(f"{one.label}: give at most {LONGEST} printable characters"))
         values[one.name] = typed
     try:
         return table_text(text, values, fields)
@@ -274,11 +274,11 @@ def _unreadable(state: TableState) -> tuple[FileMistake, ...]:
         return mistakes.mistakes
     except RecursionError:
         pass
-    return (FileMistake(0, "", message("its parts stand too deep in each other")),)
+    return (FileMistake(0, "", message("the steps are nested too deeply; move some out of the others")),)
 
 
 def check_beside(procedure: Procedure, bench: str, runs: Path) -> CheckBeside:
-    """Return what `bench check` finds of a procedure on a bench file, by name."""
+    """Return the findings of `bench check` for a procedure and a bench file, both given by name."""
     from bench.services.until import findings_of  # takes long to import
 
     plan = procedure.plan

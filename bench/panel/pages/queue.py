@@ -55,7 +55,7 @@ class QueueRow:
 class BenchToday:
     """A bench of the queue today: certificates that need attention, warm-up, check block, the run in progress.
 
-    `certificates` and `notes` are sentences, `well` says that all certificates are valid, in words.
+    `certificates` and `notes` are sentences; `well` is a sentence that all certificates are valid.
     """
 
     name: str
@@ -68,7 +68,7 @@ class BenchToday:
 
 
 async def queue(request: Request) -> Response:
-    """Show the queue; a damaged file is shown with what to do about it."""
+    """Show the queue; for a damaged file, show what to do about it."""
     person = looking(request)
     panel = panel_of(request)
     try:
@@ -143,7 +143,7 @@ def _row(panel: Panel, item: QueueItem, runs: dict[str, RunRow]) -> QueueRow:
 
 
 def next_unit(panel: Panel) -> QueueItem | None:
-    """Return the first item that no run was begun for; None if there is none, or the file is damaged."""
+    """Return the first item without a run; None if there is none, or the file is damaged."""
     try:
         items = panel.queue.items()
     except RecordError:
@@ -157,7 +157,7 @@ def next_unit(panel: Panel) -> QueueItem | None:
 
 
 def bench_today(name: str, runs: Sequence[RunRow], on: DayNote | None) -> BenchToday:
-    """Return what a person should know today of a bench file; `on` is the note that it was switched on."""
+    """Return today's notes on a bench for its operator; `on` is the note that the bench was switched on."""
     busy = next((row.name for row in runs if row.alive and row.bench == Path(name).stem), "")
     try:
         path = chosen_bench_file(name)
@@ -183,7 +183,7 @@ def bench_today(name: str, runs: Sequence[RunRow], on: DayNote | None) -> BenchT
 
 
 def chosen_bench_file(name: str) -> Path:
-    """Return the bench file with this name. Raises `Refusal` if it is not there any more."""
+    """Return the bench file with this name. Raises `Refusal` if it no longer exists."""
     path = choices(CONFIG).get(name)
     if path is None:
         raise Refusal(
@@ -249,7 +249,9 @@ def _check_block(bench: BenchFile, runs: Sequence[RunRow]) -> list[str]:
 
 
 async def changed(request: Request) -> Response:
-    """Add units, remove those that are done, note who is on duty or that a bench is on, put damage aside."""
+    """Carry out an action on the queue: add units, remove finished ones, note who is on duty or that a bench is on,
+    put damaged files aside.
+    """
     person, sent = await acting(request, Role.OPERATOR)
     await run_in_threadpool(_changed, panel_of(request), person, sent)
     return RedirectResponse("/queue", status_code=303)
@@ -277,7 +279,7 @@ def _changed(panel: Panel, person: Person, sent: dict[str, str]) -> None:
 
 def _known_bench(name: str) -> str:
     if name not in choices(CONFIG):
-        raise Refusal(400, message("there is no bench file of that name to choose"))
+        raise Refusal(400, message("there is no bench file of that name; choose one from the list"))
     return name
 
 
@@ -291,7 +293,10 @@ def _asked(panel: Panel, person: Person, sent: dict[str, str]) -> list[QueueItem
 
 
 async def item_changed(request: Request) -> Response:
-    """Begin, move, remove or put back an item. To begin starts its check; the start itself is another button."""
+    """Begin, move, remove or put back an item. "Begin" only starts the check of the item.
+
+    Another button starts the run.
+    """
     person, sent = await acting(request, Role.OPERATOR)
     to = await run_in_threadpool(
         _item_changed, panel_of(request), person, request.path_params["item"], sent.get("do", "")
@@ -322,7 +327,7 @@ def _item_changed(panel: Panel, person: Person, item_id: str, do: str) -> str:
 def _check_of(panel: Panel, person: Person, item: QueueItem) -> str:
     """Return the id of the check of an item: the one at work or still true, else a new one."""
     if panel.runs.holds(item.run) or panel.queue.is_starting(item):
-        raise Refusal(409, message(f"{item.words} was begun already, as {item.run}"))
+        raise Refusal(409, message(f"{item.words} was begun already; see the run {item.run}"))
     try:
         wish = panel.wishes.of(item.wish)
         if not wish.wanted().changed() and (wish.at_work() or wish.found().startable) and not wish.started():

@@ -41,7 +41,9 @@ MOST_STREAMS: Final = 30
 
 
 def run_of(request: Request) -> Run:
-    """Return the run in a request's address. Raises `Refusal` for a stranger, and if there is no such run."""
+    """Return the run in a request's address. Raises `Refusal` if nobody is signed in, and if there is no such
+    run.
+    """
     looking(request)
     return panel_of(request).runs.run(request.path_params["name"])
 
@@ -63,7 +65,7 @@ async def run(request: Request) -> Response:
 
 
 async def outcome(request: Request) -> Response:
-    """Send the part of the live page on the outcome of a run that has ended."""
+    """Send the part of the live page that shows the outcome of a run that has ended."""
     found = run_of(request)
     state = await panel_of(request).followers.state(found.folder)
     told = await run_in_threadpool(_outcome, request, found, state)
@@ -159,7 +161,7 @@ async def answer(request: Request) -> Response:
         raise Refusal(413, message(f"shorten the answer to at most {LONGEST} characters"))
     asked = await panel_of(request).followers.prompt(run.folder)
     if asked is None or asked.prompt.id != prompt_id:
-        raise Refusal(409, message("this question is closed: it was answered, or another one is open"))
+        raise Refusal(409, message("this question was answered, or another one is open; load the page again"))
     if problem := problem_with_answer(asked.prompt, text):
         raise Refusal(422, problem)
     await _doing(leave_answer, run.folder, LeftAnswer(prompt_id, text, _who(person)))
@@ -167,7 +169,10 @@ async def answer(request: Request) -> Response:
 
 
 async def wish(request: Request) -> Response:
-    """Store a wish for the program that carries out a run; all may stop, the rest needs control of the run."""
+    """Store a wish for the program that carries out a run.
+
+    Everybody may stop the run; other wishes need control of the run.
+    """
     person, sent = await acting(request, Role.VIEWER)
     run = panel_of(request).runs.run(request.path_params["name"])
     word, reason = sent.get("wish", "").strip(), " ".join(sent.get("reason", "").split())
@@ -182,7 +187,7 @@ async def wish(request: Request) -> Response:
     if not await _doing(is_being_written, run.folder):
         if asked.wish is Wish.ABORT:
             return await _given_up(request, run, person)
-        raise Refusal(409, message("no program is carrying out this run"))
+        raise Refusal(409, message("no program is carrying out this run; resume it first"))
     await _doing(leave_wish, run.folder, RunControl(asked.wish, asked.reason, who=_who(person)))
     return _done(request, run, message(f"{asked.wish} was sent"))
 
@@ -198,7 +203,10 @@ async def control(request: Request) -> Response:
 
 
 async def resume(request: Request) -> Response:
-    """Resume a run that no program carries out; the person must have control, or gets it if nobody has it."""
+    """Resume a run that no program carries out.
+
+    The person must have control of the run, and gets it if nobody has it.
+    """
     person, _ = await acting(request, Role.OPERATOR)
     run = panel_of(request).runs.run(request.path_params["name"])
     await _doing(_hold, run, person)

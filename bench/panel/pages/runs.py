@@ -70,7 +70,7 @@ KINDS: Final = {"": None, "real": True, "simulated": False}
 
 
 async def check_block(request: Request) -> Response:
-    """Show the charts of the latest check block; `of` says whether those of real or of simulated runs."""
+    """Show the charts of the latest check block; the parameter `of` chooses real or simulated runs."""
     person = looking(request)
     asked = _kind(request)
     try:
@@ -93,7 +93,7 @@ async def chart(request: Request) -> Response:
 def _kind(request: Request) -> str:
     asked = request.query_params.get("of", "")
     if asked not in KINDS:
-        raise Refusal(400, message("of: expected real or simulated"))
+        raise Refusal(400, message("the address asks for no known kind of runs; choose real or simulated"))
     return asked
 
 

@@ -62,7 +62,7 @@ async def sign_out(request: Request) -> Response:
 
 
 def choose_language(request: Request) -> Response:
-    """Keep the language that a person chose in a cookie, and show the page from which it was chosen again."""
+    """Keep the chosen language in a cookie, and show again the page on which it was chosen."""
     response = RedirectResponse(
         _here(urlsplit(request.headers.get("referer", "/")).path or "/"), status_code=303
     )

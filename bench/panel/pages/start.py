@@ -158,7 +158,9 @@ async def go(request: Request) -> Response:
 
 def _begun(panel: Panel, person: Person, wish: WishFolder) -> str:
     if not wish.found().startable:
-        raise Refusal(409, message("the check found an obstacle, or is not finished"))
+        raise Refusal(
+            409, message("the check found an obstacle or is not finished; see the check, then start again")
+        )
     wanted = wish.wanted()
     name = name_of(wanted, panel.runs)
     if wanted.queued:
@@ -188,7 +190,7 @@ def printable(text: str, name: str) -> str:
     """Return what was typed in a field without outer blanks. Raises `Refusal` (400) if it cannot be printed."""
     text = text.strip()
     if len(text) > LONGEST or (text and not text.isprintable()) or visible(text) != text:
-        raise Refusal(400, message(f"{name}: at most {LONGEST} characters that can be printed"))
+        raise Refusal(400, message(f"{name}: give at most {LONGEST} printable characters"))
     return text
 
 

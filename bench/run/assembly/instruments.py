@@ -220,7 +220,7 @@ def operator_of(bench: BenchFile) -> OperatorSettings:
 
 
 def simulated_instruments(bench: BenchFile, world: World) -> dict[str, Dialect | SimulatedMeter]:
-    """Return the simulations of the wired instruments by name; those operated by hand have none.
+    """Return the simulations of the wired instruments by name; instruments operated by hand have none.
 
     Raises `BenchError` for a simulation that cannot be loaded.
     """

@@ -67,7 +67,7 @@ class LivingOperator:
     """A `drivers.interfaces.WatchingPerson`: `person` answers while a scripted operator acts in the world.
 
     The simulated head moves to the angle that the person reports. The prompt contains the value that a display or a
-    level's bubble shows. In the simulated world, a task takes the scripted operator's time.
+    level's bubble shows. In the simulated world, a task takes as long as the scripted operator needs for it.
     """
 
     def __init__(self, person: WatchingPerson, hands: ScriptedOperator) -> None:
@@ -335,7 +335,7 @@ class ScriptedHand:
     def _tell(self, command: str) -> None:
         reply = json.loads(self._control.handle(command.encode(), lambda: False) or b"{}")
         if not reply.get("ok"):
-            raise BenchError("simulation", str(reply.get("error")), "start again")
+            raise BenchError("simulation", f"'{command}' failed ({reply.get('error')})", "start again")
 
 
 def real_evening(
@@ -354,8 +354,8 @@ def dry_evening(
 ) -> Iterator[CommissioningSession]:
     """Yield a commissioning session on the simulated bench of a bench file, with a scripted person.
 
-    Time is measured as the sum of the simulated and the computer's clock, because a fault that delays a
-    response takes the computer's time. Raises `BenchError` for a fault that its instrument cannot have.
+    Time is measured as the sum of the simulated and the computer's clock, because a fault that delays a response
+    delays it in real time. Raises `BenchError` for a fault that its instrument cannot have.
     """
     watch = WireWatch(log)
     with dry_bench(file, model, seed, watch, haste) as assembly:

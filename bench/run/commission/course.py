@@ -36,7 +36,7 @@ class _HasScale(Protocol):
 
 @dataclass(frozen=True)
 class Cable:
-    """A cable to be pulled: `text` describes it to a person, `instruments` are all instruments it connects."""
+    """A cable to be pulled: `text` describes it to a person, `instruments` are all instruments that it connects."""
 
     text: str
     instruments: Sequence[Instrument]

@@ -76,7 +76,10 @@ class Motor(Protocol):
 
 @dataclass(frozen=True)
 class Beyond:
-    """Demands beyond the limits of an instrument, with phrases; `within` describes the permitted range."""
+    """Demands beyond the limits of an instrument, each with a phrase that describes it.
+
+    `within` describes the permitted range.
+    """
 
     instrument: Instrument
     within: str

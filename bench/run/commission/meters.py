@@ -292,7 +292,7 @@ def _of_channel(
     ]
     wrong = []
     if abs(mean_v) > most_mean_v:
-        wrong.append(f"{channel} lies at {_volts(mean_v)}, not within {_volts(most_mean_v)} of zero")
+        wrong.append(f"{channel} reads {_volts(mean_v)}, more than {_volts(most_mean_v)} from zero")
     if s_v > most_s_v:
         wrong.append(f"{channel} scatters by {_volts(s_v)}, more than {_volts(most_s_v)}")
     return figures, wrong

@@ -87,7 +87,8 @@ class Finding:
 def status_of(findings: Sequence[Finding], *, whole: bool) -> int:
     """Return the exit status of a session with these findings; `whole` says whether it was completed.
 
-    The status is 2 if the session was incomplete or a check could not be done, 1 after other deviations, else 0.
+    The status is 2 if the session was incomplete or a check could not be done, else 1 if a check found a deviation,
+    else 0.
     """
     if not whole or not findings:
         return NOT_DONE
@@ -181,7 +182,9 @@ class CommissioningPerson:
 
     @property
     def meanwhile(self) -> Callable[[], None] | None:
-        """The function that is called while a question waits, where the person can be watched with."""
+        """The function that is called while a question waits for its answer, if the person supports it
+        (`WatchingPerson`).
+        """
         return self._person.meanwhile if isinstance(self._person, WatchingPerson) else None
 
     @meanwhile.setter
@@ -190,7 +193,10 @@ class CommissioningPerson:
             self._person.meanwhile = look
 
     def ask(self, prompt: Prompt) -> Answer:
-        """Put the prompt; after any other wish, name the accepted wishes and put the prompt again."""
+        """Put the prompt.
+
+        After a wish other than :skip or :abort, name the accepted wishes and put the prompt again.
+        """
         put = prompt
         while True:
             try:
@@ -199,7 +205,7 @@ class CommissioningPerson:
                 if wish.control.wish is Wish.SKIP:
                     raise Skipped(wish.control.reason) from wish
                 if wish.control.wish is Wish.ABORT:
-                    raise SessionEnded("ended by the person") from wish
+                    raise SessionEnded("the person ended the session") from wish
             put = replace(prompt, text=ONLY_THESE + prompt.text)
 
 
@@ -274,9 +280,9 @@ class CommissioningSession:
     ) -> Finding:
         """Carry out one check of one instrument; store and return its finding, even after an exception.
 
-        `look` performs the check. `also` are other instruments involved. `by_answers` also judges the response
-        times of single commands, `by_wire` other faults on the wires. With `opened` False, the instruments are
-        not opened first. Raises only `SessionEnded` and `KeyboardInterrupt`.
+        `look` performs the check. `also` are other instruments involved. `by_answers` adds a check of the response
+        times of single commands, `by_wire` a check for other faults on the wires. With `opened` False, the
+        instruments are not opened first. Raises only `SessionEnded` and `KeyboardInterrupt`.
         """
         name = instrument.name
         if not self.present(instrument):

@@ -110,12 +110,16 @@ UntilField = Annotated[
 
 
 def runs_folder(runs: str | Path | None) -> Path:
-    """Return the folder of runs: the one given, else that of BENCH_RUNS, else `runs` in the working directory."""
+    """Return the folder of runs: the given folder, else the one that BENCH_RUNS names, else `runs` in the working
+    directory.
+    """
     return Path(runs or os.environ.get("BENCH_RUNS") or "runs")
 
 
 def name_to_type(run: Path) -> str:
-    """Return the folder of a run as commands find it: its name in the default folder of runs, else its path."""
+    """Return the shortest name by which commands find a run: its name if it is in the default folder of runs, else
+    its path.
+    """
     return run.name if run.parent.absolute() == runs_folder(None).absolute() else str(run)
 
 

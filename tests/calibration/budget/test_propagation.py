@@ -88,5 +88,5 @@ def test_mistakes_are_told():
         coverage_factor(5.0, 95.0)
     with pytest.raises(CalibrationError, match="give 2000 or more"):
         require_trials(100, 0.95)
-    with pytest.raises(CalibrationError, match="the function fails"), np.errstate(invalid="ignore"):
+    with pytest.raises(CalibrationError, match="give no finite result"), np.errstate(invalid="ignore"):
         sampled(np.log, draws_of(1, (0.0, Distribution(1.0))))

@@ -85,7 +85,8 @@ def test_all_mistakes_are_told_at_once(tmp_path):
         "voltmeters[2].certificate.values[1].gain.correction: state a gain correction within ±1 %",
         "voltmeters[2].certificate.values[1].gain.drift: expected a drift of the gain such as '8 ppm/year'",
         "voltmeters[2].certificate.values[1].gain.k: expected more than 0.0, got '0'",
-        "voltmeters[3].certificate: the certificate states 11 V, but the meter has the ranges 0.1 V, 1 V, 10 V",
+        "voltmeters[3].certificate: the certificate states the range 11 V, which the meter lacks; choose from "
+        "0.1 V, 1 V, 10 V",
     ]
     for sentence in expected:
         assert [line for line in found if sentence in line], (sentence, found)

@@ -102,7 +102,7 @@ def test_shipped_drivers_are_listed_in_their_old_order():
         ("bench-rate-table", "tolerance: 5 arcsec ", "tolerance: 1 arcsec ", "tolerance: 5 arcsec",
          "finer than the 0.0005° (1.8 arcsec)"),
         ("bench-rate-table", "    output: 1\n    safe: 23 degC\n", "    safe: 90 degC\n", "  chamber:",
-         "the safe setting of 90 °C is outside -40 to 85 °C"),
+         "the safe setting of 90 °C is outside the chamber's -40 to 85 °C"),
         ("bench-gpib", "safe: 23 degC", "safe: 99 degC", "  chamber:", "the safe setting of 99 °C is outside"),
         ("bench-motorised", "    driver: espec\n", "    driver: espec\n    name: head\n", "instruments:\n",
          "two instruments are called 'head'"),

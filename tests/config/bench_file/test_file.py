@@ -207,9 +207,12 @@ def test_ranges_are_those_of_the_meter_and_the_same_for_all(mistakes, paper_text
     first, rest = paper_text.split("range: 10 V", 1)
     told = mistakes(first + "range: 20 V" + rest)
     assert len(told) == 3
-    assert "voltmeters[1].range: the agilent-34401a has the ranges 0.1 V, 1 V, 10 V" in told[0]
     assert (
-        "voltmeters[2].range: all voltmeters need the same range: this one has 10 V, the first 20 V"
+        "voltmeters[1].range: the agilent-34401a has no range of 20 V; choose from 0.1 V, 1 V, 10 V"
+        in told[0]
+    )
+    assert (
+        "voltmeters[2].range: this voltmeter has the range 10 V, the first 20 V; give all the same range"
         in told[1]
     )
 

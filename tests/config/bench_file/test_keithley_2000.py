@@ -44,7 +44,10 @@ def test_over_rs232_lines_end_as_the_meter_is_set(tmp_path, terminator, end):
         ({"serial": {"parity": "even"}}, "unknown key 'parity'; known: baud_rate, terminator"),
         ({"interface": "lan"}, "expected gpib or rs232"),
         ({"interface": "gpib"}, "state 'interface: rs232'"),
-        ({"range": "3 V"}, "the keithley-2000 has the ranges 0.1 V, 1 V, 10 V, 100 V, 1000 V"),
+        (
+            {"range": "3 V"},
+            "the keithley-2000 has no range of 3 V; choose from 0.1 V, 1 V, 10 V, 100 V, 1000 V",
+        ),
     ],
 )
 def test_what_the_meter_has_not_is_refused(tmp_path, wrong, told):

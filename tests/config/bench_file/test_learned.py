@@ -77,8 +77,8 @@ def test_it_holds_to_the_end_of_its_last_day(path):
 @pytest.mark.parametrize(
     ("part", "told"),
     [
-        ({"covariance_rad2": [[1e-12, 2e-13]]}, "2 rows of 2 numbers"),
-        ({"covariance_rad2": [[1e-12, 0.0], [2e-13, 2e-10]]}, "is symmetric"),
+        ({"covariance_rad2": [[1e-12, 2e-13]]}, "is not symmetric, 2 by 2"),
+        ({"covariance_rad2": [[1e-12, 0.0], [2e-13, 2e-10]]}, "is not symmetric, 2 by 2, for 2 means"),
         ({"covariance_rad2": [[1e-12, 1e-10], [1e-10, 2e-10]]}, "is not a covariance"),
         ({"remount": {"axis_tilt": "1 arcsec"}}, "remount lacks mounting_error"),
     ],

@@ -60,7 +60,7 @@ def test_a_warm_up_may_be_until_the_signals_have_settled(tmp_path):
         ({"voltage": "0 V"}, "voltage", "remove rails that do not feed the block"),
         ({"tolerance": "0 V"}, "tolerance", "no supply keeps a voltage exactly"),
         ({"tolerance": "15 V"}, "tolerance", "lets a rail of 15 V be none"),
-        ({"current_limit": "250 mA"}, "current_limit", "beyond the 0.2 A that the block may draw"),
+        ({"current_limit": "250 mA"}, "current_limit", "exceeds the 0.2 A that the block may draw"),
         ({"current_limit": "120 mA"}, "current_limit", "is not above the 0.12 A of operation"),
         ({"current": {"minimum": "130 mA"}}, "current", "0.13 A is not below the largest of 0.12 A"),
         ({"limits": {"minimum": "19 V"}}, "limits", "19 V is not below the maximum of 18 V"),

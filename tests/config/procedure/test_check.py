@@ -94,7 +94,7 @@ def test_every_problem_is_told_at_once_and_the_status_says_so(bench):
         "cannot integrate over 5 NPLC; choose from 0.02, 0.2, 1, 10, 100",
         "1000 samples exceed the 512 that a voltmeter stores",
         "the reference of 50 V",
-        "80 °C is outside what the block",
+        "80 °C exceeds the limits of the block",
     ):
         assert sum(words in line for line in told) == 1, words
     assert len(told) == 5

@@ -256,5 +256,5 @@ def test_temperatures_need_a_chamber_that_reaches_them(load, tmp_path):
     ]
     path.write_text(text.replace("maximum: 100 degC", "maximum: 40 degC"), encoding="utf-8")
     assert check(plan, load_bench(path)) == [
-        "step 0001/temperature: 50 °C is outside what the chamber may be given, -60 to 40 °C"
+        "step 0001/temperature: 50 °C exceeds the limits of the chamber, -60 to 40 °C; change the temperature"
     ]

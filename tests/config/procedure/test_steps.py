@@ -215,7 +215,7 @@ def test_a_bench_refuses_what_its_instruments_cannot_do(load, tmp_path):
     assert [sentence.partition(";")[0] for sentence in told] == [
         "step 0002/input: the reference of 20 V exceeds the voltmeters' range of 10 V",
         "the block is given 1 g along an axis, but measures no more than 0.5 g",
-        "step 0006/temperature: 80 °C is outside what the block may be given, -40 to 60 °C",
+        "step 0006/temperature: 80 °C exceeds the limits of the block, -40 to 60 °C",
         "step 0001/settle: the procedure waits for a temperature, but a person reads it",
     ]
     chamber = next(line for line in text.splitlines() if line.startswith("  chamber:"))

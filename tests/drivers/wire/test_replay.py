@@ -491,15 +491,15 @@ def test_control_characters_come_back(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("line", "mistake"),
     [
-        (b"", "'' is not 'time instrument > text', or with < or !"),
+        (b"", "'' is not a line of a log; write 'time instrument > text', or < or ! instead of >"),
         (b"2026-11-21T09:00:00+00:00 m = A", "'2026-11-21T09:00:00+00:00 m = A' is not"),
-        (b"2026-11-21T09:00:00+00:00 m > \xc3\xa9", "is not 'time"),
+        (b"2026-11-21T09:00:00+00:00 m > \xc3\xa9", "is not a line of a log"),
         (b"2026-11-21T09:00:00+00:00 m > \xff", "can't decode byte 0xff"),
-        (b"2026-11-21T09:00:00 m > A", "'2026-11-21T09:00:00' has no offset"),
+        (b"2026-11-21T09:00:00 m > A", "'2026-11-21T09:00:00' has no UTC offset"),
         (b"2026-13-21T09:00:00+00:00 m > A", "month must be in 1..12"),
         (
             b"2026-11-21T09:00:00+00:00 m ! it fell off the bench",
-            "'it fell off the bench' is not 'after sending: ",
+            "'it fell off the bench' is no failure; write it as 'after sending: ",
         ),
     ],
 )
@@ -540,6 +540,6 @@ def test_the_command_says_what_is_missing_and_what_is_wrong(
     failure = "InstrumentLost('m', 'it refused; the connection', 'see whether it is on')"
     assert out == f"[\n    # nothing was sent: {failure}\n    ('A?', None),\n    ('B', None),\n]\n"
     assert main([str(log), "--instrument", "n"]) == 2
-    assert capsys.readouterr().err == f"{log}: nothing of n; it has m\n"
+    assert capsys.readouterr().err == f"{log}: no line of n; choose from m\n"
     assert main([str(tmp_path / "none.log"), "--instrument", "m"]) == 2
     assert "No such file" in capsys.readouterr().err

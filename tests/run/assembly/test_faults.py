@@ -84,7 +84,7 @@ def test_a_fault_of_a_meter_behind_an_adapter_strikes_that_meter(composed):
         (
             "bench-prologix",
             "{fault: cut, instrument: voltmeter.y, at: 1}",
-            "simulation: voltmeter.y has no wire of its own; 'cut' is for its adapter; correct the faults",
+            "voltmeter.y has no wire of its own; give the fault 'cut' to its adapter; correct the faults",
         ),
         (
             "bench-rate-table",

@@ -1,0 +1,26 @@
+"""The short form of the campaign of planted faults (`python -m benchmarks.validation_campaign`): each is named."""
+
+import pytest
+
+from bench.config.shipped import find_bench
+from benchmarks.validation_campaign import found
+from benchmarks.validation_faults import FAULTS
+
+SHORT = (
+    "a damaged check standard",
+    "x and y exchanged in files",
+    "covariance of the solver off by 1e-6",
+    "start values off by 1e-6",
+    "sign of correlations",
+    "wrong g in the bench file",
+)
+"""Faults of several families that are found at once."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SHORT)
+def test_a_planted_fault_is_found_with_its_place(name):
+    (fault,) = (one for one in FAULTS if one.name == name)
+    failed, placed = found(fault, find_bench("paper-stand"))
+    assert failed
+    assert placed
