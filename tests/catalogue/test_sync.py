@@ -184,7 +184,7 @@ def test_bad_folders_are_listed_with_the_reason_and_stop_nothing(catalogue, tmp_
     reasons = {path.rsplit("/", 1)[1]: why for path, why in done.problems.items()}
     assert sorted(reasons) == ["foreign", "half", "result", "torn"]
     assert "without run.json" in reasons["half"]
-    assert "by another program" in reasons["foreign"]
+    assert "lacks 'files' or 'created'" in reasons["foreign"]
     assert "damaged" in reasons["torn"]
     assert "calibrate.json" in reasons["result"]
     assert done.added == 2

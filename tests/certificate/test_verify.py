@@ -359,7 +359,7 @@ def test_a_signature_that_was_taken_off_is_missed(forms, tmp_path):
     assert wrong == ["it claims a signature but has none; ask the laboratory for the original"]
     xml.write_bytes(sign_xml(forms[False]["xml"], a_signatory(), NOW))
     wrong = verify_certificate(xml, None, NOWHERE).wrong
-    assert wrong == ["it claims to be unsigned but has a signature"]
+    assert wrong == ["it claims to be unsigned but has a signature; ask the laboratory for the original"]
 
 
 def test_parts_of_an_unsigned_certificate_that_do_not_agree_are_a_change(forms, tmp_path, issued_certificate):

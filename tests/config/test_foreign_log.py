@@ -71,7 +71,7 @@ def test_a_missing_column_is_named_with_those_that_are_there(tmp_path):
 
 
 def test_a_unit_of_another_quantity_is_a_mistake_at_its_line(tmp_path):
-    with pytest.raises(FileMistakes, match=r"columns.yaml:9: columns\.ux_v\.unit: ux_v has the unit V"):
+    with pytest.raises(FileMistakes, match=r"columns.yaml:9: columns\.ux_v\.unit: the unit min of ux_v"):
         mapping(tmp_path, MAPPING.replace("unit: uV", "unit: min").replace("unit: mV", "unit: V"))
 
 

@@ -26,7 +26,7 @@ def document(issued_certificate):
         ("<si:coverageFactorXMLList>2.0 ", "<si:coverageFactorXMLList>3.0 ", "U is not k times"),
         ("Kxx Kxy Kxz", "Kxx Kxy", "12 values, but 11 in labelXMLList"),
         (r"<si:unitXMLList>\volt \volt ", r"<si:unitXMLList>\volt ", "12 values, but 11 units"),
-        (r"<si:unitXMLList>\volt \volt ", r"<si:unitXMLList>\vold \volt ", "vold is not known"),
+        (r"<si:unitXMLList>\volt \volt ", r"<si:unitXMLList>\vold \volt ", "vold is unknown"),
         ("<dcc:conformityXMLList>", "<dcc:conformityXMLList>pass ", "not a statement for each value"),
         ("<dcc:items>", "<!-- so --><dcc:items>", "which no signature covers"),
         ("<dcc:items>", "<dcc:items><x/>", "not in the name space of a DCC"),

@@ -99,9 +99,9 @@ def test_shorted_inputs_are_asked_for_and_given_back(clock):
 @pytest.mark.parametrize(
     ("samples_v", "said"),
     [
-        ((2.14, 2.14), "x lies at 2.14 V"),  # nobody shorted it
+        ((2.14, 2.14), "x reads 2.14 V"),  # nobody shorted it
         ((40e-6, -40e-6), "x scatters by"),
-        ((0.4e-3, 0.4e-3), "x lies at 400 µV, not within 300 µV of zero"),  # the bench file's 0.3 mV
+        ((0.4e-3, 0.4e-3), "x reads 400 µV, more than 300 µV from zero"),  # the bench file's 0.3 mV
     ],
 )
 def test_what_is_not_within_the_limits_is_told(clock, samples_v, said):

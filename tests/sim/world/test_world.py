@@ -182,7 +182,7 @@ def test_unknown_names_are_refused() -> None:
         a_world().mount("3")
     with pytest.raises(ValueError, match="not a stand error: level"):
         WorldSettings(BLOCK, ForwardModel({"1": INSTALLATION_1}), {"level": Distribution(1.0)}, 1)
-    with pytest.raises(ValueError, match="channels x, y, z"):
+    with pytest.raises(ValueError, match="choose from x, y, z"):
         a_world().terminals("w")  # type: ignore[arg-type]
 
 
