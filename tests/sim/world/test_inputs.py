@@ -71,7 +71,9 @@ def test_a_reference_shows_the_voltmeters_effects_and_none_of_the_block() -> Non
     assert signals(world) == [2.5, 2.5, 2.5]
 
 
-@pytest.mark.parametrize(("source", "says"), [("shrot", "no input 'shrot'"), ("reference", "needs a voltage")])
+@pytest.mark.parametrize(
+    ("source", "says"), [("shrot", "no input 'shrot'"), ("reference", "needs a voltage")]
+)
 def test_what_cannot_be_switched_is_refused(source: str, says: str) -> None:
     with pytest.raises(ValueError, match=says):
         a_world().select_input(source)
