@@ -12,6 +12,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
@@ -59,7 +60,10 @@ def called(source: Path, place: Path, arguments: tuple[str, ...]) -> tuple[int, 
     return done.returncode, (done.stdout + done.stderr).strip()
 
 
-def upgraded(commit: str, place: Path) -> list[str]:
+def upgraded(
+    commit: str, place: Path, before: Sequence[tuple[int, tuple[str, ...]]] = OLD,
+    after: Sequence[tuple[int, tuple[str, ...]]] = NEW,
+) -> list[str]:  # fmt: skip
     """Return a sentence for each command that did not end as it must, of the earlier program and of this one."""
     old, laboratory, archive = place / "old", place / "laboratory", place / "old.tar"
     for folder in (old, laboratory):
@@ -67,7 +71,7 @@ def upgraded(commit: str, place: Path) -> list[str]:
     subprocess.run(["git", "-C", str(ROOT), "archive", "-o", str(archive), commit], check=True)
     shutil.unpack_archive(archive, old)
     wrong = []
-    for which, source, commands in (("earlier", old, OLD), ("this", ROOT, NEW)):
+    for which, source, commands in (("earlier", old, before), ("this", ROOT, after)):
         for status, arguments in commands:
             found, said = called(source, laboratory, arguments)
             if found != status:
