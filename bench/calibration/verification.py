@@ -247,7 +247,8 @@ def verify(
         )
     if not np.isfinite(block.K).all() or np.linalg.cond(block.K) > HIGHEST_CONDITION:
         raise CalibrationError(
-            "the matrix K is singular, so it gives no specific force; check the coefficients"
+            f"{readings.source}: K of the coefficients is singular (two channels are parallel, or one does not "
+            "respond), so it gives no specific force; give another calibration"
         )
     decision = DecisionRule.of(rule)
     force = block.specific_force(rows.signal)

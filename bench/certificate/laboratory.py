@@ -297,7 +297,8 @@ class External(FileModel):
 class Supplied(FileModel):
     """Data from the customer that the certificate uses (ISO/IEC 17025:2017, 7.8.2.2).
 
-    `affects_validity` is false only if a wrong value could not invalidate a result.
+    `affects_validity` states whether a wrong value could invalidate a result; page 1 then carries the warning of
+    7.8.2.2.
     """
 
     what: str

@@ -139,8 +139,12 @@ def convert_log(
     rows = list(
         csv.reader(io.StringIO("\n".join(line for _, line in lines), newline=""), delimiter=separator)
     )
-    if len(rows) != len(lines) or not rows:
-        raise ReadingsError(f"{path}: expected a header line and a row in each line")
+    if not rows:
+        raise ReadingsError(f"{path}: it has no line but comments; give a log with a header and rows")
+    if len(rows) != len(lines):
+        raise ReadingsError(
+            f"{path}: a cell in quotes runs over the end of its line; remove the line break, or close the quote"
+        )
     header = [cell.strip() for cell in rows[0]]
     _require(path, header, mapping)
     reader = _Rows(header, mapping)

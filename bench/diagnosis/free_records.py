@@ -409,10 +409,10 @@ class FreeFit:
 class FreeDiagnosis:
     """The diagnosis of free positions.
 
-    `noise` is that of a position with all finds in the model, g. `stated_g` is the noise that the scatter of the
-    samples implies, NaN where it is not given. `apart` is the reason for each position left out, `left_out` (k, 2)
-    its table and row; `of_rest` is the verdict on the others. `before` is the fit of the given model, and `after`
-    the fit with all finds.
+    `noise` (g) is the noise of a position, fitted with all effects found. `stated_g` is the noise expected from
+    the scatter of the samples, NaN if the table has none. `apart` gives the reason for each position left out,
+    `left_out` (k, 2) its table and row. `of_rest` is the verdict on the positions kept. `before` is the fit of the
+    given model, `after` the fit with the effects found.
     """
 
     source: str
@@ -440,7 +440,11 @@ class FreeDiagnosis:
 
     @property
     def verdict(self) -> Verdict:
-        """One of agrees, mistake, named, confounded, unknown."""
+        """Return "mistake" if positions were left out, else the verdict on all of them.
+
+        "agrees": nothing was found; "named": effects were found; "confounded": they are tied with others, or not
+        confirmed on positions held out; "unknown": what was found is not in the catalogue.
+        """
         return "mistake" if self.apart else self.of_rest
 
     @property

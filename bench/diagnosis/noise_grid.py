@@ -262,7 +262,11 @@ class Products(Protocol):
 
 @dataclass(frozen=True)
 class ColumnProducts:
-    """Products computed on demand from columns `white` (ratios, N, P): best for fewer rows than columns."""
+    """Scalar products of whitened columns, computed on demand.
+
+    `white` (ratios, N, P) holds P columns of N rows for each noise ratio. If N < P, this needs less memory than
+    all products.
+    """
 
     white: Floats
 

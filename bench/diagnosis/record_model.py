@@ -278,7 +278,10 @@ class Whitening:
 
     @property
     def settings(self) -> tuple[tuple[int, float], ...]:
-        """The slow noise and ratio of each setting; without slow noise both kinds are one."""
+        """The trial settings of the noise: index of the kind of slow noise, ratio of slow to white noise.
+
+        Ratio 0 occurs once, as all kinds are then the same.
+        """
         return tuple((k, r) for k in range(len(self.slow)) for r in RATIOS if k == 0 or r > 0.0)
 
     def products(self, known: Floats, columns: Floats, targets: Floats) -> Products:

@@ -352,9 +352,10 @@ def meter_differences(runs: Sequence[MeterRun]) -> MeterDifferences | str:
 
 
 def exchanged(runs: Sequence[tuple[str, tuple[str, str, str]]]) -> list[int]:
-    """Return the indices of the runs of units of which some channel was read by several meters.
+    """Return the indices of the runs from which meters can be compared.
 
-    Each run is given by its unit and its meters by channel; runs with an unidentified meter are left out.
+    These are the runs of units that had different meters on one channel. `runs` gives the unit and the meters of
+    x, y and z; a run with an unidentified meter ("") is left out.
     """
     met: dict[tuple[str, int], set[str]] = {}
     for unit, meters in runs:

@@ -535,7 +535,10 @@ def _dark_in_words(dark: UnexplainedScatter, unit: str) -> str:
 
 
 def dark_for_model(form: FreeForm) -> str | None:
-    """Return the scatter that the unnamed terms leave unexplained, for a model file; None if it is unknown."""
+    """Return the scatter that unnamed terms leave unexplained, as a model file states it: "41 uV with u 6 uV".
+
+    None if no term is applied, or if the readings do not determine the scatter.
+    """
     if not form.applied or not isfinite(form.dark.upper):
         return None
     if form.dark.there:

@@ -98,8 +98,12 @@ class Persons(Chain):
             why = f"the person's rights ended on {known.ended[:10]}"
         else:
             why = f"the person may not {right}"
-        names = ", ".join(able) or "nobody"
-        raise Refused(f"{option} {visible(name)}: {why} in {self.folder}; {right} may: {names}")
+        remedy = (
+            f"name one who may {right}: {', '.join(able)}"
+            if able
+            else f"give somebody the right with 'bench persons change NAME --may {right}'"
+        )
+        raise Refused(f"{option} {visible(name)}: {why} in {self.folder}; {remedy}")
 
 
 def persons_of(laboratory: Path | None) -> Persons | None:
@@ -134,7 +138,13 @@ def _proved(person: Person) -> Person:
     ways = [f"{TOKEN} to the token"] * bool(person.token) + [f"{KEY} to the key file"] * bool(
         person.public_key
     )
-    raise Refused(f"{person.name} must prove who acts; set {' or '.join(ways)}")
+    given = [name for name in (TOKEN, KEY) if os.environ.get(name)]
+    why = (
+        f"{' and '.join(given)} do not belong to {person.name}"
+        if given
+        else f"{person.name} must prove who acts"
+    )
+    raise Refused(f"{why}; set {' or '.join(ways)}")
 
 
 def _holds_key(person: Person, file: str | None) -> bool:

@@ -54,7 +54,7 @@ def sizes_of(
     start: Floats | None = None,
     about: Floats | None = None,
 ) -> Floats:
-    """Return the variances of x, y, z (unit^2) and of the setting (rad^2) of many runs, shape (runs, 4).
+    """Return the REML variances of x, y, z (unit^2) and of the head's setting (rad^2), one row a run, (runs, 4).
 
     `scatter` (runs, groups, 3, 3) are sums of squares and products, `freedom` (groups,) their degrees of freedom,
     `slope` (runs, groups, 3) is du/dphi, unit/rad. `floor` (runs,), or one number, is the lower limit of the noise.

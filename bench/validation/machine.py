@@ -134,11 +134,11 @@ def package_versions(context: Context) -> Iterator[Finding]:
             version = metadata.version(match[1])
         except metadata.PackageNotFoundError:
             if "extra ==" not in text:
-                wrong.append(f"{match[1]} is not installed")
+                wrong.append(f"{match[1]} is not installed; install it with pip")
             continue
         count += 1
         if not all(_keeps(version, sign, bound) for sign, bound in _STEP.findall(match[2])):
-            wrong.append(f"{match[1]} {version} is not {match[2].strip()}")
+            wrong.append(f"{match[1]} {version} is not {match[2].strip()}; install such a version with pip")
     yield Finding(not wrong, "; ".join(wrong) or f"{count} packages", where="; ".join(wrong))
 
 

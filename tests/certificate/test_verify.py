@@ -370,6 +370,13 @@ def test_parts_of_an_unsigned_certificate_that_do_not_agree_are_a_change(forms, 
     verdict = verify_certificate(xml, None, NOWHERE)
     assert verdict.headline == "CHANGED"
     assert "differ from its result" in verdict.wrong[0]
+    column = forms[False]["xml"].index(b"<si:covarianceXMLList>")
+    first = forms[False]["xml"].index(b"<si:valueXMLList>", column) + len(b"<si:valueXMLList>")
+    ragged = forms[False]["xml"][:first] + forms[False]["xml"][first:].split(b" ", 1)[1]
+    xml.write_bytes(ragged)
+    verdict = verify_certificate(xml, None, NOWHERE)
+    assert verdict.headline == "CHANGED"
+    assert "differ in length" in verdict.wrong[0]
     xml.write_bytes(forms[False]["xml"].replace(b"Navigation Works", b"Navigation Work"))
     assert "c.xml beside it differs" in verify_certificate(file, None, NOWHERE).wrong[0].replace(NUMBER, "c")
 

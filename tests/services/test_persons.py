@@ -89,7 +89,7 @@ def test_who_authorises_is_of_the_register_and_proves_it(laboratory, monkeypatch
     monkeypatch.setenv(TOKEN, token)
     assert found.authorised_person("A. Example").name == "A. Example"
     change(laboratory, "add", "B. Example", may="operate")
-    with pytest.raises(Refused, match=r"may not authorise in .*; authorise may: A. Example"):
+    with pytest.raises(Refused, match=r"may not authorise in .*; name one who may authorise: A. Example"):
         found.authorised_person("B. Example")
 
 

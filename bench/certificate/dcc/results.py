@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import binascii
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Sequence, Sized
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -444,9 +444,11 @@ def _coefficients(root: Any) -> tuple[tuple[tuple[float, ...], ...], dict[str, C
     columns = found.findall(
         ".//si:covarianceMatrixXMLList/si:columnXMLList/si:covarianceXMLList", nodes.NAMESPACES
     )
-    covariance = tuple(zip(*(_numbers(one, "si:valueXMLList") for one in columns), strict=True))
-    if not len(labels) == len(units) == len(values) == len(U) == len(k) == len(covariance):
+    by_column = [_numbers(one, "si:valueXMLList") for one in columns]
+    lists: list[Sized] = [labels, units, values, U, k, by_column, *by_column]
+    if {len(one) for one in lists} != {len(labels)}:
         raise NotIntact("the lists of coefficients in the digital certificate differ in length")
+    covariance = tuple(zip(*by_column, strict=True))
     rows = zip(labels, values, U, k, units, strict=True)
     return covariance, {
         label: CertifiedCoefficient(value=value, U=expanded_u, k=factor, unit=unit)
@@ -464,5 +466,5 @@ def _numbers(node: Any, path: str) -> list[float]:
     except ValueError as error:
         raise NotIntact(f"a number of the digital certificate cannot be read ({error})") from error
     if not all(map(math.isfinite, numbers)):
-        raise NotIntact("a number of the digital certificate is missing")
+        raise NotIntact(f"{path} of the digital certificate holds a number that is not finite")
     return numbers
