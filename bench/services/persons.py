@@ -139,12 +139,8 @@ def _proved(person: Person) -> Person:
         person.public_key
     )
     given = [name for name in (TOKEN, KEY) if os.environ.get(name)]
-    why = (
-        f"{' and '.join(given)} do not belong to {person.name}"
-        if given
-        else f"{person.name} must prove who acts"
-    )
-    raise Refused(f"{why}; set {' or '.join(ways)}")
+    wrong = f", and {' and '.join(given)} of another was given" if given else ""
+    raise Refused(f"{person.name} must prove who acts{wrong}; set {' or '.join(ways)}")
 
 
 def _holds_key(person: Person, file: str | None) -> bool:
