@@ -84,6 +84,7 @@ FULL: Final[tuple[Row, ...]] = (
     *(Row("single", rho=rho) for rho in QUIETER_RHO),
     *(Row("single", design, rho) for design in ("both", "turn-12") for rho in QUIETER_RHO),
     *(Row("single", design, 10) for design in ("return", "remount-180", "reordered")),
+    *(Row("single", "oven", rho) for rho in (8, 10)),
     Row("single", rho=8, noise_v=30e-6),
     Row("single", rho=8, noise_v=100e-6),
     Row("single", rho=8, noise_factor=0.7),
