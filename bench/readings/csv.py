@@ -262,6 +262,7 @@ def _signal_suffix(path: Path, header: list[str]) -> str:
     if missing:
         raise ReadingsError(
             f"{path}, line 1: column {', '.join(missing)} is missing; expected at least {_example_header()}"
+            + ("" if set(REQUIRED) & set(header) else " ('bench import --columns MAP.yaml' reads other logs)")
         )
     return suffix
 
