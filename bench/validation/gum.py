@@ -158,6 +158,10 @@ FOUR: Final[dict[str, Sum]] = {
 }  # fmt: skip
 
 
+ENDS_SCATTER: Final = 0.009
+"""Standard error of an end of the 95 % interval from 400,000 trials, for u = 2."""
+
+
 def sum_of_four(name: str) -> tuple[Propagated, Distributed]:
     """Return the sum of four inputs, by linear propagation and by Monte Carlo."""
     inputs = FOUR[name][0]
@@ -178,6 +182,12 @@ def sums(context: Context) -> Iterator[Finding]:
         delta = numerical_tolerance(u)
         yield agreement(f"{name}, interval", found.symmetric[0], [-end, end], delta)
         yield agreement(f"{name}, linear", linear.expanded(0.95)[0], linear_end, delta)
+        if abs(linear_end - end) + 3 * ENDS_SCATTER > delta > abs(linear_end - end):
+            # The ends differ by nearly the tolerance: the scatter of an end decides the judgement, so the
+            # difference itself is compared.
+            differ = float(np.max(np.abs(np.abs(found.symmetric[0]) - linear.expanded(0.95)[0])))
+            yield agreement(f"{name}, clause 8, difference of the ends", differ, linear_end - end, delta)
+            continue
         judged = bool(validate(linear, found, 2).validated[0])
         words = {True: "linear validated", False: "linear not validated"}
         yield Finding(judged == valid, words[judged], of=f"{name}, clause 8", expected=words[valid])
