@@ -8,9 +8,11 @@ from typing import Final
 
 import numpy as np
 
-from bench.base.arrays import CHANNELS, Floats, Ints
+from bench.base.arrays import CHANNELS, Floats
+from bench.calibration.intrinsic import intrinsic
 from bench.calibration.result import CalibrationError
 from bench.history.control_chart import CheckRun, ControlChart, control_chart
+from bench.model.geometry import COEFFICIENTS, Block
 from bench.stats.control_charts import ChartDesign
 
 LEAST_G: Final = 0.9
@@ -24,9 +26,7 @@ def monitor_run(name: str, when: datetime, signal: Floats, force: Floats) -> Che
     `signal` (n, 3) at the nominal `force` (n, 3), g. u is that of the scatter of repeats. Raises `CalibrationError`
     if no axis was read up and down, or no position twice.
     """
-    turned: Ints = np.flatnonzero((force.max(axis=0) > LEAST_G) & (force.min(axis=0) < -LEAST_G)).astype(
-        np.int64
-    )
+    turned = np.flatnonzero((force.max(axis=0) > LEAST_G) & (force.min(axis=0) < -LEAST_G))
     columns = np.column_stack([np.ones(len(force)), force[:, turned]])
     if not len(turned) or len(turned) > 2 or len(force) <= columns.shape[1]:
         raise CalibrationError(
@@ -38,36 +38,22 @@ def monitor_run(name: str, when: datetime, signal: Floats, force: Floats) -> Che
     dof = own.size - found.size
     s = float(np.sqrt(np.sum((own - columns @ found) ** 2) / dof))
     of_each = s**2 * np.linalg.inv(columns.T @ columns)
-    # unknowns in the order channel by channel: bias, then the row of K in the plane of rotation
-    point: Floats = np.array(found.T.ravel(), dtype=np.float64)
-    covariance = np.kron(np.eye(len(turned)), of_each)
-    step = float(1e-6 * np.max(np.abs(point)))
-    shifts: Floats = step * np.eye(len(point))
-    J = np.stack([(_numbers(point + d) - _numbers(point - d)) / (2 * step) for d in shifts], axis=1)
-    spread: Floats = J @ covariance @ J.T
+    # As in the calibration of a block; an axis that was not turned is a unit vector without uncertainty.
+    block, covariance = Block(np.eye(3), np.zeros(3)), np.zeros((len(COEFFICIENTS), len(COEFFICIENTS)))
+    for column, channel in enumerate(turned):
+        block.U0[channel], block.K[channel, turned] = found[0, column], found[1:, column]
+        places = [9 + channel, *(3 * channel + turned)]
+        covariance[np.ix_(places, places)] = of_each
+    nine, letters = intrinsic(block, covariance), [CHANNELS[k] for k in turned]
+    names = [name for letter in letters for name in (f"b{letter}", f"S{letter}")]
+    names += [f"theta_{''.join(letters)}"] * (len(letters) == 2)
+    kept = [nine.names.index(name) for name in names]
+    spread = nine.covariance[np.ix_(kept, kept)]
     none = np.zeros_like(spread)
     return CheckRun(
-        name, when, _numbers(point), spread, np.sqrt(np.diag(spread)), s, float(dof), "monitor", (), none, none,
-        _names(turned),
+        name, when, nine.values[kept], spread, np.sqrt(np.diag(spread)), s, float(dof), "monitor", (), none, none,
+        tuple(names),
     )  # fmt: skip
-
-
-def _numbers(point: Floats) -> Floats:
-    """Return bias and scale factor of each channel, and the angle of two, from their linear fits."""
-    channels = 1 if len(point) == 2 else 2
-    rows = point.reshape(channels, -1)
-    scale = np.linalg.norm(rows[:, 1:], axis=1)
-    each = np.stack([rows[:, 0] / scale, scale], axis=1).ravel()
-    if channels == 1:
-        return each
-    cosine = rows[0, 1:] @ rows[1, 1:] / np.prod(scale)
-    return np.array([*each, np.degrees(np.arccos(cosine))])
-
-
-def _names(turned: Ints) -> tuple[str, ...]:
-    letters = [CHANNELS[k] for k in turned]
-    each = [name for letter in letters for name in (f"b{letter}", f"S{letter}")]
-    return (*each, f"theta_{''.join(letters)}") if len(letters) > 1 else tuple(each)
 
 
 def monitor_chart(runs: Sequence[CheckRun], baseline: int = BASELINE) -> ControlChart:

@@ -147,19 +147,16 @@ def thermometer(context: Context) -> Iterator[Finding]:
 # --- Supplement 1 -------------------------------------------------------------------------------------
 
 UNIT_RECTANGLE: Final = Distribution(np.sqrt(3.0), "rectangular")
-Sum = tuple[Sequence[Distribution], float, float, float, bool]
+Sum = tuple[Sequence[Distribution], float, float, float, bool | None]
 FOUR: Final[dict[str, Sum]] = {
     # inputs of mean zero, u of the sum, ends by Monte Carlo and linear, whether two digits validate the linear
+    # (None: the ends differ by 0.04, the tolerance is 0.05, and 400,000 trials scatter by 0.009: chance decides)
     "normal, 9.2.2": ([Distribution(1.0)] * 4, 2.0, 3.92, 3.92, True),
-    "rectangular, 9.2.3": ([UNIT_RECTANGLE] * 4, 2.0, 3.88, 3.92, True),
+    "rectangular, 9.2.3": ([UNIT_RECTANGLE] * 4, 2.0, 3.88, 3.92, None),
     "one dominates, 9.2.4": (
         [UNIT_RECTANGLE] * 3 + [Distribution(10 * np.sqrt(3.0), "rectangular")], 10.1, 17.0, 19.9, False,
     ),
 }  # fmt: skip
-
-
-ENDS_SCATTER: Final = 0.009
-"""Standard error of an end of the 95 % interval from 400,000 trials, for u = 2."""
 
 
 def sum_of_four(name: str) -> tuple[Propagated, Distributed]:
@@ -182,11 +179,7 @@ def sums(context: Context) -> Iterator[Finding]:
         delta = numerical_tolerance(u)
         yield agreement(f"{name}, interval", found.symmetric[0], [-end, end], delta)
         yield agreement(f"{name}, linear", linear.expanded(0.95)[0], linear_end, delta)
-        if abs(linear_end - end) + 3 * ENDS_SCATTER > delta > abs(linear_end - end):
-            # The ends differ by nearly the tolerance: the scatter of an end decides the judgement, so the
-            # difference itself is compared.
-            differ = float(np.max(np.abs(np.abs(found.symmetric[0]) - linear.expanded(0.95)[0])))
-            yield agreement(f"{name}, clause 8, difference of the ends", differ, linear_end - end, delta)
+        if valid is None:
             continue
         judged = bool(validate(linear, found, 2).validated[0])
         words = {True: "linear validated", False: "linear not validated"}

@@ -33,7 +33,7 @@ NEAR_DEG: Final = 3.0
 
 
 @dataclass(frozen=True)
-class Seen:
+class ProjectedReadings:
     """Whitened readings at one ratio of the noise sizes, with the model and everything known projected out.
 
     `white` holds the noise sizes, with the noise of a reading as the unit. `basis` (3n, k) spans the directions
@@ -142,7 +142,7 @@ class Table:
             unit *= float(np.sqrt(np.median(size[told]) / special.chdtri(1, 0.5)))
         return unit
 
-    def chi2(self, noise_of: Seen) -> float:
+    def chi2(self, noise_of: ProjectedReadings) -> float:
         """Return the chi-square of the readings given the model, in the noise that the other readings show."""
         size = noise_of.noise
         table = replace(self, unit=size)
@@ -179,7 +179,9 @@ class Table:
         """Return columns (n, 3, p) as rows of unit noise, (3n, p)."""
         return whiten(columns, self.slope, white).reshape(self.left.size, -1)
 
-    def seen(self, ratio: float, known: Sequence[Floats] = (), more: Sequence[Floats] = ()) -> Seen:
+    def seen(
+        self, ratio: float, known: Sequence[Floats] = (), more: Sequence[Floats] = ()
+    ) -> ProjectedReadings:
         """Return the readings at a ratio of the noise sizes, beside other columns (n, 3, p).
 
         What is `known` is in units of the noise, and left free; `more` has priors N(0, 1).
@@ -195,7 +197,7 @@ class Table:
         pull = y - basis @ (basis.T @ y)
         length2 = np.sum(self.slope**2, axis=1) * (white.setting_rad / self.unit) ** 2
         log_det = -float(np.sum(np.log(np.abs(np.diag(r))))) - 0.5 * float(np.sum(np.log1p(length2)))
-        return Seen(self, white, basis, pull, max(float(y @ pull), 1e-300), log_det)
+        return ProjectedReadings(self, white, basis, pull, max(float(y @ pull), 1e-300), log_det)
 
     @cached_property
     def points(self) -> Floats:

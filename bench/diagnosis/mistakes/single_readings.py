@@ -13,7 +13,7 @@ from scipy.special import logsumexp
 
 from bench.base.arrays import CHANNELS, Floats
 from bench.diagnosis.levels import HARDLY_EVER
-from bench.diagnosis.mistakes.hypotheses import NEAR_DEG, Seen, Table
+from bench.diagnosis.mistakes.hypotheses import NEAR_DEG, ProjectedReadings, Table
 from bench.diagnosis.noise_grid import RATIOS
 from bench.readings.corrected import SLIPS_RAD as SLIP_SIZES_RAD
 from bench.readings.corrected import reflected_rad
@@ -97,7 +97,7 @@ def find_single(table: Table, significance: float) -> list[SingleMistake]:
     return sorted(told, key=lambda m: -m.sigma)
 
 
-def _seen(table: Table, known: Sequence[Floats]) -> tuple[list[Seen], Floats]:
+def _seen(table: Table, known: Sequence[Floats]) -> tuple[list[ProjectedReadings], Floats]:
     """Return the readings beside `known` columns at each ratio of the noise sizes, and ln of the ratios' odds."""
     seen = [table.seen(ratio, known) for ratio in RATIOS]
     evidence = np.array([one.log_evidence for one in seen])
@@ -129,7 +129,9 @@ def _slips(table: Table) -> list[tuple[Floats, Floats]]:
     return slips
 
 
-def _classify(seen: Seen, row: int, slips: Sequence[tuple[Floats, Floats]], p: float) -> SingleMistake:
+def _classify(
+    seen: ProjectedReadings, row: int, slips: Sequence[tuple[Floats, Floats]], p: float
+) -> SingleMistake:
     """Return a wrong reading as a wrong setting if one explains the three signals, else as an outlier."""
     table, block, pull = seen.table, seen.blocks[row], seen.pulls[row]
     shift = np.linalg.solve(block, pull)

@@ -26,11 +26,10 @@ from bench.panel.queue import DUTY, OFF_DUTY, SWITCHED_ON, DayNote, QueueItem, n
 from bench.panel.shared import Panel, acting, looking, page, panel_of
 from bench.run.events import RecordError
 from bench.run.sentences import duration
+from bench.services.fitness import REMINDED_DAYS
 from drivers.clock import utc_now
 
 TO_DO: Final = message("to do")
-DUE_WITHIN: Final = timedelta(days=30)
-"""How long before it expires a certificate is called due."""
 WARM: Final = timedelta(hours=1)
 """The warm-up after which voltmeters meet their specification (34401A User's Guide, chapter 8)."""
 MOVES: Final = {"up": -1, "down": 1}
@@ -200,7 +199,7 @@ def _bench(path: Path, _changed_ns: int) -> BenchFile:
 def _attention(standing: Standing, today: date) -> str:
     """Return a sentence on a certificate that has expired or will soon; empty for any other."""
     until = standing.certificate.valid_until
-    if until is None or until - today > DUE_WITHIN:
+    if until is None or (until - today).days > REMINDED_DAYS:
         return ""
     which = f"{standing.instrument}: certificate {standing.certificate.number}"
     if standing.expired:
