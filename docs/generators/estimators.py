@@ -11,8 +11,8 @@ from docs.generators.markdown import code, table
 _INTRODUCTION: Final = """\
 # Estimators
 
-`--estimator NAME` of `bench calibrate`, `bench budget` and `bench require`. Without it the first is used.
-[Writing an estimator](../writing-an-estimator.md) says how a further one comes in.
+Choose an estimator with `--estimator NAME` of `bench calibrate`, `bench budget` and `bench require`. The default
+is the first. [Writing an estimator](../writing-an-estimator.md) shows how to add one.
 """
 
 

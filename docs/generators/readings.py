@@ -62,7 +62,7 @@ _INTRODUCTION: Final = """\
 # Readings files
 
 A readings file is CSV (RFC 4180, UTF-8, dot as decimal sign): one row for each settled reading of the three
-channels, in the order of measurement. A run exports it (`bench export RUN --csv FILE`), a laboratory that
+channels, in the order of measurement. `bench export RUN --csv FILE` makes one from a run; a laboratory that
 measured by hand writes it.
 
 ```text
@@ -73,12 +73,12 @@ V,1,1,44.999722222,-0.990108,0.909860,-1.927747
 ```
 
 Columns may be in any order, in small or large letters. Unknown columns are kept and ignored, with a note.
-Every row that cannot be read is listed with file, line, column and what was expected. Nothing is computed
+The program lists every row that it cannot read, with file, line, column and what it expected. It computes nothing
 until you correct the row, or leave it out with `--skip-bad-rows`.
 
-Of each rail that feeds the block there may be three columns: `rail_NAME_v` and `rail_NAME_a`, what was measured,
-in V and A, and `rail_NAME_nominal_v`, from which the effect `supply_sensitivity` counts; empty where nothing was
-measured.
+Each rail that feeds the block may have three columns. `rail_NAME_v` and `rail_NAME_a` are the measured voltage and
+current, in V and A. `rail_NAME_nominal_v` is the voltage from which the effect `supply_sensitivity` counts. Leave
+cells empty if nothing was measured.
 
 A **record at a known input** has rows `R` alone: `installation,time_s,reference_v,ux_v,uy_v,uz_v`. `pass` and
 `point` may be absent, and one or two of the signals may be absent or empty throughout.
@@ -103,10 +103,10 @@ _LOGS: Final = """\
 `bench import LOG --columns MAPPING.yaml` makes a readings file of a log
 ([example](../real-records.md#use-your-own-log)). The log is UTF-8 text with one header line and one line for
 each row. Lines that begin with `comment` are ignored, also before the header. With `decimal: ","` numbers have
-a decimal comma; the separator must then be another character. A cell that is no number is listed with line and
-column, and nothing is imported; `--skip-bad-rows` leaves such rows out. An empty cell stays empty, except a
-time. Without `time_format` times are numbers; with `iso` or a format of `strptime` they become seconds since
-the first row.
+a decimal comma; the separator must then be another character. The program lists a cell
+that is no number with line and column, and imports nothing; `--skip-bad-rows` leaves such rows out. An empty cell
+stays empty, but a time is required. Without `time_format` times are numbers; with `iso` or a format of `strptime`
+they become seconds since the first row.
 """
 
 
