@@ -72,7 +72,7 @@ def page() -> str:
 
 def _section(effect: Effect) -> str:
     first = f"{effect.sentence[:1].upper()}{effect.sentence[1:]}."
-    facts = [("of", effect.subsystem.value), ("shown by", effect.shown_by), *_more(effect)]
+    facts = [("part", effect.subsystem.value), ("shown by", effect.shown_by), *_more(effect)]
     listed = "\n".join(f"- {name}: {text}" for name, text in facts)
     rows = [_row(parameter) for parameter in effect.parameters]
     head = ("parameter", "unit", "plausible", "for", "tried by a diagnosis")
@@ -83,12 +83,12 @@ def _more(effect: Effect) -> list[tuple[str, str]]:
     facts = []
     if effect.per_mount:
         facts.append(
-            ("mountings", "may be of one alone" + (", and stays from it on" if effect.lasts else ""))
+            ("mountings", "may begin in one and remain" if effect.lasts else "may act in a single one")
         )
     if effect.needs_history:
-        facts.append(("order", "a reading depends on those before it"))
+        facts.append(("order", "a reading depends on earlier readings"))
     if effect.needs_path:
-        facts.append(("way", "a reading depends on how the head came there"))
+        facts.append(("way", "a reading depends on the path of the head"))
     return facts
 
 
@@ -100,7 +100,7 @@ def _row(parameter: Parameter) -> tuple[str, ...]:
     return (
         code(parameter.name),
         parameter.unit if parameter.unit != "1" else "–",
-        f"a shape; {written(parameter.default)} where not stated"
+        f"a shape; default {written(parameter.default)}"
         if parameter.is_shape
         else written(parameter.plausible),
         "each channel" if parameter.per_channel else "one for all",

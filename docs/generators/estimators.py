@@ -28,7 +28,7 @@ def page() -> str:
         )
         for e in ESTIMATORS.values()
     ]
-    head = ("name", "what it does", "weighs readings", "takes free positions", "in a budget counts as")
+    head = ("name", "what it does", "weights readings", "uses free positions", "counts in a budget as")
     module = importlib.import_module("bench.calibration.gls")
     doc = (module.__doc__ or "").strip()
     return f"{_INTRODUCTION}\n{table(head, rows)}\n\n## Generalised least squares\n\n{doc}\n"
