@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
@@ -9,21 +10,13 @@ import typer
 
 from bench.base.computing import one_thread
 from bench.cli import printing
-from bench.cli.commands import CommandGroup
-from bench.cli.options import JsonOption, WithEstimators, requested
+from bench.cli.options import JsonOption, WithEstimators, group, requested
 from bench.services.requests.documents import Batch, BatchCalibrate, BatchDiagnose, BatchReport
 
 if TYPE_CHECKING:
     from bench.results.batch import BatchResult
 
-GROUP: Final = typer.Typer(
-    name="batch",
-    cls=CommandGroup,
-    no_args_is_help=True,
-    rich_markup_mode=None,
-    epilog="Example: bench batch calibrate --over 'runs/*' --estimator robust --out recomputed",
-    help="Recompute many runs; list the results and verdicts that change.",
-)
+GROUP: Final = group("batch", "bench batch calibrate --over 'runs/*' --estimator robust --out recomputed")
 
 
 @GROUP.command(
@@ -75,6 +68,5 @@ def _carried_out(request: Batch, json: str | None) -> BatchResult:
 
 
 def _told(result: BatchResult, folder: Path, json: str | None) -> BatchResult:
-    result.print_on(printing.console(json=json), folder)
-    printing.write_json([result.to_dict()], json)
+    printing.told(result, json, partial(result.print_on, folder=folder))
     return result

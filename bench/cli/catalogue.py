@@ -4,20 +4,13 @@ from __future__ import annotations
 
 from typing import Final
 
-import typer
-
 from bench.cli import printing
-from bench.cli.commands import CommandGroup
-from bench.cli.options import JsonOption, requested
+from bench.cli.options import JsonOption, group, requested
 from bench.services.requests.documents import Ask, DueUnits, Sync, Unit
 
-GROUP: Final = typer.Typer(
-    name="catalogue",
-    cls=CommandGroup,
-    no_args_is_help=True,
-    rich_markup_mode=None,
-    epilog="Example: bench catalogue sync runs && bench catalogue ask meter=MY53200001 after=2026-05-03 --of units",
-    help="Search many runs in a database; list the history and due date of units.",
+GROUP: Final = group(
+    "catalogue",
+    "bench catalogue sync runs && bench catalogue ask meter=MY53200001 after=2026-05-03 --of units",
 )
 
 

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
-import typer
-
 from bench.cli import printing
 from bench.cli.commands import HELP_FLAGS, CommandGroup
-from bench.cli.options import JsonOption, requested
+from bench.cli.options import JsonOption, group, requested
 from bench.services.requests.documents import (
     AmendCertificate,
     CheckRegister,
@@ -35,14 +33,10 @@ class IssueByDefault(CommandGroup):
         return list(super().parse_args(ctx, args))
 
 
-GROUP: Final = typer.Typer(
-    name="certificate",
-    cls=IssueByDefault,
-    no_args_is_help=True,
-    rich_markup_mode=None,
-    epilog="Example: bench certificate unit-17 --laboratory laboratory.yaml --order order.yaml "
-    "--authorised-by 'A. Example'",
-    help="Issue, verify, amend, revoke or read certificates.",
+GROUP: Final = group(
+    "certificate",
+    "bench certificate unit-17 --laboratory laboratory.yaml --order order.yaml --authorised-by 'A. Example'",
+    IssueByDefault,
 )
 
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Annotated
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
@@ -24,10 +26,10 @@ from bench.services.requests.evaluation import (
 )
 
 if TYPE_CHECKING:
-    from bench.services.calibration import CalibrationResult
     from bench.services.diagnosis import Diagnosed
-    from bench.services.record_calibration import RecordCalibrationResult
-    from bench.services.source import Failed
+    from bench.services.source import Failed, Source
+
+T = TypeVar("T")
 
 
 @app.command(
@@ -47,26 +49,30 @@ def calibrate(
     """
     from bench.calibration.estimators import find_estimator
     from bench.services.calibration import calibrated
-    from bench.services.source import done, each, load_each, reading
+    from bench.services.source import done
 
     asked = requests[0]
-    loaded = load_each(reading(asked, *(one.source for one in requests), out=out))
-    printing.bench_files(done(loaded), json)
-    everyone = each(loaded, lambda source: calibrated(asked, source))
+    everyone = _each(requests, lambda source: calibrated(asked, source), json, out)
     otherwise = replace(asked, estimator=find_estimator(asked.estimator).name).otherwise
-    results: list[CalibrationResult | RecordCalibrationResult] = done(everyone)
+    results = done(everyone)
     for result in results:
-        what_if = otherwise or result.source.what_if
-        file = printing.write_result(result.source, "calibrate", result.to_dict(), what_if=what_if)
-        if json == "-":
-            printing.notes_aside(result.notes)
-        else:
-            printing.calibration(result, file)
+        printing.evaluated(result, "calibrate", json, what_if=otherwise)
     printing.write_json([one.to_dict() for one in everyone], json)
     if printing.failed(everyone):
         return 2
     accepted = [one.strictly_accepted if strict else one.accepted for one in results]
     return 0 if all(accepted) else 1
+
+
+def _each(
+    requests: Sequence[Calibrate | Verify], work: Callable[[Source], T], json: str | None, out: Path | None
+) -> list[T | Failed]:
+    """Read the source of each request and print its bench file; return the result of `work`, or a `Failed`."""
+    from bench.services.source import done, each, load_each, reading
+
+    loaded = load_each(reading(requests[0], *(one.source for one in requests), out=out))
+    printing.bench_files(done(loaded), json)
+    return each(loaded, work)
 
 
 @app.command(epilog="Example: bench verify unit-17 --coefficients last-year.json")
@@ -77,24 +83,20 @@ def verify(requests: list[Verify], json: JsonOption = None, out: OutOption = Non
     Exit status 1 unless all points are accepted.
     """
     from bench.services.calibration import verified
-    from bench.services.source import done, each, load_each, reading
+    from bench.services.source import done
     from bench.services.verification import VerdictOptions
 
     asked = requests[0]
     VerdictOptions.of(asked)
-    loaded = load_each(reading(asked, *(one.source for one in requests), out=out))
-    printing.bench_files(done(loaded), json)
-    everyone = each(loaded, lambda source: verified(asked, source))
+    everyone = _each(requests, lambda source: verified(asked, source), json, out)
     results = done(everyone)
     for result in results:
         printing.notes_aside(result.warnings)
     for result in results:
-        what_if = result.source.what_if or asked.coefficients is not None or result.otherwise
-        file = printing.write_result(result.source, "verify", result.to_dict(), what_if=what_if)
-        if json == "-":
-            printing.notes_aside(result.notes)
-        else:
-            printing.verification(result, file)
+        what_if = asked.coefficients is not None or result.otherwise
+        printing.evaluated(result, "verify", json, what_if=what_if)
+        if json != "-":
+            printing.console().print(result.verdict(), style="bold")
     printing.write_json([one.to_dict() for one in everyone], json)
     if printing.failed(everyone):
         return 2
@@ -199,8 +201,6 @@ def tumble(
     request: Tumble, json: JsonOption = None, out: OutOption = None, strict: StrictFitOption = False
 ) -> int:
     """Fit each axis of a multi-point tumble by IEEE 1293: bias, scale factor, misalignments, K2, K3, Koq."""
-    from pathlib import Path
-
     from bench.readings.centrifuge import read_centrifuge
     from bench.results.tumble import print_tumble
     from bench.services.compensation import terms_in, tumbled

@@ -18,9 +18,5 @@ def failures(request: Failures, json: JsonOption = None) -> int:
     from bench.validation.failures import failures as collect
 
     result = collect(request)
-    out = printing.console(json=json)
-    result.print_on(out)
-    if request.page is not None:
-        printing.write_files([("page", request.page, render_failures(result))], out, asked=True)
-    printing.write_json([result.to_dict()], json)
-    return 0
+    files = () if request.page is None else [("page", request.page, render_failures(result))]
+    return printing.told(result, json, result.print_on, files)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -26,18 +27,12 @@ def chart(
 
     Exit status 1 unless the last run is in control.
     """
+    from bench.results.control_chart import render_chart
     from bench.services.check_block import charted
 
     found = charted(request)
-    out = printing.console(json=json)
-    found.print_on(out)
-    if page is not None:
-        from bench.base.files import write_whole
-        from bench.results.control_chart import render_chart
-
-        write_whole(page, render_chart(found))
-        printing.written("page", page, out)
-    printing.write_json([found.to_dict()], json)
+    files = () if page is None else [("page", page, render_chart(found))]
+    printing.told(found.result, json, found.print_on, files)
     return 0 if found.accepted else 1
 
 
@@ -58,11 +53,8 @@ def compare(
     found = compared(request)
     for source, taken in found.taken:
         printing.bench_file(taken.part(), json, source)
-    on = printing.console(json=json)
-    print_compare(found.result, on)
-    if out is not None:
-        printing.write_files(found.files(out), on, asked=True)
-    printing.write_json([found.result.to_dict()], json)
+    files = () if out is None else found.files(out)
+    printing.told(found.result, json, partial(print_compare, found.result), files)
     return 1 if strict and found.result.changed else 0
 
 
@@ -113,11 +105,8 @@ def monitor(request: Monitor, json: JsonOption = None, out: OutOption = None) ->
 
     found = monitored(request)
     printing.bench_files(list(found.sources), json)
-    on = printing.console(json=json)
-    print_monitor(found.result, on)
-    if out is not None:
-        printing.write_files(found.files(out), on, asked=True)
-    printing.write_json([found.result.to_dict()], json)
+    files = () if out is None else found.files(out)
+    printing.told(found.result, json, partial(print_monitor, found.result), files)
     return 0 if found.result.in_control else 1
 
 

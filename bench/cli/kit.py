@@ -2,25 +2,16 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Final
-
-import typer
 
 from bench.base.text import repeated
 from bench.cli import printing
-from bench.cli.commands import CommandGroup
-from bench.cli.options import JsonOption, OutOption, requested
+from bench.cli.options import JsonOption, OutOption, group, requested
 from bench.services.errors import Refused
 from bench.services.requests.documents import EvaluateKit, PlanKit, SealKit
 
-GROUP: Final = typer.Typer(
-    name="kit",
-    cls=CommandGroup,
-    no_args_is_help=True,
-    rich_markup_mode=None,
-    epilog="Example: bench kit plan kit.yaml --laboratory Kyiv --laboratory Graz --laboratory Brno",
-    help="Compare laboratories by a travelling block: plan, sealed results, report.",
-)
+GROUP: Final = group("kit", "bench kit plan kit.yaml --laboratory Kyiv --laboratory Graz --laboratory Brno")
 
 
 @GROUP.command(
@@ -67,11 +58,8 @@ def evaluate(request: EvaluateKit, json: JsonOption = None, out: OutOption = Non
     from bench.results.interlaboratory import print_kit
 
     result = evaluate_kit(load_kit(request.plan), _by_code(request.results), request.g)
-    on = printing.console(json=json)
-    print_kit(result, on)
-    if out is not None:
-        printing.write_files(files_of(result, out), on, asked=True)
-    printing.write_json([result.to_dict()], json)
+    files = () if out is None else files_of(result, out)
+    printing.told(result, json, partial(print_kit, result), files)
     return 0 if result.accepted else 1
 
 

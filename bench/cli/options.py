@@ -24,7 +24,7 @@ from bench.base.requests import (
     fields_of,
 )
 from bench.cli import completing
-from bench.cli.commands import COMPLETED_BY, MORE, BenchCommand, Commands
+from bench.cli.commands import COMMANDS, COMPLETED_BY, MORE, BenchCommand, CommandGroup, Commands
 from bench.config.devices import FOLDERS
 from bench.services.errors import Refused
 
@@ -144,6 +144,18 @@ app = typer.Typer(
     help="Calibrates triaxial accelerometer blocks on a dividing head.",
     epilog="Exit status: 0 done and accepted, 1 done and not accepted, 2 could not be done.",
 )
+
+
+def group(name: str, example: str, cls: type[CommandGroup] = CommandGroup) -> typer.Typer:
+    """Return the object to which a group of commands is added; `COMMANDS` has its help."""
+    return typer.Typer(
+        name=name,
+        cls=cls,
+        no_args_is_help=True,
+        rich_markup_mode=None,
+        epilog=f"Example: {example}",
+        help=COMMANDS[name],
+    )
 
 
 class WithEstimators(BenchCommand):

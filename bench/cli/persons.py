@@ -17,6 +17,4 @@ def persons(request: ChangePersons, json: JsonOption = None) -> int:
     from bench.services.persons import persons as changed
 
     result = changed(request)
-    result.print_on(printing.console(json=json))
-    printing.write_json([result.to_dict()], json)
-    return 0
+    return printing.told(result, json, result.print_on)

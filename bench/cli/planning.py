@@ -154,8 +154,7 @@ def require(request: Require, json: JsonOption = None) -> int:
 
         found = requirements(request)
     printing.bench_file(found.result.bench_file, json)
-    found.print_on(printing.console(json=json))
-    printing.write_json([found.result.to_dict()], json)
+    printing.told(found.result, json, found.print_on)
     return 0 if found.result.kept else 1
 
 
@@ -171,6 +170,5 @@ def plan_points(request: PlanPoints, json: JsonOption = None) -> int:
 
         found = planned(request)
     printing.bench_file(found.result.bench_file, json)
-    found.print_on(printing.console(json=json))
-    printing.write_json([found.result.to_dict()], json)
+    printing.told(found.result, json, found.print_on)
     return 1 if found.result.reached is False else 0

@@ -18,7 +18,6 @@ def validate(request: Validate, json: JsonOption = None) -> int:
     one_thread()
     from bench.validation import acceptance
 
-    out = printing.console(json=json)
     if request.accept or request.withdraw or request.register:
         if request.accept:
             entries = acceptance.accept(request, request.accept)
@@ -26,15 +25,10 @@ def validate(request: Validate, json: JsonOption = None) -> int:
             entries = acceptance.withdraw(request, request.withdraw)
         else:
             entries = acceptance.register_of(request)
-        entries.print_on(out)
-        printing.write_json([entries.to_dict()], json)
-        return 0
+        return printing.told(entries, json, entries.print_on)
     from bench.validation.conduct import validated
 
     with printing.progress(), printing.in_lines():
         result = validated(request, lambda: printing.passphrase("Passphrase of the key: "))
-    result.print_on(out)
-    for file in result.files:
-        out.print(f"  {file}")
-    printing.write_json([result.to_dict()], json)
+    printing.told(result, json, result.print_on)
     return 0 if result.passed else 1

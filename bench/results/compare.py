@@ -121,8 +121,8 @@ def compare_result(found: Comparison, bench: Sequence[BenchOfSource]) -> Compare
         g_m_s2=nine.first.g_m_s2,
         compared=[_changes(own, other) for own, other in zip(nine.changes, beside, strict=True)],
         p_constant_intrinsic=nine.p_constant,
-        p_constant=None if twelve is None else twelve.p_constant,
-        drift=None if twelve is None else _lines(twelve),
+        p_constant=twelve and twelve.p_constant,
+        drift=twelve and _lines(twelve),
         drift_intrinsic=_lines(nine),
         changed=found.changed,
         notes=list(found.notes),
@@ -139,35 +139,20 @@ def _changes(nine: Changes, twelve: Changes | None) -> ChangesPart:
     return ChangesPart(
         **_of_block(nine.later),
         intrinsic=NineChangesPart(
-            values=_rows(INTRINSIC, nine), chi2=nine.chi2, dof=len(INTRINSIC), p=nine.p
+            values=by_name(INTRINSIC, ChangePart, nine), chi2=nine.chi2, dof=len(INTRINSIC), p=nine.p
         ),
-        coefficients={} if twelve is None else _rows(COEFFICIENTS, twelve),
-        chi2=None if twelve is None else twelve.chi2,
+        coefficients={} if twelve is None else by_name(COEFFICIENTS, ChangePart, twelve),
+        chi2=twelve and twelve.chi2,
         dof=len(COEFFICIENTS),
-        p=None if twelve is None else twelve.p,
+        p=twelve and twelve.p,
     )
-
-
-def _rows(names: Sequence[str], found: Changes) -> dict[str, ChangePart]:
-    return by_name(
-        names, ChangePart, difference=found.difference, u=found.u, en=found.en,
-        p_all_looks=found.p_all_looks, changed=found.changed,
-    )  # fmt: skip
 
 
 def _lines(found: InNumbers) -> LinesPart | None:
     drift = found.drift
     if drift is None:
         return None
-    rates = by_name(
-        found.names,
-        RatePart,
-        value=drift.per_year,
-        u=drift.u,
-        p_all_looks=drift.p_all_looks,
-        shown=drift.shown,
-    )
-    return LinesPart.from_object(drift, per_year=rates)
+    return LinesPart.from_object(drift, per_year=by_name(found.names, RatePart, drift, value=drift.per_year))
 
 
 # --- as text ------------------------------------------------------------------------------------------

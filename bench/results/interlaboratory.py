@@ -18,7 +18,7 @@ from bench.calibration.conformity import COVERAGE_FACTOR
 from bench.calibration.intrinsic import INTRINSIC
 from bench.history.equivalence import LaboratoryJudged
 from bench.results.intrinsic import small_unit
-from bench.results.parts import ValuePart
+from bench.results.parts import ValuePart, by_name
 from bench.results.plots import BLUE, GREY, VERMILION, svg_figure, symbol
 from bench.results.tables import Row, page
 from bench.results.tables import symbol as html_symbol
@@ -67,15 +67,11 @@ class KitResult(ResultModel):
 def laboratories_of(codes: Sequence[str], judged: Sequence[LaboratoryJudged]) -> list[LaboratoryPart]:
     """Return the part of each laboratory, by its code."""
     return [
-        LaboratoryPart(
-            code=code, chi2=one.chi2, p=one.p, p_all_looks=one.p_all_looks, off=one.off,
-            differences={
-                name: DifferencePart(value=float(d), u=float(u), en=float(en), dark=float(dark))
-                for name, d, u, en, dark in zip(INTRINSIC, one.difference, one.u, one.en, one.dark, strict=True)
-            },
+        LaboratoryPart.from_object(
+            one, code=code, differences=by_name(INTRINSIC, DifferencePart, one, value=one.difference)
         )
         for code, one in zip(codes, judged, strict=True)
-    ]  # fmt: skip
+    ]
 
 
 def print_kit(result: KitResult, on: Console) -> None:
