@@ -12,7 +12,7 @@ import typer
 from bench.base.computing import one_thread
 from bench.cli import printing
 from bench.cli.options import JsonOption, OutOption, StrictFitOption, WithEstimators, app, requested
-from bench.services.errors import Refused
+from bench.services.errors import refusing
 from bench.services.requests.evaluation import (
     Accept,
     Calibrate,
@@ -120,12 +120,8 @@ def report(request: Report, json: JsonOption = None, out: OutOption = None) -> i
     on = printing.console(json=json)
     printing.bench_files([loaded], json)
     result = result_of(loaded)
-    try:
+    with refusing("choose another place with --out DIR"):
         verdict, page = printing.report(result, on, asked)
-    except OSError as error:
-        raise Refused(
-            f"{error.filename}: the page cannot be written ({error.strerror}); choose another place with --out DIR"
-        ) from error
     if verdict is not None:
         printing.notes_on(on, verdict.sentences)
         on.print(verdict.verdict(), style="bold")

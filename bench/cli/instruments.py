@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Final
 from bench.base.files import read_regular
 from bench.cli import printing
 from bench.cli.options import JsonOption, app, requested
-from bench.services.errors import Refused
+from bench.services.errors import Refused, refusing
 from bench.services.requests.measuring import InstrumentsRequest, SimulateRequest
 
 if TYPE_CHECKING:
@@ -273,15 +273,13 @@ def _announced(serving: Serving, ready_file: Path | None) -> Iterator[None]:
     ready = ReadyResult(instruments=served, control=serving.control)
     text = json.dumps(ready.to_dict(), indent=1) + "\n"
     ordinary = not ready_file.exists() or ready_file.is_file()
-    try:
+    with refusing("choose another place", ready_file):
         if ordinary:
             unready = ready_file.with_name(f".{ready_file.name}.{os.getpid()}")
             unready.write_text(text, encoding="utf-8")
             unready.replace(ready_file)
         else:
             ready_file.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise Refused(f"{ready_file}: cannot be written ({error.strerror}); choose another place") from error
     try:
         yield
     finally:

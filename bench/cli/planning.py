@@ -10,7 +10,7 @@ import typer
 
 from bench.cli import printing
 from bench.cli.options import JsonOption, OutOption, WithEstimators, app, devices_given, requested
-from bench.services.errors import Refused
+from bench.services.errors import Refused, refusing
 from bench.services.requests.planning import Budget, Check, Init, PlanPoints, Require
 
 if TYPE_CHECKING:
@@ -91,10 +91,8 @@ def init(request: Init) -> int:
     from bench.config.shipped import copy_shipped
 
     folder = request.folder
-    try:
+    with refusing("choose another folder", folder):
         copied = copy_shipped(folder)
-    except OSError as error:
-        raise Refused(f"{folder}: cannot be written ({error.strerror}); choose another folder") from error
     out = printing.console()
     for path in copied:
         out.print(f"wrote {path}")

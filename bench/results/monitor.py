@@ -45,7 +45,7 @@ class MonitorResult(ResultModel):
     notes: list[str]
 
 
-def monitor_result(chart: ControlChart, notes: tuple[str, ...] = ()) -> MonitorResult:
+def monitor_result(chart: ControlChart) -> MonitorResult:
     """Return the result of a chart of monitors."""
     verdicts = [None] * len(chart.baseline) + list(chart.verdicts)
     t2 = [None] * len(chart.baseline) + chart.shewhart.t2.tolist()
@@ -59,7 +59,7 @@ def monitor_result(chart: ControlChart, notes: tuple[str, ...] = ()) -> MonitorR
     ]  # fmt: skip
     return MonitorResult(
         order=chart.names, baseline=len(chart.baseline), limit_t2=chart.limit_t2, runs=runs,
-        in_control=chart.in_control, notes=[*chart.notes, *notes],
+        in_control=chart.in_control, notes=chart.notes,
     )  # fmt: skip
 
 

@@ -271,12 +271,12 @@ class BenchTaken:
         return BenchPart(name=self.file.name, file=self.where, why=self.reason, sha256=self.sha256)
 
 
-def bench_path(given: str | None) -> Path:
+def bench_path(given: str | Path | BenchFile | None) -> Path:
     """Return the path of the bench file `given`, else of the one in BENCH_FILE, else of the shipped one."""
-    return find_bench(given or os.environ.get("BENCH_FILE") or DEFAULT_BENCH)
+    return find_bench(str(given or "") or os.environ.get("BENCH_FILE") or DEFAULT_BENCH)
 
 
-def why_taken(given: str | None) -> str:
+def why_taken(given: str | Path | BenchFile | None) -> str:
     """Return the reason why `bench_path` chooses this file."""
     if given:
         return message("as asked for")
@@ -285,8 +285,6 @@ def why_taken(given: str | None) -> str:
 
 def find_bench_file(given: str | Path | BenchFile | BenchTaken | None) -> BenchTaken:
     """Return the bench file `given` (content, path or name), else that of BENCH_FILE, else the shipped one."""
-    if isinstance(given, Path):
-        given = str(given)
     if isinstance(given, BenchTaken):
         return given
     if isinstance(given, BenchFile):
@@ -310,7 +308,7 @@ def recorded_sha256(run: Run) -> str:
 
 
 def bench_of(
-    name: str, run: Run | None, told: OriginBeside, given: str | BenchFile | None
+    name: str, run: Run | None, told: OriginBeside, given: str | Path | BenchFile | None
 ) -> tuple[BenchTaken, tuple[str, ...]]:
     """Return the bench file for readings, with notes: the requested file, else the one that the run recorded.
 
@@ -338,7 +336,7 @@ def bench_of(
     return BenchTaken(load_recorded_bench(path), str(path), origin.bench.sha256, why), ()
 
 
-def _of_run(run: Run, given: str | BenchFile | None) -> tuple[BenchTaken, tuple[str, ...]]:
+def _of_run(run: Run, given: str | Path | BenchFile | None) -> tuple[BenchTaken, tuple[str, ...]]:
     if given is not None:
         taken = find_bench_file(given)
         return taken, (f"evaluated with {taken.where} instead of the bench file that the run recorded",)

@@ -32,7 +32,7 @@ from bench.services.calibration import CalibrationResult, calibration_of
 from bench.services.coefficients import coefficients_of
 from bench.services.errors import NoCheckBlock, Refused
 from bench.services.requests.history import Chart
-from bench.services.requests.shared import runs_folder
+from bench.services.requests.shared import Bench, runs_folder
 from bench.services.source import Request, load_sources
 from bench.stats.control_charts import BASES, DEFAULT_ARL, Basis, ChartDesign, least_runs, shewhart_arl
 from drivers.clock import utc_now
@@ -407,13 +407,12 @@ def charted(request: Chart) -> CheckBlockChart:
     """
     folder = runs_folder(request.folder)
     named = [request.runs] if isinstance(request.runs, str | Path) else request.runs or [folder]
-    bench = None if request.bench is None else str(request.bench)
     place = Path(named[0])
     if len(named) == 1 and place.is_dir() and not (place / MANIFEST).is_file():
-        runs, section, path = _in_folder(place, bench, request.real)
+        runs, section, path = _in_folder(place, request.bench, request.real)
     else:
         runs = [find_run(str(name), folder) for name in named]
-        file, path = _bench_file(bench, runs[-1])
+        file, path = _bench_file(request.bench, runs[-1])
         section = file.check_block or CheckBlockSection(serial=file.unit_under_test.serial, drift={})
     return chart_of(runs, _with_options(section, request), of_bench=path, folder=folder)
 
@@ -421,16 +420,14 @@ def charted(request: Chart) -> CheckBlockChart:
 chart = python_call(Chart, charted, "chart")
 
 
-def _bench_file(bench: str | None, run: Run) -> tuple[BenchFile, Path]:
+def _bench_file(bench: Bench, run: Run) -> tuple[BenchFile, Path]:
     if bench or os.environ.get("BENCH_FILE"):
         taken = find_bench_file(bench)
         return taken.file, Path(taken.where)
     return own_bench(run)
 
 
-def _in_folder(
-    folder: Path, bench: str | None, real: bool | None
-) -> tuple[list[Run], CheckBlockSection, Path]:
+def _in_folder(folder: Path, bench: Bench, real: bool | None) -> tuple[list[Run], CheckBlockSection, Path]:
     kinds = (True, False) if real is None else (not real,)
     file, path, latest = _of_folder(folder, bench, kinds)
     section = file.check_block
@@ -446,7 +443,7 @@ def _in_folder(
     return runs, section, path
 
 
-def _of_folder(folder: Path, bench: str | None, kinds: Sequence[bool]) -> tuple[BenchFile, Path, Run | None]:
+def _of_folder(folder: Path, bench: Bench, kinds: Sequence[bool]) -> tuple[BenchFile, Path, Run | None]:
     """Return the bench file, its path, and the latest run of its check block (None if there is none)."""
     asked = bench or os.environ.get("BENCH_FILE")
     given = find_bench_file(bench) if asked else None

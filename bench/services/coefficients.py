@@ -19,7 +19,7 @@ from bench.exchange.result import BlockResult
 from bench.model.effects import TEMPERATURE_EFFECTS
 from bench.model.geometry import COEFFICIENTS, Block
 from bench.readings.table import UNITS
-from bench.services.errors import Refused
+from bench.services.errors import Refused, refusing
 
 if TYPE_CHECKING:
     from bench.exchange.forms import ExportForm
@@ -326,9 +326,8 @@ def impossible(covariance: Floats) -> str:
 
 def _read(path: Path) -> Any:
     try:
-        return from_text(read_given(path).decode())
-    except OSError as error:
-        raise Refused(f"{path}: cannot be read ({error.strerror}); check the name") from error
+        with refusing("check the name", path, verb="read"):
+            return from_text(read_given(path).decode())
     except ValueError as error:
         raise Refused(f"{path}: not a result of 'bench calibrate --json' ({error})") from error
 

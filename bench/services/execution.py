@@ -102,8 +102,7 @@ def new_run(request: RunRequest) -> NewRun:
     """
     dry_run, unit = request.dry_run, request.unit
     operator, person = operator_of(request.operator, request.laboratory, needed=not dry_run)
-    bench = None if request.bench is None else str(request.bench)
-    procedure_path, bench_file_path = find_procedure(str(request.procedure)), bench_path(bench)
+    procedure_path, bench_file_path = find_procedure(str(request.procedure)), bench_path(request.bench)
     verdict = _judged(request, bench_file_path)
     loaded = load_procedure(procedure_path)
     plan = loaded.expand()
@@ -143,7 +142,7 @@ def new_run(request: RunRequest) -> NewRun:
         "operator": operator,
         "procedure": str(procedure_path),
         "bench": str(bench_file_path),
-        "bench_why": why_taken(bench),
+        "bench_why": why_taken(request.bench),
         "plan_hash": plan.hash,
         "unit_under_test": {"type": stated.type, "serial": serial},
         "versions": versions(),

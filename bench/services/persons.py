@@ -22,11 +22,10 @@ from bench.base.text import visible
 from bench.results.persons import PersonChange, PersonPart, PersonsResult
 from bench.run.events import OperatorPerson, RecordError
 from bench.run.person import WishAuthor, at_the_shell
-from bench.services.chain import LINES, Chain, Entry, first_head, opened
+from bench.services.chain import LINES, Chain, Entry, civil_now, first_head, opened
 from bench.services.errors import Refused
 from bench.services.requests.documents import ChangePersons, PersonsCommand, Right
 from bench.services.validated import laboratory_known
-from drivers.clock import utc_now
 
 FOLDER: Final = "persons"
 TOKEN: Final = "BENCH_TOKEN"
@@ -229,7 +228,7 @@ def _entry(register: Persons, request: ChangePersons, name: str, by: str, token:
     if present == (request.what is PersonsCommand.ADD):
         raise Refused(f"{name}: {'is a person of' if present else 'is no person of'} {register.folder}; "
                       f"{'change or end' if present else 'add'} instead")  # fmt: skip
-    now, why = utc_now().astimezone().isoformat(timespec="seconds"), {"reason": request.reason or ""}
+    now, why = civil_now(), {"reason": request.reason or ""}
     if request.what is PersonsCommand.END:
         return Entry(ENDED, name, now, by, why)
     old = before if before is not None and present else Person(name, "", frozenset())

@@ -34,7 +34,7 @@ from bench.services.bench_selection import (
     recorded_sha256,
 )
 from bench.services.errors import Refused, sentence
-from bench.services.requests.shared import OnReadings, runs_folder
+from bench.services.requests.shared import Bench, OnReadings, runs_folder
 from bench.services.traceability import (
     NOTHING_LEARNED,
     LearnedTaken,
@@ -72,7 +72,7 @@ class Request:
 
     sources: Sequence[Given]
     runs: Path
-    bench: str | BenchFile | None = None
+    bench: Bench = None
     model: Path | None = None
     g_m_s2: float | None = None
     out: Path | None = None
@@ -85,7 +85,7 @@ def reading(asked: OnReadings, *sources: Given | Path, out: Path | None = None) 
     return Request(
         [str(source) if isinstance(source, Path) else source for source in sources],
         runs_folder(asked.runs),
-        str(asked.bench) if isinstance(asked.bench, Path) else asked.bench,
+        asked.bench,
         None if model is None else Path(model),
         asked.g,
         None if place is None else Path(place),

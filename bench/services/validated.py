@@ -202,8 +202,3 @@ def _refuse(laboratory: Path | None, by: str, bench: Path | None) -> None:
     else:
         why = f"the program was changed since {register.standing()[-1].number} was accepted"
     raise Refused(f"{by} demands a validated program (require_validation), and {why}; {way}")
-
-
-def kept_result(register: Validations, entry: Entry) -> bytes:
-    """Return the result, as JSON, of an accepted validation. Raises `Refused` if it is missing or changed."""
-    return register.kept(str(entry.data["result_sha256"]))

@@ -13,7 +13,7 @@ from bench.results.failures import Failure, FailuresResult, NotedRemedy
 from bench.run.events import EventType, RecordError
 from bench.run.folder import Run, all_runs
 from bench.run.sentences import sentence
-from bench.services.chain import Chain, Entry, first_head, opened
+from bench.services.chain import Chain, Entry, civil_now, first_head, opened
 from bench.services.errors import Refused
 from bench.services.persons import persons_of
 from bench.services.requests.documents import Failures, FailureState, Right
@@ -76,7 +76,7 @@ def failures(request: Failures) -> FailuresResult:
         for data in _in_records(runs_folder(request.runs)):
             if (data["created"], data["run"], data["event"]) not in known:
                 number = f"F{data['when'][:4] or utc_now().year}-{len(register.seen) + 1:04d}"
-                register.append(Entry(SEEN, number, _moment(), "bench failures", data))
+                register.append(Entry(SEEN, number, civil_now(), "bench failures", data))
                 new += 1
         if request.number is not None:
             _note(register, request, laboratory)
@@ -138,7 +138,7 @@ def _note(register: FailureRegister, request: Failures, laboratory: Path) -> Non
     elif (persons := persons_of(laboratory)) is not None:
         persons.chosen(by, Right.OPERATE, "--by")
     told = {"state": str(request.state), "remedy": request.remedy}
-    register.append(Entry(NOTED, number, _moment(), by, told))
+    register.append(Entry(NOTED, number, civil_now(), by, told))
 
 
 def _result(register: FailureRegister, year: int | None, new: int) -> FailuresResult:
@@ -156,7 +156,3 @@ def _result(register: FailureRegister, year: int | None, new: int) -> FailuresRe
     return FailuresResult(
         register_=str(register.folder), head=register.head, year=year, collected=new, failures=found
     )
-
-
-def _moment() -> str:
-    return utc_now().astimezone().isoformat(timespec="seconds")
