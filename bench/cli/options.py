@@ -237,7 +237,7 @@ def _requests(hints: dict[str, Any]) -> Any:
 
 def _parameter(field: RequestField, *, several: bool) -> inspect.Parameter:
     option = field.option
-    kind: Any = option.typed or field.type
+    kind: Any = option.typed or (Path | None if field.type == str | Path | None else field.type)
     common: dict[str, Any] = {"help": option.help, "metavar": option.metavar, "envvar": option.environment}
     if option.completes is not None:
         common["autocompletion"] = getattr(completing, option.completes)

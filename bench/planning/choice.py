@@ -130,10 +130,7 @@ def _reached(chooser: Chooser, standing: Standing, stated: float) -> tuple[Reach
     visits = Visits(rows, goals, task.done, task.done, task.done)
     if not visits.determined:
         return ()
-    return tuple(
-        Reached(w.name, float(np.sqrt(v)), w.goal.asked, w.goal.unit)
-        for w, v in zip(chooser.aim.wanted, visits.variances, strict=True)
-    )
+    return chooser.aim.reached(visits.variances)
 
 
 def _freedom(done: Counter[Site]) -> tuple[int, int]:
@@ -193,7 +190,8 @@ def scale_of(stand: Stand, readings: Readings) -> NoiseScale:
         return NoiseScale()
     rows, problem = whitened(stand, own.conditions())
     left = own.signal - problem.predict(stand.block, problem.prior_mean)
-    response = whitened_response(stand, left, problem.slope(stand.block, problem.prior_mean))
+    slope = problem.slope(stand.block, problem.prior_mean)
+    response = whiten(left[:, :, None], slope, stand.noise)[:, :, 0]
     matrix = rows.reshape(-1, rows.shape[2])
     prior = np.eye(rows.shape[2])[FIXED:]
     whole = np.vstack([matrix, prior])
@@ -202,11 +200,6 @@ def scale_of(stand: Stand, readings: Readings) -> NoiseScale:
     misfit = target - whole @ solution
     rank = int(np.linalg.matrix_rank(matrix[:, :FIXED], tol=1e-9 * float(np.linalg.norm(matrix))))
     return NoiseScale(float(misfit @ misfit), max(matrix.shape[0] - rank, 0))
-
-
-def whitened_response(stand: Stand, left: Floats, slope: Floats) -> Floats:
-    """Return residuals (n, 3), V, whitened by the stand's noise like the derivatives `slope`."""
-    return np.asarray(whiten(left[:, :, None], slope, stand.noise)[:, :, 0])
 
 
 REACHED: Final = "reached"
@@ -516,14 +509,7 @@ class Chooser:
         visits = Visits(task.candidates, task.goals, counts, counts, counts)
         if not visits.determined:
             return None
-        u: Floats = np.sqrt(visits.variances)
-        return max(
-            (
-                Reached(w.name, float(size), w.goal.asked, w.goal.unit)
-                for w, size in zip(self.aim.wanted, u, strict=True)
-            ),
-            key=lambda one: one.ratio,
-        )
+        return max(self.aim.reached(visits.variances), key=lambda one: one.ratio)
 
     def _no_more(self, standing: Standing, task: DesignTask, stop: str) -> NextPoints:
         left = {s for p in self.pool.points if p.steps[0] not in standing.taken for s in p.steps}

@@ -10,6 +10,7 @@ from pydantic import Field
 from rich.console import Console
 from rich.table import Table
 
+from bench.base.arrays import Floats
 from bench.base.numbers import fixed, places, probability, quantity
 from bench.base.result_model import Real, ResultModel
 from bench.base.tables import print_notes, table
@@ -462,24 +463,35 @@ def equivalence_figure(of: BenchComparison) -> str:
 
     Benches beyond U are red crosses. The band is the dark uncertainty.
     """
-    benches, rows = of.benches, np.arange(len(of.benches))
 
     def draw(figure: Figure) -> None:
-        grid = figure.subplots(3, 3, sharey=True)
-        for axes, name, one in zip(grid.flat, of.nine.names, of.nine.found, strict=True):
-            U = COVERAGE_FACTOR * one.u_degree
-            size, unit = small_unit(name, float(np.max(np.abs(one.degree) + U)), of.signal)
-            if one.dark > 0:
-                axes.axvspan(-one.dark / size, one.dark / size, color="#DDE2E6", zorder=0)
-            axes.axvline(0.0, color=GREY, linewidth=0.7)
-            for beyond, marker, colour in ((one.en <= 1.0, "o", BLUE), (one.en > 1.0, "X", VERMILION)):
-                axes.errorbar(
-                    one.degree[beyond] / size, rows[beyond], xerr=U[beyond] / size,
-                    fmt=marker, color=colour, capsize=2.0,
-                )  # fmt: skip
-            axes.set_title(f"{symbol(name)} / {unit}")
-            axes.set_yticks(rows, benches)
-            axes.set_ylim(len(benches) - 0.5, -0.5)
+        draw_degrees(
+            figure, of.benches, [(one.degree, one.u_degree, one.dark) for one in of.nine.found], of.signal
+        )
         figure.supxlabel("degree of equivalence: bench less reference, bars k = 2", fontsize=8)
 
-    return svg_file("equivalence", (7.4, 2.4 + 0.7 * len(benches)), draw)
+    return svg_file("equivalence", (7.4, 2.4 + 0.7 * len(of.benches)), draw)
+
+
+def draw_degrees(
+    figure: Figure, who: Sequence[str], nine: Sequence[tuple[Floats, Floats, float]], signal: str
+) -> None:
+    """Draw how far each bench or laboratory is off in each of the `nine`, with bars U (k = 2), red where beyond U.
+
+    Each of the nine has differences (w,), their u (w,) and a dark uncertainty, which is drawn as a band.
+    """
+    rows = np.arange(len(who))
+    grid = figure.subplots(3, 3, sharey=True)
+    for axes, name, (d, u, dark) in zip(grid.flat, INTRINSIC, nine, strict=True):
+        U = COVERAGE_FACTOR * u
+        size, unit = small_unit(name, float(np.max(np.abs(d) + U)), signal)
+        if dark > 0:
+            axes.axvspan(-dark / size, dark / size, color="#DDE2E6", zorder=0)
+        axes.axvline(0.0, color=GREY, linewidth=0.7)
+        for chosen, marker, colour in ((np.abs(d) <= U, "o", BLUE), (np.abs(d) > U, "X", VERMILION)):
+            axes.errorbar(
+                d[chosen] / size, rows[chosen], xerr=U[chosen] / size, fmt=marker, color=colour, capsize=2.0
+            )
+        axes.set_title(f"{symbol(name)} / {unit}")
+        axes.set_yticks(rows, who)
+        axes.set_ylim(len(rows) - 0.5, -0.5)
