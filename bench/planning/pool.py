@@ -446,6 +446,11 @@ class DesignTask:
         """The sites as candidates, with derivatives in units of the noise; the stand's angles keep their priors."""
         return SettingPool(self.grid.rows / self.scale)
 
+    @property
+    def repeats_done(self) -> int:
+        """The number of visits done that repeat an earlier one."""
+        return int(np.sum(np.maximum(self.done - 1, 0)))
+
     def time_s(self, counts: Ints) -> float:
         """Return the time of the visits in `counts` (c,) that are not done yet, including mountings, s."""
         more = counts - self.done

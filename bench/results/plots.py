@@ -388,6 +388,10 @@ class _Local:
 
 def svg_file(name: str, inches: tuple[float, float], draw: Callable[[Figure], None]) -> str:
     """Draw a figure and return it as the text of a standalone SVG file."""
+    return _written(name, inches, draw)
+
+
+def _written(name: str, inches: tuple[float, float], draw: Callable[[Figure], None]) -> str:
     from matplotlib.backends.backend_svg import FigureCanvasSVG
 
     text = io.StringIO()

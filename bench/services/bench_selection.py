@@ -17,7 +17,6 @@ from bench.config.bench_file.learned import LearnedFile, load_learned
 from bench.config.shipped import find_bench
 from bench.results.parts import BenchPart
 from bench.run.events import sha256
-from bench.run.events import sha256 as sha256_of
 from bench.run.folder import BENCH, IMPORTED, LEARNED, Run
 from drivers.interfaces import NO_SERIAL
 
@@ -288,9 +287,9 @@ def find_bench_file(given: str | Path | BenchFile | BenchTaken | None) -> BenchT
     if isinstance(given, BenchTaken):
         return given
     if isinstance(given, BenchFile):
-        return BenchTaken(given, given.name, sha256_of(given.model_dump_json().encode()), "as given")
+        return BenchTaken(given, given.name, sha256(given.model_dump_json().encode()), "as given")
     path = bench_path(given)
-    return BenchTaken(load_bench(path), str(path), sha256_of(read_regular(path)), why_taken(given))
+    return BenchTaken(load_bench(path), str(path), sha256(read_regular(path)), why_taken(given))
 
 
 def bench_for_record(file: BenchFile, path: Path) -> dict[str, bytes]:
@@ -304,7 +303,7 @@ def bench_for_record(file: BenchFile, path: Path) -> dict[str, bytes]:
 
 def recorded_sha256(run: Run) -> str:
     """Return the SHA-256 of the bench file that a run recorded."""
-    return sha256_of(read_regular(run.folder / BENCH))
+    return sha256(read_regular(run.folder / BENCH))
 
 
 def bench_of(

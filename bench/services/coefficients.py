@@ -19,6 +19,7 @@ from bench.exchange.result import BlockResult
 from bench.model.effects import TEMPERATURE_EFFECTS
 from bench.model.geometry import COEFFICIENTS, Block
 from bench.readings.table import UNITS
+from bench.run.events import MANIFEST
 from bench.services.errors import Refused, refusing
 
 if TYPE_CHECKING:
@@ -330,6 +331,11 @@ def _read(path: Path) -> Any:
             return from_text(read_given(path).decode())
     except ValueError as error:
         raise Refused(f"{path}: not a result of 'bench calibrate --json' ({error})") from error
+
+
+def is_result(path: Path) -> bool:
+    """Return whether a path names a file of results, and neither readings nor a run."""
+    return path.is_file() and path.suffix.lower() == ".json" and path.name != MANIFEST
 
 
 def results_in(path: Path) -> list[tuple[Any, str]]:

@@ -68,7 +68,7 @@ class _HasScale(Protocol):
         ...
 
 
-class _Nobody:
+class Nobody:
     """A `Person` that answers no question, so that manual instruments are left alone."""
 
     def ask(self, prompt: Prompt) -> Answer:
@@ -129,7 +129,7 @@ def look_at(file: BenchFile, wire: WireLog | None, haste: Haste | None = None) -
 
     `haste` ends the wait for instruments that do not answer.
     """
-    assembly = real_bench(file, _Nobody(), wire, haste)
+    assembly = real_bench(file, Nobody(), wire, haste)
     instruments = assembly.instruments.all()
     rows = [_row(file, instrument) for instrument in instruments]
     _look_at_all(instruments, rows, file.voltmeter_range_v, assembly.clock)

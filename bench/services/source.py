@@ -13,6 +13,7 @@ from bench.base.computing import versions
 from bench.base.languages import message
 from bench.base.text import civil_minute, repeated, shown_path
 from bench.calibration.budget.meters import KnownMeters
+from bench.calibration.budget.sources import assumed_stand
 from bench.calibration.noise import KnownStand
 from bench.config.bench_file.file import BenchFile
 from bench.config.model_file import ModelFile, load_model
@@ -171,6 +172,11 @@ class Source:
         """
         sizes = {name: d.u for name, d in self.bench.stand_distributions().items()}
         return sizes if self.readings.unit == VOLTS else sizes | {"voltmeter_error": 0.0}
+
+    @property
+    def assumed_u(self) -> dict[str, float]:
+        """Standard uncertainties, rad, of the stand's errors that no bench file need state, by name."""
+        return {name: size.u for name, size in assumed_stand(self.bench).items()}
 
     def made_from(self) -> dict[str, Any]:
         """Return the members by which a result states its source, bench, date, unit and certificates."""
