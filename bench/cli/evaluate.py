@@ -54,7 +54,7 @@ def calibrate(
     asked = requests[0]
     everyone = _each(requests, lambda source: calibrated(asked, source), json, out)
     otherwise = replace(asked, estimator=find_estimator(asked.estimator).name).otherwise
-    results = done(everyone)
+    results: list[printing.Calibrated] = done(everyone)
     for result in results:
         printing.evaluated(result, "calibrate", json, what_if=otherwise)
     printing.write_json([one.to_dict() for one in everyone], json)
