@@ -25,7 +25,7 @@ from bench.run.person import WishAuthor, at_the_shell
 from bench.services.chain import LINES, Chain, Entry, civil_now, first_head, opened
 from bench.services.errors import Refused
 from bench.services.requests.documents import ChangePersons, PersonsCommand, Right
-from bench.services.validated import laboratory_known
+from bench.services.validated import laboratory_known, laboratory_needed
 
 FOLDER: Final = "persons"
 TOKEN: Final = "BENCH_TOKEN"
@@ -197,9 +197,7 @@ def persons(request: ChangePersons) -> PersonsResult:
     The first line adds an administrator. Raises `Refused` for a change by nobody who may administer, for one that
     leaves no administrator, and where something is missing.
     """
-    laboratory = laboratory_known(request.laboratory)
-    if laboratory is None:
-        raise Refused("say --laboratory FILE: the register of persons is a folder beside it")
+    laboratory = laboratory_needed(request.laboratory, "the register of persons is a folder beside it")
     if request.what is None:
         return _listed(persons_of(laboratory) or Persons(laboratory.absolute().parent / FOLDER))
     needed = {"NAME": request.name, "--by NAME": request.by}
@@ -262,13 +260,14 @@ def _listed(register: Persons, token: str | None = None) -> PersonsResult:
         head=register.head,
         token=token,
         persons=[
-            PersonPart(name=one.name, role=one.role, may=sorted(one.may), has_token=bool(one.token),
-                       public_key=one.public_key, since=one.since, ended=one.ended)
+            PersonPart.from_object(one, may=sorted(one.may), has_token=bool(one.token))
             for one in register.everyone.values()
         ],
         changes=[
-            PersonChange(time=one.time, kind=one.kind, name=one.number, by=one.by,
-                         reason=str(one.data.get("reason", "")), role=one.data.get("role"), may=one.data.get("may"))
+            PersonChange.from_object(
+                one, name=one.number, reason=str(one.data.get("reason", "")),
+                role=one.data.get("role"), may=one.data.get("may"),
+            )
             for one in register.entries
         ],
     )  # fmt: skip

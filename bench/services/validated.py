@@ -152,6 +152,14 @@ def laboratory_known(given: Path | None) -> Path | None:
     return given or (Path(named) if named else None)
 
 
+def laboratory_needed(given: Path | None, why: str) -> Path:
+    """Return the laboratory file as `laboratory_known` does. Raises `Refused`, with the reason, without one."""
+    laboratory = laboratory_known(given)
+    if laboratory is None:
+        raise Refused(f"say --laboratory FILE: {why}")
+    return laboratory
+
+
 def demanded_by(laboratory: Path | None) -> bool:
     """Return whether a laboratory file demands validated programs. Raises `FileMistakes` if it cannot be read."""
     if laboratory is None:

@@ -19,7 +19,7 @@ from bench.services.validated import (
     WITHDRAWN,
     Validations,
     fingerprint,
-    laboratory_known,
+    laboratory_needed,
     read_validations,
     register_beside,
 )
@@ -91,11 +91,8 @@ def listed(register: Validations) -> ValidationRegisterResult:
         holding[one.data["fingerprint"], one.data["bench_sha256"]] = one.number
     latest = set(holding.values())
     rows = [
-        RegisteredValidation(
-            number=one.number,
-            kind=ACCEPTED if one.kind == ACCEPTED else WITHDRAWN,
-            time=one.time,
-            by=one.by,
+        RegisteredValidation.from_object(
+            one,
             holds=one.kind == ACCEPTED and one.number in latest,
             **{
                 name: one.data[name]
@@ -108,10 +105,7 @@ def listed(register: Validations) -> ValidationRegisterResult:
 
 
 def _laboratory(request: Validate) -> Path:
-    laboratory = laboratory_known(request.laboratory)
-    if laboratory is None:
-        raise Refused("say --laboratory FILE: it names who may accept, and its folder holds the register")
-    return laboratory
+    return laboratory_needed(request.laboratory, "it names who may accept, and its folder holds the register")
 
 
 def _authority(request: Validate) -> tuple[Path, Person, str]:

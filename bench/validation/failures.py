@@ -18,7 +18,7 @@ from bench.services.errors import Refused
 from bench.services.persons import persons_of
 from bench.services.requests.documents import Failures, FailureState, Right
 from bench.services.requests.shared import runs_folder
-from bench.services.validated import laboratory_known
+from bench.services.validated import laboratory_needed
 from drivers.clock import utc_now
 
 FOLDER: Final = "failures"
@@ -67,9 +67,7 @@ def failures(request: Failures) -> FailuresResult:
     Raises `Refused` without a laboratory file, for an unknown number, and for a remedy without text or without a
     person.
     """
-    laboratory = laboratory_known(request.laboratory)
-    if laboratory is None:
-        raise Refused("say --laboratory FILE: the register of failures is a folder beside it")
+    laboratory = laboratory_needed(request.laboratory, "the register of failures is a folder beside it")
     with opened(FailureRegister(laboratory.absolute().parent / FOLDER)) as register:
         new = 0
         known = register.keys()
