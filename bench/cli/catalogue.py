@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from bench.cli import printing
-from bench.cli.options import JsonOption, group, requested
+from bench.cli.options import JsonOption, command, group
 from bench.services.requests.documents import Ask, DueUnits, Sync, Unit
 
 GROUP: Final = group(
@@ -14,8 +14,7 @@ GROUP: Final = group(
 )
 
 
-@GROUP.command(epilog="Example: bench catalogue sync runs /data/bench-2/runs")
-@requested
+@command("bench catalogue sync runs /data/bench-2/runs", to=GROUP)
 def sync(request: Sync, json: JsonOption = None) -> int:
     """Add new and changed runs to the catalogue; mark deleted ones."""
     from bench.catalogue.store import open_catalogue
@@ -34,10 +33,7 @@ def sync(request: Sync, json: JsonOption = None) -> int:
     return 0
 
 
-@GROUP.command(
-    epilog="Example: bench catalogue ask meter=MY53200001 after=2026-05-03 --of units --csv units.csv"
-)
-@requested
+@command("bench catalogue ask meter=MY53200001 after=2026-05-03 --of units --csv units.csv", to=GROUP)
 def ask(request: Ask, json: JsonOption = None) -> int:
     """List the runs, units, benches, instruments or certificates that meet conditions."""
     from bench.catalogue.questions import answer
@@ -58,8 +54,7 @@ def ask(request: Ask, json: JsonOption = None) -> int:
     return 0
 
 
-@GROUP.command(epilog="Example: bench catalogue unit 17-042 --page unit.html")
-@requested
+@command("bench catalogue unit 17-042 --page unit.html", to=GROUP)
 def unit(request: Unit, json: JsonOption = None) -> int:
     """Show the coefficients of a unit over time, its runs and its due date."""
     from bench.base.files import write_whole
@@ -79,8 +74,7 @@ def unit(request: Unit, json: JsonOption = None) -> int:
     return 0
 
 
-@GROUP.command(epilog="Example: bench catalogue due bench=stand-2 --before 2027-01-01")
-@requested
+@command("bench catalogue due bench=stand-2 --before 2027-01-01", to=GROUP)
 def due(request: DueUnits, json: JsonOption = None) -> int:
     """List the dates when units are due for calibration, earliest first."""
     from bench.catalogue.store import open_catalogue
@@ -97,7 +91,7 @@ def due(request: DueUnits, json: JsonOption = None) -> int:
     return 0
 
 
-@GROUP.command(epilog="Example: bench catalogue keys")
+@command("bench catalogue keys", to=GROUP)
 def keys() -> int:
     """List the keys of conditions and their meaning."""
     from bench.catalogue.questions import KEYS

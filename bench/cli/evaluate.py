@@ -11,7 +11,7 @@ import typer
 
 from bench.base.computing import one_thread
 from bench.cli import printing
-from bench.cli.options import JsonOption, OutOption, StrictFitOption, WithEstimators, app, requested
+from bench.cli.options import JsonOption, OutOption, StrictFitOption, WithEstimators, command
 from bench.services.errors import refusing
 from bench.services.requests.evaluation import (
     Accept,
@@ -32,11 +32,7 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 
-@app.command(
-    cls=WithEstimators,
-    epilog="Example: bench calibrate readings.csv --bench my-bench.yaml --json coefficients.json",
-)
-@requested
+@command("bench calibrate readings.csv --bench my-bench.yaml --json coefficients.json", cls=WithEstimators)
 def calibrate(
     requests: list[Calibrate],
     json: JsonOption = None,
@@ -75,8 +71,7 @@ def _each(
     return each(loaded, work)
 
 
-@app.command(epilog="Example: bench verify unit-17 --coefficients last-year.json")
-@requested
+@command("bench verify unit-17 --coefficients last-year.json")
 def verify(requests: list[Verify], json: JsonOption = None, out: OutOption = None) -> int:
     """Compare Δg at the verification points with the limit.
 
@@ -103,8 +98,7 @@ def verify(requests: list[Verify], json: JsonOption = None, out: OutOption = Non
     return 0 if all(result.accepted for result in results) else 1
 
 
-@app.command(epilog="Example: bench report unit-17")
-@requested
+@command("bench report unit-17")
 def report(request: Report, json: JsonOption = None, out: OutOption = None) -> int:
     """Write the report of a run as one HTML page.
 
@@ -134,8 +128,7 @@ def report(request: Report, json: JsonOption = None, out: OutOption = None) -> i
     return 0 if result.accepted and (verdict is None or verdict.passed) else 1
 
 
-@app.command(epilog="Example: bench coefficients unit-17 --as c --as px4")
-@requested
+@command("bench coefficients unit-17 --as c --as px4")
 def coefficients(request: Coefficients, json: JsonOption = None, out: OutOption = None) -> int:
     """Write coefficients for other software: JSON, CSV, C, Excel, Kalibr, PX4, ArduPilot."""
     from bench.exchange.forms import print_coefficients
@@ -163,8 +156,7 @@ def coefficients(request: Coefficients, json: JsonOption = None, out: OutOption 
     return 0
 
 
-@app.command(epilog="Example: bench compensate unit-17-over-temperature --reference 23")
-@requested
+@command("bench compensate unit-17-over-temperature --reference 23")
 def compensate(
     request: Compensate, json: JsonOption = None, out: OutOption = None, strict: StrictFitOption = False
 ) -> int:
@@ -191,8 +183,7 @@ def compensate(
     return 0 if found.accepted(strict=strict) else 1
 
 
-@app.command(epilog="Example: bench tumble unit-17-turn-12 --terms K2,K3")
-@requested
+@command("bench tumble unit-17-turn-12 --terms K2,K3")
 def tumble(
     request: Tumble, json: JsonOption = None, out: OutOption = None, strict: StrictFitOption = False
 ) -> int:
@@ -220,8 +211,7 @@ def tumble(
     return 0 if fits else 1
 
 
-@app.command(epilog="Example: bench diagnose unit-17 --json diagnosis.json")
-@requested
+@command("bench diagnose unit-17 --json diagnosis.json")
 def diagnose(
     request: Diagnose,
     together: Annotated[
@@ -259,8 +249,7 @@ def carried_out(request: Diagnose, target: str | None, *, together: bool) -> lis
     return results
 
 
-@app.command(epilog="Example: bench confirm unit-18 --model runs/unit-17/diagnose-model.yaml")
-@requested
+@command("bench confirm unit-18 --model runs/unit-17/diagnose-model.yaml")
 def confirm(request: Confirm, json: JsonOption = None) -> int:
     """Test a diagnosed model on new readings.
 
@@ -279,10 +268,7 @@ def confirm(request: Confirm, json: JsonOption = None) -> int:
     return 0 if result.confirmed else 1
 
 
-@app.command(
-    epilog="Example: bench accept diagnose/unit-17-model.yaml --name cable_pull --sentence 'the cable pulls'"
-)
-@requested
+@command("bench accept diagnose/unit-17-model.yaml --name cable_pull --sentence 'the cable pulls'")
 def accept(request: Accept) -> int:
     """Name and describe the unnamed terms that a diagnosis found."""
     from bench.services.own_effects import accept_terms

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from bench.cli import printing
-from bench.cli.options import JsonOption, app, requested
+from bench.cli.options import JsonOption, command
 from bench.services.requests.documents import Failures
 
 
-@app.command(epilog="Example: bench failures --laboratory laboratory.yaml --year 2026 --page review.html")
-@requested
+@command("bench failures --laboratory laboratory.yaml --year 2026 --page review.html")
 def failures(request: Failures, json: JsonOption = None) -> int:
     """Collect failures of runs in a register; note their remedies; a page for the review.
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 import typer
 
 from bench.cli import printing
-from bench.cli.options import JsonOption, OutOption, group, requested
+from bench.cli.options import JsonOption, OutOption, command, group
 from bench.services.errors import Refused
 from bench.services.requests.history import Capability, CompareBenches, DriftOfUnit, OfFleet
 
@@ -20,8 +20,7 @@ if TYPE_CHECKING:
 GROUP: Final = group("fleet", "bench fleet effects type='block A' simulated=no")
 
 
-@GROUP.command(epilog="Example: bench fleet effects type='block A' simulated=no --json effects.json")
-@requested
+@command("bench fleet effects type='block A' simulated=no --json effects.json", to=GROUP)
 def effects(request: OfFleet, json: JsonOption = None) -> int:
     """Estimate how much units, benches and time vary; name outliers."""
     from bench.history.bench_or_block import bench_or_block
@@ -32,8 +31,7 @@ def effects(request: OfFleet, json: JsonOption = None) -> int:
     return printing.told(result, json, partial(print_effects, result))
 
 
-@GROUP.command(epilog="Example: bench fleet compare unit='block A 17' after=2026-01-01 --out comparison")
-@requested
+@command("bench fleet compare unit='block A 17' after=2026-01-01 --out comparison", to=GROUP)
 def compare(
     request: CompareBenches,
     json: JsonOption = None,
@@ -61,8 +59,7 @@ def compare(
     return 1 if strict and result.off else 0
 
 
-@GROUP.command(epilog="Example: bench fleet prior type='block A' simulated=no --prior-out block-a.yaml")
-@requested
+@command("bench fleet prior type='block A' simulated=no --prior-out block-a.yaml", to=GROUP)
 def prior(
     request: OfFleet,
     prior_out: Annotated[
@@ -84,8 +81,7 @@ def prior(
     return printing.told(result, json, partial(print_prior, result), files)
 
 
-@GROUP.command(epilog="Example: bench fleet drift unit='block A 17' --at 2027-06-01")
-@requested
+@command("bench fleet drift unit='block A 17' --at 2027-06-01", to=GROUP)
 def drift(request: DriftOfUnit, json: JsonOption = None) -> int:
     """Estimate the drift of a unit from its history; predict its coefficients."""
     from bench.history.drift import drift_of_unit
@@ -96,8 +92,7 @@ def drift(request: DriftOfUnit, json: JsonOption = None) -> int:
     return printing.told(result, json, partial(print_drift, result))
 
 
-@GROUP.command(epilog="Example: bench fleet cmc procedure='*paper.yaml' state=finished simulated=no")
-@requested
+@command("bench fleet cmc procedure='*paper.yaml' state=finished simulated=no", to=GROUP)
 def cmc(request: Capability, json: JsonOption = None) -> int:
     """Estimate the laboratory's calibration and measurement capability from its history (ILAC-P14)."""
     from bench.history.capability import capability

@@ -9,13 +9,12 @@ from typing import Annotated
 import typer
 
 from bench.cli import printing
-from bench.cli.options import JsonOption, OutOption, app, requested
+from bench.cli.options import JsonOption, OutOption, command
 from bench.services.errors import Refused
 from bench.services.requests.history import Chart, Compare, Learn, Monitor, Stability
 
 
-@app.command(epilog="Example: bench chart runs --bench my-bench.yaml --page chart.html")
-@requested
+@command("bench chart runs --bench my-bench.yaml --page chart.html")
 def chart(
     request: Chart,
     json: JsonOption = None,
@@ -36,8 +35,7 @@ def chart(
     return 0 if found.accepted else 1
 
 
-@app.command(epilog="Example: bench compare 2025.json 2026.json unit-17 --strict")
-@requested
+@command("bench compare 2025.json 2026.json unit-17 --strict")
 def compare(
     request: Compare,
     json: JsonOption = None,
@@ -58,8 +56,7 @@ def compare(
     return 1 if strict and found.result.changed else 0
 
 
-@app.command(epilog="Example: bench learn unit-* --out learned.yaml --expires 180")
-@requested
+@command("bench learn unit-* --out learned.yaml --expires 180")
 def learn(
     request: Learn,
     json: JsonOption = None,
@@ -93,8 +90,7 @@ def learn(
     return 1 if strict and found.learned.contradicting else 0
 
 
-@app.command(epilog="Example: bench monitor day-* --baseline 5 --out monitor")
-@requested
+@command("bench monitor day-* --baseline 5 --out monitor")
 def monitor(request: Monitor, json: JsonOption = None, out: OutOption = None) -> int:
     """Chart runs of few positions over days: bias, scale factor, angle.
 
@@ -110,8 +106,7 @@ def monitor(request: Monitor, json: JsonOption = None, out: OutOption = None) ->
     return 0 if found.result.in_control else 1
 
 
-@app.command(epilog="Example: bench stability static.csv --size 20e-6 --bench my-bench.yaml")
-@requested
+@command("bench stability static.csv --size 20e-6 --bench my-bench.yaml")
 def stability(request: Stability, json: JsonOption = None, out: OutOption = None) -> int:
     """Compute the Allan deviation and noise terms of a block at rest, and the averaging to use.
 

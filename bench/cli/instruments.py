@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Final
 
 from bench.base.files import read_regular
 from bench.cli import printing
-from bench.cli.options import JsonOption, app, requested
+from bench.cli.options import JsonOption, command
 from bench.services.errors import Refused, refusing
 from bench.services.requests.measuring import InstrumentsRequest, SimulateRequest
 
@@ -31,8 +31,7 @@ _LOOK_S: Final = 0.5
 _CONTROL_TIMEOUT_S: Final = 10.0
 
 
-@app.command(epilog="Example: bench instruments --bench my-bench.yaml")
-@requested
+@command("bench instruments --bench my-bench.yaml")
 def instruments(request: InstrumentsRequest, json: JsonOption = None) -> int:
     """Test all instruments of a bench: identity, self-test, reading."""
     if request.commission:
@@ -148,8 +147,7 @@ def _commission(request: InstrumentsRequest, target: str | None) -> int:
 # --- simulated instruments --------------------------------------------------------------------------
 
 
-@app.command(epilog="Example: bench simulate --bench my-bench.yaml --port 5025 --ready-file ready.json")
-@requested
+@command("bench simulate --bench my-bench.yaml --port 5025 --ready-file ready.json")
 def simulate(request: SimulateRequest) -> int:
     """Serve the simulated instruments of a bench file until Ctrl-C.
 

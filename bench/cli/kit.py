@@ -7,17 +7,14 @@ from typing import Final
 
 from bench.base.text import repeated
 from bench.cli import printing
-from bench.cli.options import JsonOption, OutOption, group, requested
+from bench.cli.options import JsonOption, OutOption, command, group
 from bench.services.errors import Refused
 from bench.services.requests.documents import EvaluateKit, PlanKit, SealKit
 
 GROUP: Final = group("kit", "bench kit plan kit.yaml --laboratory Kyiv --laboratory Graz --laboratory Brno")
 
 
-@GROUP.command(
-    epilog="Example: bench kit plan kit.yaml --laboratory Kyiv --laboratory Graz --laboratory Brno"
-)
-@requested
+@command("bench kit plan kit.yaml --laboratory Kyiv --laboratory Graz --laboratory Brno", to=GROUP)
 def plan(request: PlanKit) -> int:
     """Plan the route of the block, its transport checks, and a blind code for each stop."""
     from bench.certificate.interlaboratory import CHECK, plan_kit, write_kit
@@ -34,8 +31,7 @@ def plan(request: PlanKit) -> int:
     return 0
 
 
-@GROUP.command(epilog="Example: bench kit seal kit.yaml Q7FA=kyiv.json")
-@requested
+@command("bench kit seal kit.yaml Q7FA=kyiv.json", to=GROUP)
 def seal(request: SealKit) -> int:
     """Note the seal (SHA-256) of each result, before any is opened."""
     from bench.certificate.interlaboratory import load_kit, sealed, write_kit
@@ -47,8 +43,7 @@ def seal(request: SealKit) -> int:
     return 0
 
 
-@GROUP.command(epilog="Example: bench kit evaluate kit.yaml Q7FA=kyiv.json 9HLM=graz.xml … --out report")
-@requested
+@command("bench kit evaluate kit.yaml Q7FA=kyiv.json 9HLM=graz.xml … --out report", to=GROUP)
 def evaluate(request: EvaluateKit, json: JsonOption = None, out: OutOption = None) -> int:
     """Judge each laboratory against the consensus of the others, in the nine numbers.
 

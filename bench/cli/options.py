@@ -24,7 +24,7 @@ from bench.base.requests import (
     fields_of,
 )
 from bench.cli import completing
-from bench.cli.commands import COMMANDS, COMPLETED_BY, MORE, BenchCommand, CommandGroup, Commands
+from bench.cli.commands import COMMANDS, COMPLETED_BY, KNOWN, MORE, BenchCommand, CommandGroup, Commands
 from bench.config.devices import FOLDERS
 from bench.services.errors import Refused
 
@@ -283,3 +283,21 @@ def _flags(field: RequestField) -> tuple[str, ...]:
     name = field.name.replace("_", "-")
     on = field.type is bool and field.default is True
     return (f"--{name}/--no-{name}",) if on else (f"--{name}",)
+
+
+def command(
+    example: str, name: str | None = None, *, to: typer.Typer = app, cls: type[BenchCommand] = BenchCommand
+) -> Callable[[Callable[..., int]], Callable[..., int]]:
+    """Return a decorator that makes a function a command, with an example in its help.
+
+    Its options are the parameters of the function, and the fields of its request if it has one.
+    """
+
+    def entered(function: Callable[..., int]) -> Callable[..., int]:
+        with_request = any(_requests(get_type_hints(function, include_extras=True)))
+        whole = requested(function) if with_request else function
+        to.command(name, cls=cls, epilog=f"Example: {example}")(whole)
+        KNOWN[whole] = to.registered_commands[-1]
+        return whole
+
+    return entered

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from bench.cli import printing
-from bench.cli.options import JsonOption, app, requested
+from bench.cli.options import JsonOption, command
 from bench.services.requests.documents import ChangePersons
 
 
-@app.command(epilog="Example: bench persons add 'B. Example' --may operate --by 'A. Example'")
-@requested
+@command("bench persons add 'B. Example' --may operate --by 'A. Example'")
 def persons(request: ChangePersons, json: JsonOption = None) -> int:
     """List the persons of the laboratory; add one, change one, or end one's rights.
 

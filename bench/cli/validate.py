@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from bench.base.computing import one_thread
 from bench.cli import printing
-from bench.cli.options import JsonOption, app, requested
+from bench.cli.options import JsonOption, command
 from bench.services.requests.documents import Validate
 
 
-@app.command(epilog="Example: bench validate --bench my-bench.yaml --out validation")
-@requested
+@command("bench validate --bench my-bench.yaml --out validation")
 def validate(request: Validate, json: JsonOption = None) -> int:
     """Validate this installation: reference data, instruments, records, certificates, machine.
 
