@@ -163,6 +163,7 @@ MODULES: Final[Mapping[str, str]] = {
     **dict.fromkeys(("run", "resume", "abort", "control"), "measure"),
     **dict.fromkeys(("chart", "compare", "learn", "monitor", "stability"), "history"),
     **dict.fromkeys(("runs", "show", "seal", "key", "export", "import"), "records"),
+    **dict.fromkeys(("persons", "failures", "validate"), "laboratory"),
     "simulate": "instruments",
 }
 """The module in this package that defines a command, if it is not named after the command."""
