@@ -39,9 +39,8 @@ from bench.services.validated import (
     read_validations,
     register_beside,
 )
-from bench.validation.families import every
 from bench.validation.machine import description
-from bench.validation.registry import Context, carry_out
+from bench.validation.registry import Context, carry_out, every
 from drivers.clock import SystemClock, utc_now
 
 RESULT: Final = "validation.json"
