@@ -13,7 +13,6 @@ from bench.base.computing import versions
 from bench.base.languages import message
 from bench.base.text import civil_minute, repeated, shown_path
 from bench.calibration.budget.meters import KnownMeters
-from bench.calibration.budget.sources import assumed_stand
 from bench.calibration.noise import KnownStand
 from bench.config.bench_file.file import BenchFile
 from bench.config.model_file import ModelFile, load_model
@@ -176,6 +175,8 @@ class Source:
     @property
     def assumed_u(self) -> dict[str, float]:
         """Standard uncertainties, rad, of the stand's errors that no bench file need state, by name."""
+        from bench.calibration.budget.sources import assumed_stand  # a diagnosis does without the budget
+
         return {name: size.u for name, size in assumed_stand(self.bench).items()}
 
     def made_from(self) -> dict[str, Any]:
