@@ -118,7 +118,7 @@ def record_result(
         rivals=[RivalPart.model_validate(rival) for rival in found.rivals],
         channels=[_channel(fit) for fit in found.fits],
         noise=RecordNoisePart(white_v=found.white_v, slow_v=found.slow_v, means=len(found.record)),
-        far=[one.words for one in found.far],
+        far=list(found.far),
         threshold=found.limit.value,
         report=files.report,
         bench=bench,
@@ -153,7 +153,7 @@ def what_in_words(found: RecordDiagnosis) -> str:
         f"{_title(one)} ({words.odds_in_words(one)})" if one.in_catalogue else one.words
         for one in found.effects
     ]
-    return "; ".join([*(told or [NOTHING]), *(one.words for one in found.far[:LISTED_FAR])])
+    return "; ".join([*(told or [NOTHING]), *found.far[:LISTED_FAR]])
 
 
 def _title(one: NamedEffect) -> str:
