@@ -40,7 +40,7 @@ class RecordDiagnosis:
     gap: Gap
     rivals: tuple[Rival, ...]
     far: tuple[str, ...]
-    limit: Threshold
+    threshold: float
     noises: tuple[Noise, ...]
     hidden: tuple[str, ...]
     notes: tuple[str, ...]
@@ -48,12 +48,22 @@ class RecordDiagnosis:
     @property
     def white_v(self) -> float:
         """Standard deviation of the white noise in a mean of all channels, V."""
-        return self.noises[0].white / len(self.record.channels) ** 0.5
+        return self.noises[0].white / float(np.sqrt(len(self.record.channels)))
 
     @property
     def slow_v(self) -> float:
         """Standard deviation of the slow noise in a mean of all channels, V."""
-        return self.white_v * self.noises[0].ratio ** 0.5
+        return self.white_v * float(np.sqrt(self.noises[0].ratio))
+
+    @property
+    def of_copy(self) -> Verdict:
+        """The verdict, as no mistakes are looked for in a record."""
+        return self.verdict
+
+    @property
+    def models(self) -> tuple[tuple[AppliedEffect, ...], ...]:
+        """The effects found, for the model file."""
+        return (self.applied,)
 
     @property
     def applied(self) -> tuple[AppliedEffect, ...]:
@@ -88,7 +98,7 @@ def diagnose_record(readings: Readings, effects: Sequence[AppliedEffect] = ()) -
         gap=gap,
         rivals=rivals,
         far=far,
-        limit=limit,
+        threshold=limit.value,
         noises=tuple(noises),
         hidden=tuple(name for name in FOLLOWS if name not in work.courses.families),
         notes=record.notes,

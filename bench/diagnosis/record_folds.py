@@ -134,9 +134,9 @@ def _predicted(
         design = work.design(trials[best], k)[rows]
         error[:, k] = design[:, -1] - design[:, :-1] @ mean
         chi2 += work.fitted(k, trials[best], noises[k])[2] - of_rest
-    error = error @ work.helmert * work.record.scale[rows, None]
-    error = least_squares(work.record.trend[rows], error)[1].ravel()
-    return HeldOut(error, error, np.full_like(error, np.nan), chi2)
+    error_v = error @ work.helmert * work.record.scale[rows, None]
+    beside = least_squares(work.record.trend[rows], error_v)[1].ravel()
+    return HeldOut(beside, beside, np.full_like(beside, np.nan), chi2)
 
 
 def _rivals(work: RecordWork, finds: Sequence[Find], noises: Sequence[Noise]) -> Iterator[Rival]:

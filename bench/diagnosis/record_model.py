@@ -84,7 +84,7 @@ class Record:
 
     def added_by(self, effects: Sequence[AppliedEffect]) -> Floats:
         """Return the voltages that effects add together, V, shape (n, c)."""
-        return np.sum([self.added(one) for one in effects], axis=0) + np.zeros_like(self.deviation_v)
+        return np.asarray(sum((self.added(one) for one in effects), np.zeros_like(self.deviation_v)))
 
     def added(self, applied: AppliedEffect) -> Floats:
         """Return the voltages that an effect adds in the c channels of the record, V, shape (n, c)."""
@@ -212,8 +212,8 @@ def _rails(readings: Readings) -> Iterator[Floats]:
     above = readings.conditions().supply_v
     for number, rail in enumerate(rails_of(readings.extra)):
         voltage = numbers(readings.extra[voltage_column(rail)])
-        given = above is not None and np.isfinite(above[:, number]).any()
-        yield above[:, number] if given else voltage - np.nanmedian(voltage)
+        given = None if above is None else above[:, number]
+        yield voltage - np.nanmedian(voltage) if given is None or np.isnan(given).all() else given
 
 
 # --- noise --------------------------------------------------------------------------------------------
@@ -312,8 +312,9 @@ class NoiseTrials:
             log_det = -float(np.sum(np.log(noise.sd)) + np.sum(np.log(np.abs(np.diag(upper)))))
             along, left = rest[:, :h].T @ rest[:, h:], np.sum(rest[:, h:] ** 2, axis=0)
             each.append((noise, log_det, np.sum(rest[:, :h] ** 2, axis=0), along, left))
-        noises, *products = zip(*each, strict=True)
-        return Products(tuple(noises), *map(np.array, products), freedom=len(self.trend) - fixed)
+        noises, dets, squares, products, lefts = zip(*each, strict=True)
+        found = (np.array(dets), np.array(squares), np.array(products), np.array(lefts))
+        return Products(noises, *found, len(self.trend) - fixed)
 
 
 @dataclass(frozen=True)

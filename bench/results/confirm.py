@@ -12,10 +12,7 @@ from bench.base.numbers import rounded, typeset, uncertainty
 from bench.base.result_model import Real, ResultModel
 from bench.base.tables import print_notes
 from bench.diagnosis.confirm import Confirmation, EffectNow
-from bench.diagnosis.free_records import FreeDiagnosis
 from bench.diagnosis.gap import FLOOR
-from bench.diagnosis.record_diagnosis import RecordDiagnosis
-from bench.diagnosis.result import Diagnosis
 from bench.diagnosis.show import label
 from bench.results import diagnosis_words as words
 from bench.results.parts import BenchPart, CorrectionPart
@@ -152,7 +149,7 @@ def print_confirmation(source: str, found: Confirmation, notes: Sequence[str], o
         f"(noise alone: 1; {typeset(words.p_in_words(found.p_after, 2))} with it)"
     )
     # if values changed, effects found beside the model merely compensate for its wrong values
-    left = beside_in_words(found.diagnosis)
+    left = words.alike_in_words(found.diagnosis.effects)
     if left and found.verdict == "confirmed":
         out.print(
             f"These readings also contain another effect: {left}; 'bench diagnose' with this model names it"
@@ -187,10 +184,3 @@ def effect_now_in_words(effect: EffectNow) -> Iterator[str]:
         then = words.with_unit(f"{rounded(was.value, was.u or now.u or 1.0)}{u}", was.unit)
         here = words.with_u(now.value, now.u or 0.0, now.unit)
         yield f"  {was.parameter}{of} = {then} in the model, {here} in these readings"
-
-
-def beside_in_words(diagnosis: Diagnosis | FreeDiagnosis | RecordDiagnosis) -> str:
-    """Return the names of the effects found in a diagnosis of any kind of readings."""
-    if isinstance(diagnosis, FreeDiagnosis):
-        return "; ".join(" or ".join([one.name, *one.cannot_tell_from]) for one in diagnosis.found)
-    return words.alike_in_words(diagnosis.effects)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -26,7 +26,7 @@ from bench.calibration.result import Calibration
 from bench.diagnosis import Diagnosis, NamedEffect
 from bench.diagnosis.gap import UNDETERMINED, Gap
 from bench.diagnosis.pipeline import FullDiagnosis, Rival
-from bench.diagnosis.show import SEED, ModelComparison, ModulusPoint
+from bench.diagnosis.show import SEED, CoefficientChange, ModelComparison, ModulusPoint
 from bench.diagnosis.where import ResidualPattern
 from bench.model import CATALOGUE, Effect
 from bench.results import diagnosis_words as words
@@ -70,6 +70,7 @@ def render_diagnosis(
     `limit_g` is the limit of |Δg| at the verification points. `provenance` maps names to text.
     """
     diagnosis, shown = full.diagnosis, full.shown
+    unit = shown.before.calibration.unit
     return page(
         "diagnosis.html.j2",
         title=title,
@@ -89,11 +90,16 @@ def render_diagnosis(
         places=[_place(place) for place in diagnosis.where],
         effects=[(e, full.rivals_of(i), _ranking(full, i, e)) for i, e in enumerate(diagnosis.effects)],
         form=list(words.form_in_words(diagnosis)),
-        held_out=_held_out(diagnosis.gap),
+        held_out=held_out_rows(diagnosis.gap),
         gap_bars=drawn(gap_bars(diagnosis.gap)) if diagnosis.effects and diagnosis.gap.folds else None,
-        coefficients=_coefficients(shown),
+        coefficients=coefficient_rows(shown.coefficients, unit),
         blocks=[
-            (number, words.mountings_of(one), words.p_in_column(one.last.test.p, 2), _coefficients(one))
+            (
+                number,
+                words.mountings_of(one),
+                words.p_in_column(one.last.test.p, 2),
+                coefficient_rows(one.coefficients, unit),
+            )
             for number, one in enumerate(full.blocks, start=1)
         ],
         tests=_tests(shown),
@@ -129,22 +135,21 @@ def _ranking(full: FullDiagnosis, number: int, effect: NamedEffect) -> Markup | 
     return drawn(ranking_bars(rivals, effect.name, number)) if rivals else None
 
 
-def _held_out(gap: Gap) -> list[Row]:
-    return [
+def held_out_rows(gap: Gap) -> list[Row]:
+    """Return the rows of a table of what was held out: what the rest named, reduced chi-square before and after."""
+    rows = [
         Row(
             fold.label,
-            (
-                ", ".join(fold.gains) or "nothing",
-                f"{fold.before.reduced:.2f}",
-                f"{fold.after.reduced:.2f}",
-            ),
+            (", ".join(fold.gains) or "nothing", f"{fold.before.reduced:.2f}", f"{fold.after.reduced:.2f}"),
         )
         for fold in gap.folds
-    ] + [Row(label, (message(f"not held out: {UNDETERMINED}"), "", "")) for label in gap.undetermined]
+    ]
+    left_out = (message(f"not held out: {UNDETERMINED}"), "", "")
+    return rows + [Row(label, left_out) for label in gap.undetermined]
 
 
-def _coefficients(shown: ModelComparison) -> list[Row]:
-    changes, unit = shown.coefficients, shown.before.calibration.unit
+def coefficient_rows(changes: Mapping[str, CoefficientChange], unit: str) -> list[Row]:
+    """Return the rows of a table of coefficients before and after, with the change, also in u."""
     before = aligned([concise(one.before, one.u_before) for one in changes.values()])
     after = aligned([concise(one.after, one.u_after) for one in changes.values()])
     scale = scale_for(max(abs(one.after - one.before) for one in changes.values()), unit)
@@ -413,69 +418,73 @@ def most_telling(shown: ModelComparison) -> list[int]:
 
 
 def overlay_of_mount(shown: ModelComparison, mount: int) -> str:
-    """Return a plot of measured and simulated signals against head angle in one mounting, a row per channel.
-
-    The left column has the signals. The right column has both minus the simulation with the given model; it shows
-    what that model lacks, and whether the effects found supply it.
-    """
+    """Return a plot of measured and simulated signals against head angle in one mounting, a row per channel."""
     before, last = shown.before.calibration, shown.last.calibration
     label, rows = mounts_of(before)[mount]
     signal = before.fitted.signal
     simulated, missing = signal - last.residuals, before.residuals - last.residuals
     volts = scale_for(float(np.max(np.abs(signal))), before.unit)
     scale = scale_for(float(np.max(np.abs(before.residuals))), before.unit)
-    angle = dodged_deg(before)
+    angle, degrees = dodged_deg(before), np.degrees(before.fitted.angle_rad)
     fine = np.linspace(-8.0, 368.0, 189)
-    whose = message("as it was given") if shown.after is None else message("with what was found")
+
+    def draw(i: int, left: Axes, right: Axes, whose: str) -> None:
+        wave = _wave(angle[rows], simulated[rows, i], fine) / volts.size
+        left.plot(fine, wave, color=INK, linewidth=1.0, label=whose)
+        left.plot(angle[rows], signal[rows, i] / volts.size, "o", **MEASURED)
+        residual_points(right, before, rows, i, angle, scale, f"overlay-{mount}")
+        if shown.after is not None:
+            right.plot(angle[rows], missing[rows, i] / scale.size, "_", **BARS, label=whose)
+            _joined(right, degrees, missing[:, i] / scale.size, rows, before.fitted.pass_number)
+        right.set_xticks(range(0, 361, 90))
+        right.set_xlim(-12.0, 372.0)
+
+    return overlay(
+        f"diagnosis-overlay-{mount}", f"installation {label}", (volts, scale), draw, message("head angle / °"),
+        found=shown.after is not None,
+    )  # fmt: skip
+
+
+MEASURED: Final[dict[str, Any]] = {"color": BLUE, "markersize": 4, "alpha": 0.8, "label": "measured"}
+BARS: Final[dict[str, Any]] = {"color": INK, "markersize": 10, "markeredgewidth": 1.6}
+"""Style of the points of measured signals, and of the bars of simulated ones."""
+
+
+def overlay(
+    name: str,
+    place: str,
+    scales: tuple[Scale, Scale],
+    draw_channel: Callable[[int, Axes, Axes, str], None],
+    along: str,
+    *,
+    found: bool,
+) -> str:
+    """Return a plot of measured and simulated signals at a `place`, a row per channel.
+
+    The left column has the signals. The right column has both minus the simulation with the given model; it shows
+    what that model lacks, and whether the effects found supply it. `draw_channel` draws a channel into its axes.
+    """
+    whose = message("simulated, with what was found") if found else message("simulated as it was given")
 
     def draw(figure: Figure) -> None:
         grid: Any = figure.subplots(3, 2, sharex=True, squeeze=False)
-        for i, channel in enumerate(CHANNELS):
-            left: Axes = grid[i, 0]
-            left.plot(
-                fine, _wave(angle[rows], simulated[rows, i], fine) / volts.size, color=INK, linewidth=1.0,
-                label=message(f"simulated bench, {whose}"),
-            )  # fmt: skip
-            left.plot(
-                angle[rows], signal[rows, i] / volts.size, "o", color="#0072B2", markersize=4, alpha=0.8,
-                label="measured",
-            )  # fmt: skip
-            left.set_ylabel(f"channel {channel} / {volts.unit}")
-            right: Axes = grid[i, 1]
-            right.axhline(
-                0.0,
-                color=GREY,
-                linewidth=0.7,
-                linestyle=(0, (4, 3)),
-                label=message("simulated as it was given"),
-            )
-            residual_points(right, before, rows, i, angle, scale, f"overlay-{mount}")
-            if shown.after is not None:
-                right.plot(
-                    angle[rows], missing[rows, i] / scale.size, "_", color=INK, markersize=11,
-                    markeredgewidth=1.8, label=message(f"simulated bench, {whose}"),
-                )  # fmt: skip
-                _joined(
-                    right,
-                    np.degrees(before.fitted.angle_rad),
-                    missing[:, i] / scale.size,
-                    rows,
-                    before.fitted.pass_number,
-                )
-            right.set_ylabel(scale.unit)
-        grid[0, 0].set_title(f"installation {label}")
-        grid[0, 1].set_title(message("less the bench simulated as it was given"))
+        given = message("simulated as it was given")
+        for i, (channel, (left, right)) in enumerate(zip(CHANNELS, grid, strict=True)):
+            right.axhline(0.0, color=GREY, linewidth=0.7, linestyle=(0, (4, 3)), label=given)
+            draw_channel(i, left, right, whose)
+            left.set_ylabel(f"channel {channel} / {scales[0].unit}")
+            right.set_ylabel(scales[1].unit)
+        grid[0, 0].set_title(place)
+        grid[0, 1].set_title(message("less what is simulated as it was given"))
         for axes in grid[2]:
-            axes.set_xticks(range(0, 361, 90))
-            axes.set_xlim(-12.0, 372.0)
-            axes.set_xlabel(message("head angle / °"))
+            axes.set_xlabel(along)
         figure.legend(*legend_of(grid.flat), loc="outside upper center", ncols=3)
 
     alt = message(
-        f"Measured and simulated signals of channels x, y, z in installation {label} against head angle, and both "
-        f"less the bench simulated as it was given"
+        f"Measured and simulated signals of channels x, y, z, {place}, and both less what is simulated as it was "
+        "given"
     )
-    return svg_figure(f"diagnosis-overlay-{mount}", (7.6, 5.6), draw, alt)
+    return svg_figure(name, (7.6, 5.6), draw, alt)
 
 
 def _wave(angle_deg: Floats, values: Floats, at_deg: Floats) -> Floats:

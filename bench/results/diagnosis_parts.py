@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Field
 
@@ -12,6 +14,9 @@ from bench.diagnosis.mistakes.search import Mistake
 from bench.diagnosis.noise_kinds import LocalScatter, NoiseKind
 from bench.diagnosis.posterior import KnownTogether
 from bench.diagnosis.residual_model import FormTerm, FreeForm
+from bench.diagnosis.result import Verdict
+from bench.results.diagnosis_words import Files
+from bench.results.parts import BenchPart, CorrectionPart
 
 VerdictOfCopy = Literal["agrees", "named", "confounded", "unknown"]
 
@@ -156,6 +161,39 @@ class GapPart(ResultModel):
     noise_rms: float = Field(description="of a reading, in `unit`")
     unit: str
     held_out: list[FoldPart]
+
+
+class AloneResult(ResultModel):
+    """The members of a diagnosis of readings that are free positions alone, or a record at a known input."""
+
+    verdict: Verdict
+    next_measurement: None
+    hidden: list[str] = Field(description="effects that these readings could never show")
+    gap: GapPart = Field(
+        description="reduced chi-square of what was held out in turn: every fifth position, rms in g; or the "
+        "excursions of a record, rms in V"
+    )
+    model: Path | None = Field(
+        description="path of the model file that was written; of several sensors with values of their own the "
+        "first's"
+    )
+    threshold: float = Field(description="ln odds above which something is found")
+    notes: list[str]
+    source: str
+    report: Path | None = Field(description="path of the page")
+    bench: BenchPart | None
+    corrections: list[CorrectionPart] = Field(
+        description="the certificates of the instruments, and what was done by them; without any an empty list"
+    )
+    simulated: bool
+    skipped_rows: list[str]
+
+    @classmethod
+    def made(cls, found: object, files: Files, made_from: Mapping[str, Any], **others: Any) -> Self:
+        """Return the result on findings; `made_from` are bench, certificates, and what is said of the source."""
+        of_source = {"bench": None, "corrections": [], "simulated": False, "skipped_rows": [], **made_from}
+        written = {"next_measurement": None, "model": files.model, "report": files.report}
+        return cls.from_object(found, **{**written, **of_source, **others})
 
 
 class OfChannels(ResultModel):

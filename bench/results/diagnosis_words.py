@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -21,6 +21,12 @@ from bench.diagnosis.result import UNNAMED_WORDS, Diagnosis, EffectValue, NamedE
 from bench.diagnosis.show import CoefficientChange, ModelComparison, label
 from bench.diagnosis.where import ResidualPattern
 from bench.model.effects import CATALOGUE
+
+if TYPE_CHECKING:
+    from bench.diagnosis.free_records import FreeDiagnosis
+    from bench.diagnosis.record_diagnosis import RecordDiagnosis
+
+    AnyDiagnosis = Diagnosis | FreeDiagnosis | RecordDiagnosis
 
 
 @dataclass(frozen=True)
@@ -90,10 +96,16 @@ def effect_title(effect: NamedEffect | Mistake) -> str:
     if effect.channels and of_channels:
         title += f" of {', '.join(effect.channels)}"
     if effect.installations:
-        title += message(
-            f" in installation{'s' if len(effect.installations) > 1 else ''} {', '.join(effect.installations)}"
-        )
+        title += in_installations(effect.installations)
     return title
+
+
+def in_installations(names: Sequence[str]) -> str:
+    """Return the place of an effect: " in installations 1, 2", or of free positions " in sensor 2"."""
+    listed = ", ".join(names)
+    if listed.startswith("sensor"):
+        return f" in {listed}"
+    return message(f" in installation{'s' if len(names) > 1 else ''} {listed}")
 
 
 def mistake_title(mistake: Mistake) -> str:
@@ -105,8 +117,9 @@ def mistake_title(mistake: Mistake) -> str:
 def parameters_in_words(effect: NamedEffect) -> Iterator[str]:
     """Yield a line for each parameter, such as "K2 of y = 58.1 ± 5.2 µg/g² (u)"."""
     for value in effect.parameters:
-        at = message(f" in installation {value.installations}") if value.installations else ""
-        yield parameter_in_words(value, at)
+        yield parameter_in_words(
+            value, in_installations([value.installations]) if value.installations else ""
+        )
     for one in effect.together:
         yield (
             message(
@@ -204,7 +217,7 @@ LEAD: Final[Mapping[str, str]] = {
 """The words for each verdict."""
 
 
-def lead(diagnosis: Diagnosis) -> str:
+def lead(diagnosis: AnyDiagnosis) -> str:
     """Return the verdict in a few words."""
     tied = any(effect.cannot_tell_from for effect in diagnosis.effects)
     return LEAD[diagnosis.verdict] if diagnosis.verdict != "confounded" or tied else UNCONFIRMED
@@ -290,7 +303,7 @@ def _percent(probability: float) -> str:
     return "> 99 %" if probability > 0.995 else f"{100 * probability:.0f} %"
 
 
-def gap_of_verdict(diagnosis: Diagnosis) -> str:
+def gap_of_verdict(diagnosis: AnyDiagnosis) -> str:
     """Return how far the gap closes, or why it does not confirm the findings; "" if nothing was found."""
     gap = diagnosis.gap
     return gap.reason if diagnosis.of_copy == "confounded" and gap.reason else gap_in_words(gap)
@@ -359,6 +372,32 @@ def alike_in_words(effects: Sequence[NamedEffect | Mistake]) -> str:
     return "; ".join(" or ".join([effect_title(one), *one.cannot_tell_from]) for one in effects)
 
 
+def found_in_words(diagnosis: AnyDiagnosis, nothing: str) -> str:
+    """Return the findings in free positions or in a record as a sentence; `nothing` where there are none."""
+    found = [
+        f"{alike_in_words([one])}{f' ({odds})' if (odds := odds_in_words(one)) else ''}"
+        if one.in_catalogue
+        else one.words
+        for one in diagnosis.effects
+    ]
+    return "; ".join(found) or nothing
+
+
+def readings_named(source: str) -> str:
+    """Return a short name of readings: "a + b", or "a … z (5 readings files)"."""
+    first, *others = source.split(" + ")
+    return f"{first} … {others[-1]} ({1 + len(others)} readings files)" if len(others) > 1 else source
+
+
+def evidence_of(found: FreeDiagnosis | RecordDiagnosis, gap: str) -> dict[str, str]:
+    """Return the evidence for the findings in free positions or in a record, by title, for the model file."""
+    told = {"found in": readings_named(found.source)}
+    for one in found.effects:
+        rho = "" if one.rho is None else f", rho {one.rho:.1f}"
+        told[alike_in_words([one])] = f"p {one.p_all_looks:.2g} with all looks{rho}; {odds_in_words(one)}"
+    return told | {"gap": gap, "threshold": f"ln odds {found.threshold:.3f}"}
+
+
 def mountings_of(block: ModelComparison) -> str:
     """Return the mountings of a block, as installation/series: "1/3, 2/3"."""
     return ", ".join(str(mount) for mount in block.before.calibration.fitted.conditions().mounts)
@@ -373,7 +412,7 @@ def shift_in_words(ranking: Sequence[Rival], other: str) -> str:
     return ""
 
 
-def why_no_model(diagnosis: Diagnosis) -> str:
+def why_no_model(diagnosis: AnyDiagnosis) -> str:
     """Return the reason why no model file was written, to follow "no model file is written"."""
     if diagnosis.gap.shrinks is False:
         return message(
