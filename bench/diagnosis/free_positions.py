@@ -41,7 +41,7 @@ from bench.diagnosis.free_records import (
     place_of,
 )
 from bench.diagnosis.gap import LEAST_FREEDOM, measure_gap
-from bench.diagnosis.levels import BY_CHANCE, HARDLY_EVER
+from bench.diagnosis.levels import BY_CHANCE, FOLDS, HARDLY_EVER
 from bench.diagnosis.linear import LinearSystem
 from bench.diagnosis.naming import Naming, name
 from bench.diagnosis.noise_grid import NoiseGrid, make_noise_grid
@@ -54,8 +54,6 @@ from bench.model.effects.base import Subsystem
 from bench.model.forward import ForwardModel
 from bench.model.geometry import Block
 from bench.readings.table import FREE, Readings
-
-FOLDS: Final = 5
 
 
 def diagnose_free(

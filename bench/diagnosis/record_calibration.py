@@ -13,6 +13,7 @@ from typing import Final
 import numpy as np
 
 from bench.base.arrays import CHANNELS, Floats, Ints, u_of
+from bench.diagnosis.levels import FOLDS
 from bench.diagnosis.record_model import LEAST, Noise, NoiseTrials, Record, make_record, solved
 from bench.model.conditions import Conditions
 from bench.model.effects import AppliedEffect
@@ -24,8 +25,6 @@ LEVELS: Final = 0.01
 """A reference that changes by more than this part of its largest value tells gain from offset."""
 ZERO_V: Final = 1e-3
 """At a single level below this, V, the record gives the offset alone."""
-PARTS: Final = 5
-"""Parts of a record, each calibrated by itself, whose scatter is compared with u."""
 
 
 @dataclass(frozen=True)
@@ -116,9 +115,9 @@ def _levels_apart(record: Record) -> bool:
 
 def _parts(record: Record, several_levels: bool) -> Repeats | None:
     """Return equal parts of a record compared as repeats; None if it is short, or a part lacks its levels."""
-    if len(record) < PARTS * LEAST:
+    if len(record) < FOLDS * LEAST:
         return None
-    parts = [_part(record, rows) for rows in np.array_split(np.arange(len(record)), PARTS)]
+    parts = [_part(record, rows) for rows in np.array_split(np.arange(len(record)), FOLDS)]
     if several_levels and not all(map(_levels_apart, parts)):
         return None
     each = [_channels(part, np.zeros((0, *part.deviation_v.shape)), [], several_levels) for part in parts]

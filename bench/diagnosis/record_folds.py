@@ -12,6 +12,7 @@ from scipy import linalg
 
 from bench.base.arrays import Floats, Mask, least_squares, rms
 from bench.diagnosis.gap import Fold, Gap, HeldOut
+from bench.diagnosis.levels import FOLDS
 from bench.diagnosis.posterior import NoiseSize
 from bench.diagnosis.record_model import FOLLOWS, MOVE, Course, Noise, solved
 from bench.diagnosis.record_search import Find, RecordWork
@@ -27,14 +28,7 @@ class Rival:
 
 
 SWING: Final = 0.15
-"""An excursion is where what is followed is further from its level at rest than this part of its range."""
-PLATEAU: Final = 0.1
-"""Part of the range within which what is followed counts as at one level."""
-COMMON: Final = 0.2
-"""Part of the record at one level from which on it is the level at rest; evenly spread it would be a tenth."""
-LEAST_ROWS: Final = 8
-TURNS: Final = 5
-"""Consecutive means that are held out together where an effect follows time alone."""
+"""An excursion is where what is followed is further from its median than this part of its range."""
 
 
 def measure_record_gap(work: RecordWork, finds: Sequence[Find]) -> tuple[Gap, tuple[Rival, ...]]:
@@ -77,31 +71,20 @@ def _excursions(work: RecordWork, course: Course) -> Iterator[tuple[str, Mask]]:
         case "rail":
             driver = conditions.above_nominal_v[:, round(course.shape["rail"]) - 1]
         case _:
-            turn = np.arange(len(record)) // TURNS % 2
+            turn = np.arange(len(record)) // FOLDS % 2
             for number, which in enumerate(("first", "next")):
-                yield f"every other {TURNS} means, from the {which}", turn == number
+                yield f"every other {FOLDS} means, from the {which}", turn == number
             return
-    from_rest = driver - _rest(driver)
+    from_rest = driver - np.median(driver)
     side = np.where(np.abs(from_rest) > SWING * np.ptp(driver), np.sign(from_rest), 0.0)
     turns = np.flatnonzero(np.diff(side)) + 1
     bounds: list[int] = [0, *turns.tolist(), len(side)]
     for start, end in pairwise(bounds):
-        if side[start] and end - start >= LEAST_ROWS:
+        if side[start] and end - start >= FOLDS:
             rows = np.zeros(len(side), dtype=bool)
             rows[start:end] = True
             word = "high" if side[start] > 0 else "low"
             yield f"{word} from {record.time_h[start]:.1f} to {record.time_h[end - 1]:.1f} h", rows
-
-
-def _rest(driver: Floats) -> float:
-    """Return the level from which excursions count: the commonest one, or the median where none is common."""
-    ordered = np.sort(driver)
-    last = np.searchsorted(ordered, ordered + PLATEAU * np.ptp(driver), side="right")
-    inside = last - np.arange(len(ordered))
-    start = int(np.argmax(inside))
-    if inside[start] < COMMON * len(ordered):
-        return float(np.median(driver))
-    return float(np.median(ordered[start : last[start]]))
 
 
 def _predicted(

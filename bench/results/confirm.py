@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Literal
 
 from pydantic import Field
 from rich.console import Console
@@ -11,13 +10,12 @@ from rich.console import Console
 from bench.base.numbers import rounded, typeset, uncertainty
 from bench.base.result_model import Real, ResultModel
 from bench.base.tables import print_notes
-from bench.diagnosis.confirm import Confirmation, EffectNow
+from bench.diagnosis.confirm import Confirmation, EffectNow, Word
 from bench.diagnosis.gap import FLOOR
+from bench.diagnosis.result import Verdict
 from bench.diagnosis.show import label
 from bench.results import diagnosis_words as words
 from bench.results.parts import BenchPart, CorrectionPart
-
-Became = Literal["confirmed", "changed", "gone"]
 
 
 class ParameterNow(ResultModel):
@@ -41,7 +39,7 @@ class EffectPart(ResultModel):
     )
     channels: list[str]
     installations: list[str]
-    verdict: Became | None = Field(description="null where these readings do not show it")
+    verdict: Word | None = Field(description="null where these readings do not show it")
     p_same: float = Field(description="chance of values so far from the model's")
     p_none: float = Field(description="chance of values so far from none")
     parameters: list[ParameterNow]
@@ -63,14 +61,12 @@ class ConfirmResult(ResultModel):
     expected_rms_ug: Real = Field(description="what noise alone would leave, µg")
     before_rms_v: Real = Field(default=None, description="the same in V, of a record at a known input")
     after_rms_v: Real = None
-    verdict: Became = Field(
+    verdict: Word = Field(
         description="confirmed where every effect that shows is as it was (p_same of 0.01 or more) and half of "
         "the gap closes; gone where none is there (p_none of 0.01 or more)"
     )
     effects: list[EffectPart]
-    left: Literal["agrees", "mistake", "named", "confounded", "unknown"] = Field(
-        description="verdict of a diagnosis of the new readings with the model"
-    )
+    left: Verdict = Field(description="verdict of a diagnosis of the new readings with the model")
     model: str = Field(description="path of the model file")
     source: str
     bench: BenchPart

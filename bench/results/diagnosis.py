@@ -26,13 +26,13 @@ from bench.diagnosis.where import FarReading, ResidualPattern
 from bench.model import CATALOGUE
 from bench.results import diagnosis_words as words
 from bench.results.diagnosis_parts import (
+    CopyPart,
     EffectPart,
     FindingPart,
     FormPart,
     GapPart,
     NoisePart,
     OfChannels,
-    VerdictOfCopy,
     form_part,
     gap_part,
     mistake_part,
@@ -113,17 +113,6 @@ class RivalPart(ResultModel):
     ln_odds: float = Field(description="ln odds that it is there")
     tied: bool = Field(description="whether the data cannot tell it from what was found")
     largest_shift: ShiftPart = Field(description="the coefficient that would change most, were it this one")
-
-
-class CopyPart(ResultModel):
-    """The copy of the readings with the mistakes corrected."""
-
-    readings: Path | None = Field(description="the readings file of the copy; null where it was not written")
-    used: int = Field(description="readings in the copy")
-    verdict: VerdictOfCopy | None = Field(
-        description="what the search on the copy came to; null where it is too little to fit"
-    )
-    rests_on: list[str] = Field(description="the mistakes that are put right in it")
 
 
 Coefficients = Annotated[

@@ -163,10 +163,37 @@ class GapPart(ResultModel):
     held_out: list[FoldPart]
 
 
+class CopyPart(ResultModel):
+    """The copy of the readings with the mistakes corrected."""
+
+    readings: Path | None = Field(description="the readings file of the copy; null where it was not written")
+    used: int = Field(description="readings in the copy")
+    verdict: VerdictOfCopy | None = Field(
+        description="what the search on the copy came to; null where it is too little to fit"
+    )
+    rests_on: list[str] = Field(description="the mistakes that are put right in it")
+
+
+class PlacePart(ResultModel):
+    """A channel of a record, or a record of a sensor in free positions, and what it leaves before anything is
+    named.
+    """
+
+    channel: str
+    installation: str
+    pattern: str
+    size: float = Field(description="root mean square beside zero and drift, or of |a| - 1 g")
+    unit: str
+    p: Real = Field(description="by white noise alone; of free positions all records counted")
+
+
 class AloneResult(ResultModel):
     """The members of a diagnosis of readings that are free positions alone, or a record at a known input."""
 
     verdict: Verdict
+    where: list[PlacePart] = Field(
+        description="where readings and model differ, of free positions the largest first"
+    )
     next_measurement: None
     hidden: list[str] = Field(description="effects that these readings could never show")
     gap: GapPart = Field(

@@ -31,7 +31,7 @@ from bench.results.diagnosis_page import (
     held_out_rows,
     overlay,
 )
-from bench.results.diagnosis_parts import AloneResult, FoundPart, OddsPart, VerdictOfCopy, gap_part
+from bench.results.diagnosis_parts import AloneResult, CopyPart, FoundPart, OddsPart, gap_part
 from bench.results.diagnosis_words import NO_FILES, Files
 from bench.results.plots import BLUE, GREY, PASS_COLOURS, PASS_FILLS, VERMILION, legend_of, svg_figure
 from bench.results.repeats import BetweenRecordsPart, between_part, repeats_between
@@ -50,17 +50,6 @@ class FreeFoundPart(FoundPart):
     )
 
 
-class FreePlace(ResultModel):
-    """A record of a sensor in which |a| differs from 1 g."""
-
-    channel: str
-    installation: str
-    pattern: str
-    size: float = Field(description="root mean square of |a| - 1 g")
-    unit: Literal["g"]
-    p: float = Field(description="all records counted")
-
-
 class FreeNoise(ResultModel):
     """The scatter of a position's |a| that remains with the effects found."""
 
@@ -70,14 +59,10 @@ class FreeNoise(ResultModel):
     dof: int
 
 
-class FreeCopyPart(ResultModel):
+class FreeCopyPart(CopyPart):
     """The copy of the readings without the outlying positions."""
 
-    readings: Path | None = Field(description="the readings file of the copy; null where it was not written")
     files: list[Path] = Field(description="those of all records of which positions stand apart")
-    used: int = Field(description="readings in the copy")
-    verdict: VerdictOfCopy = Field(description="what the search on the copy came to")
-    rests_on: list[str] = Field(description="the mistakes that are put right in it")
 
 
 class FreeDiagnoseResult(AloneResult):
@@ -87,7 +72,6 @@ class FreeDiagnoseResult(AloneResult):
     evaluated has a `source-failed` object in its place.
     """
 
-    where: list[FreePlace] = Field(description="records and sensors in which |a| is off, the largest first")
     effects: list[FreeFoundPart]
     noise: FreeNoise
     between_records: BetweenRecordsPart | None = Field(

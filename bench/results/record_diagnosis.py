@@ -10,7 +10,7 @@ from rich.console import Console
 
 from bench.base.arrays import Floats, rms
 from bench.base.numbers import concise, quantity, scale_for, typeset
-from bench.base.result_model import Real, ResultModel
+from bench.base.result_model import ResultModel
 from bench.base.tables import print_notes
 from bench.diagnosis.gap import Gap
 from bench.diagnosis.pipeline import LISTED_FAR
@@ -26,17 +26,6 @@ from bench.results.tables import page
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-
-class LeftPart(ResultModel):
-    """The residuals of a channel after zero and drift, before any effect is named."""
-
-    channel: str
-    installation: str
-    pattern: str
-    size: float = Field(description="root mean square")
-    unit: str
-    p: Real = Field(description="by white noise alone")
 
 
 class RivalPart(ResultModel):
@@ -72,7 +61,6 @@ class RecordNoisePart(ResultModel):
 class RecordDiagnoseResult(AloneResult):
     """A diagnosis of a record at a known input (rows R alone)."""
 
-    where: list[LeftPart] = Field(description="what each channel leaves beside zero and drift")
     effects: list[EffectPart]
     rivals: list[RivalPart] = Field(
         description="kinds of shape of an effect of the meter's temperature, compared"
