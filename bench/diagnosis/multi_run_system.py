@@ -491,7 +491,9 @@ def _stays(whitened: Whitened, data: Data, naming: Naming, one: FoundEffect) -> 
         return True
     others = [i for found in naming.found if found.variant != one.variant for i in found.variant.columns]
     scores = Scored.beside(whitened, data, others).scores
-    return float(scores.variants[whitened.candidates.variants.index(one.variant), 0]) > -float(np.log(BY_CHANCE))
+    return float(scores.variants[whitened.candidates.variants.index(one.variant), 0]) > -float(
+        np.log(BY_CHANCE)
+    )
 
 
 def _common(linear: LinearSystem, whitened: Whitened, data: Data, naming: Naming) -> Floats:

@@ -82,8 +82,8 @@ def diagnose_record(readings: Readings, effects: Sequence[AppliedEffect] = ()) -
     gap, rivals = measure_record_gap(work, finds)
     why = why_unconfirmed(gap)
     named = (
-        *work.named([one for one in finds if one.family not in why], limit),
-        *(_unnamed(one, why[one.family], limit) for one in finds if one.family in why),
+        *work.named([one for one in finds if one.course.family not in why], limit),
+        *(_unnamed(one, why[one.course.family], limit) for one in finds if one.course.family in why),
     )
     courses = [one.course for one in finds]
     noises = work.noises(courses)
@@ -100,7 +100,7 @@ def diagnose_record(readings: Readings, effects: Sequence[AppliedEffect] = ()) -
         far=far,
         threshold=limit.value,
         noises=tuple(noises),
-        hidden=tuple(name for name in FOLLOWS if name not in work.courses.families),
+        hidden=tuple(name for name in FOLLOWS if not work.shapes_of(name)),
         notes=record.notes,
     )
 
@@ -142,5 +142,5 @@ def _far(work: RecordWork, courses: Sequence[Course], noises: Sequence[Noise]) -
 def _unnamed(find: Find, why: str, limit: Threshold) -> NamedEffect:
     """Return an unnamed effect in place of a find that readings held out do not confirm."""
     p = limit.p(find.total)
-    words = f"{UNNAMED_WORDS[SLOW_IN_TIME]}: {find.family} would explain it, but {why}"
+    words = f"{UNNAMED_WORDS[SLOW_IN_TIME]}: {find.course.family} would explain it, but {why}"
     return NamedEffect(SLOW_IN_TIME, (), (), (), (), (), p, p, None, words, odds=find.odds)

@@ -36,18 +36,16 @@ def measure_record_gap(work: RecordWork, finds: Sequence[Find]) -> tuple[Gap, tu
     noises = work.noises([one.course for one in finds])
     folds: list[Fold] = []
     for number, (course, _, _) in enumerate(finds):
-        family = course.effect.name
+        family = course.family
         masks = list(_excursions(work, course))
         others = [one.course for i, one in enumerate(finds) if i != number]
         # a jump keeps its time, as a gap hides it
-        shapes = (
-            [course] if family == MOVE else [work.courses.each[i] for i in work.courses.of_family(family)]
-        )
+        shapes = [course] if family == MOVE else work.shapes_of(family)
         for label, rows in masks if len(masks) > 1 else ():
             before, after = (_predicted(work, others, trials, rows, noises) for trials in ((), shapes))
             folds.append(Fold(label, {family: before.chi2 - after.chi2}, before, after))
     size = NoiseSize(noises[0].white / len(work.parts) ** 0.5, 0.0, len(work.record) - 2)
-    gap = Gap(tuple(folds), size, "V", size.freedom, tuple(one.family for one in finds))
+    gap = Gap(tuple(folds), size, "V", size.freedom, tuple(one.course.family for one in finds))
     return gap, tuple(_rivals(work, finds, noises))
 
 
@@ -65,7 +63,7 @@ def why_unconfirmed(gap: Gap) -> dict[str, str]:
 def _excursions(work: RecordWork, course: Course) -> Iterator[tuple[str, Mask]]:
     """Yield what is held out in turn: the excursions of what an effect follows, or runs of means for time."""
     record, conditions = work.record, work.record.conditions
-    match FOLLOWS[course.effect.name]:
+    match FOLLOWS[course.family]:
         case "meter":
             driver = conditions.meter_warmth_k
         case "rail":
@@ -124,12 +122,12 @@ def _predicted(
 
 def _rivals(work: RecordWork, finds: Sequence[Find], noises: Sequence[Noise]) -> Iterator[Rival]:
     """Yield how well each kind of shape of the first effect of the meter's temperature predicts excursions."""
-    thermal = next((one for one in finds if FOLLOWS[one.family] == "meter"), None)
+    thermal = next((one for one in finds if FOLLOWS[one.course.family] == "meter"), None)
     masks = [] if thermal is None else list(_excursions(work, thermal.course))
     if thermal is None or len(masks) < 2:
         return
     others = [one.course for one in finds if one is not thermal]
-    family = [work.courses.each[i] for i in work.courses.of_family(thermal.family)]
+    family = work.shapes_of(thermal.course.family)
     kinds = {
         "at once": [c for c in family if not c.shape["lag"] and not c.shape["width"]],
         "lag": [c for c in family if c.shape["lag"]],

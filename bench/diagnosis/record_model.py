@@ -9,7 +9,7 @@ channels' mean and of their differences (Helmert contrasts), each with noise of 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final
 
@@ -392,6 +392,11 @@ class Course:
     log_prior: float = 0.0
 
     @property
+    def family(self) -> str:
+        """The name of the effect."""
+        return self.effect.name
+
+    @property
     def size(self) -> Parameter:
         """The parameter of size."""
         return next(p for p in self.effect.parameters if not p.is_shape)
@@ -416,38 +421,7 @@ class Course:
         return AppliedEffect(self.effect, {name: complete(sizes), **shape}, of, u={name: complete(u)})
 
 
-@dataclass(frozen=True)
-class Courses:
-    """All courses that may explain a record."""
-
-    each: tuple[Course, ...] = field(repr=False)
-
-    @cached_property
-    def columns(self) -> Floats:
-        """The courses as columns, shape (n, h)."""
-        return np.column_stack([one.course for one in self.each])
-
-    @cached_property
-    def log_prior(self) -> Floats:
-        """ln of the prior probabilities, shape (h,)."""
-        return np.array([one.log_prior for one in self.each])
-
-    @cached_property
-    def common(self) -> Mask:
-        """Whether each course is the same voltage in all channels, shape (h,)."""
-        return np.array([not one.of_channels for one in self.each])
-
-    @property
-    def families(self) -> tuple[str, ...]:
-        """The names of the effects."""
-        return tuple(dict.fromkeys(one.effect.name for one in self.each))
-
-    def of_family(self, family: str) -> Ints:
-        """Return the indices of the courses of one effect."""
-        return np.flatnonzero([one.effect.name == family for one in self.each])
-
-
-def make_courses(record: Record) -> Courses:
+def make_courses(record: Record) -> tuple[Course, ...]:
     """Return the courses that may explain a record: each effect of `FOLLOWS` in each shape that it shows."""
     conditions = record.conditions
     there = {"meter": conditions.meter_c is not None, "rail": conditions.supply_v is not None, "time": True}
@@ -457,9 +431,7 @@ def make_courses(record: Record) -> Courses:
         if there[driver]
     ]
     families = sum(map(bool, shown))
-    return Courses(
-        tuple(replace(c, log_prior=-float(np.log(len(each) * families))) for each in shown for c in each)
-    )
+    return tuple(replace(c, log_prior=-float(np.log(len(each) * families))) for each in shown for c in each)
 
 
 def _shapes(record: Record, effect: Effect) -> list[dict[str, float]]:

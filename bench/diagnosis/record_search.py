@@ -14,7 +14,7 @@ from bench.diagnosis.evidence import SEED, Threshold, fit_tail
 from bench.diagnosis.levels import OFTEN
 from bench.diagnosis.naming import MOST_EFFECTS, FamilyOdds, holding
 from bench.diagnosis.pipeline import values_of
-from bench.diagnosis.record_model import Course, Courses, Noise, NoiseTrials, Record, solved
+from bench.diagnosis.record_model import Course, Noise, NoiseTrials, Record, solved
 from bench.diagnosis.result import NamedEffect
 
 NULLS: Final = 200
@@ -43,11 +43,6 @@ class Find(NamedTuple):
     odds: tuple[FamilyOdds, ...]
     total: float
 
-    @property
-    def family(self) -> str:
-        """The name of the effect."""
-        return self.course.effect.name
-
 
 @dataclass(frozen=True)
 class RecordWork:
@@ -57,13 +52,17 @@ class RecordWork:
     """
 
     record: Record
-    courses: Courses
+    courses: tuple[Course, ...]
     trials: NoiseTrials
 
     @classmethod
-    def of(cls, record: Record, courses: Courses | None = None) -> RecordWork:
+    def of(cls, record: Record, courses: tuple[Course, ...] = ()) -> RecordWork:
         """Return a record with its noises; without `courses`, nothing is searched in it."""
-        return cls(record, courses or Courses(()), NoiseTrials.of(record))
+        return cls(record, courses, NoiseTrials.of(record))
+
+    def shapes_of(self, family: str) -> list[Course]:
+        """Return the courses of one effect."""
+        return [course for course in self.courses if course.family == family]
 
     def less(self, added_v: Floats) -> RecordWork:
         """Return the same without known errors (n, c), V."""
@@ -109,11 +108,12 @@ class RecordWork:
 
         `targets` (n, d) are the d signals of a component.
         """
-        common, courses = self.courses.common, [one.course for one in finds]
+        courses, columns = [one.course for one in finds], np.column_stack([c.course for c in self.courses])
+        common = np.array([not course.of_channels for course in self.courses])
         scale = np.where(common, np.sqrt(len(self.parts)), 1.0)
-        total = np.tile(self.courses.log_prior[:, None], targets[0].shape[1])
+        total = np.tile([[course.log_prior] for course in self.courses], targets[0].shape[1])
         for k in self.parts:
-            products = self.trials.products(self.columns(courses, k), self.courses.columns, targets[k])
+            products = self.trials.products(self.columns(courses, k), columns, targets[k])
             total += np.where((common & (k > 0))[:, None], 0.0, products.gain(scale))
         return total
 
@@ -134,11 +134,13 @@ class RecordWork:
         return finds, limit
 
     def _find(self, log_odds: Floats, total: float) -> Find:
-        of = {f: float(special.logsumexp(log_odds[self.courses.of_family(f)])) for f in self.courses.families}
-        ordered = sorted(of, key=lambda family: -of[family])
-        odds = tuple(FamilyOdds(family, float(np.exp(of[family] - total))) for family in ordered)
-        mine = self.courses.of_family(ordered[0])
-        return Find(self.courses.each[int(mine[np.argmax(log_odds[mine])])], odds, total)
+        logs: dict[str, float] = {}
+        for course, one in zip(self.courses, log_odds.tolist(), strict=True):
+            logs[course.family] = float(np.logaddexp(logs.get(course.family, -np.inf), one))
+        ordered = sorted(logs, key=lambda family: -logs[family])
+        odds = tuple(FamilyOdds(family, float(np.exp(logs[family] - total))) for family in ordered)
+        likeliest = np.where([course.family == ordered[0] for course in self.courses], log_odds, -np.inf)
+        return Find(self.courses[int(np.argmax(likeliest))], odds, total)
 
     # --- estimates ------------------------------------------------------------------------------------
 
@@ -176,8 +178,7 @@ class RecordWork:
         """Yield the finds as named effects with their values."""
         courses, channels = [one.course for one in finds], self.record.channels
         for number, (course, odds, total) in enumerate(finds):
-            shapes = [self.courses.each[i] for i in self.courses.of_family(course.effect.name)]
-            size, u = self.sizes(courses, number, shapes)
+            size, u = self.sizes(courses, number, self.shapes_of(course.family))
             applied = course.applied(size, u, channels)
             if (
                 course.of_channels
@@ -188,7 +189,7 @@ class RecordWork:
             chi2 = float(np.sum((size / u) ** 2))
             names = tuple(holding(odds))
             yield NamedEffect(
-                name=course.effect.name,
+                name=course.family,
                 channels=applied.channels,
                 installations=(),
                 cannot_tell_from=names[1:],
