@@ -33,16 +33,16 @@ from bench.results import diagnosis_words as words
 from bench.results.diagnosis_words import Files
 from bench.results.plots import (
     BLUE,
-    GREEN,
     GREY,
     ORANGE,
     VERMILION,
     dodged_deg,
     legend_of,
-    mark_changes,
+    mark_limit,
     mounts_of,
     residual_points,
-    sd_of_reading,
+    residuals_against_angle,
+    residuals_in_time,
     svg_figure,
 )
 from bench.results.tables import Row, page, symbol
@@ -106,7 +106,7 @@ def render_diagnosis(
         joined=list(words.joined_in_words(shown)),
         less_certain=words.less_certain(shown.coefficients) if shown.after else [],
         residuals=_residuals(shown),
-        in_time=drawn(residuals_in_time(shown)),
+        in_time=drawn(in_time(shown)),
         modulus=drawn(modulus_at_points(shown, limit_g)) if shown.before.points else None,
         apart=_apart(diagnosis),
         hidden=[CATALOGUE[name] for name in diagnosis.hidden],
@@ -212,9 +212,6 @@ def _apart(diagnosis: Diagnosis) -> list[Effect]:
 
 # --- figures --------------------------------------------------------------------------------------
 
-MANY: Final = 3
-"""From this number of mountings on, a label has no room for the word "installation"."""
-
 
 def columns_of(shown: ModelComparison) -> list[tuple[str, Calibration]]:
     """Return title and calibration of the figures' columns: before, after (if any effect was named), simulated."""
@@ -237,60 +234,20 @@ def residuals_of_mount(shown: ModelComparison, mount: int) -> str:
 
     The stand's angles are at their estimates. The band is two standard deviations of a single reading.
     """
-    columns, scale = columns_of(shown), common_scale(shown)
-    name = str(mounts_of(columns[0][1])[mount][0])
-
-    def draw(figure: Figure) -> None:
-        grid: Any = figure.subplots(3, len(columns), sharex=True, sharey=True, squeeze=False)
-        fine = np.linspace(-8.0, 368.0, 189)
-        for column, (title, calibration) in enumerate(columns):
-            _, rows = mounts_of(calibration)[mount]
-            band = 2.0 * sd_of_reading(calibration, rows, np.radians(fine)) / scale.size
-            grid[0, column].set_title(title)
-            for i, channel in enumerate(CHANNELS):
-                axes: Axes = grid[i, column]
-                axes.fill_between(fine, -band[:, i], band[:, i], color="#B9C4CE", alpha=0.45, linewidth=0)
-                axes.axhline(0.0, color=GREY, linewidth=0.7)
-                residual_points(
-                    axes, calibration, rows, i, dodged_deg(calibration), scale, f"readings-{column}"
-                )
-                axes.set_xticks(range(0, 361, 90))
-                axes.set_xlim(-12.0, 372.0)
-                if column == 0:
-                    axes.set_ylabel(f"channel {channel} / {scale.unit}")
-            grid[2, column].set_xlabel(message("head angle / °"))
-        figure.legend(*legend_of(grid.flat), loc="outside upper center", ncols=6)
-
-    titles = ", ".join(title for title, _ in columns)
+    columns = [(title, c, [mounts_of(c)[mount][1]]) for title, c in columns_of(shown)]
+    name = str(mounts_of(shown.before.calibration)[mount][0])
+    titles = ", ".join(title for title, _, _ in columns)
     alt = message(f"Residuals of channels x, y, z in installation {name} against head angle: {titles}")
-    return svg_figure(f"diagnosis-mount-{mount}", (7.6, 5.4), draw, alt)
+    return residuals_against_angle(f"diagnosis-mount-{mount}", (7.6, 5.4), columns, common_scale(shown), alt)
 
 
-def residuals_in_time(shown: ModelComparison) -> str:
+def in_time(shown: ModelComparison) -> str:
     """Return a plot of residuals, before and after, against time, or against order if times are missing."""
-    columns, scale = columns_of(shown)[: 1 if shown.after is None else 2], common_scale(shown)
-    time_s = columns[0][1].fitted.time_s
-    timed = bool(np.all(np.isfinite(time_s)))
-    along = time_s / 3600.0 if timed else np.arange(1.0, len(time_s) + 1.0)
-
-    def draw(figure: Figure) -> None:
-        grid: Any = figure.subplots(3, len(columns), sharex=True, sharey=True, squeeze=False)
-        for column, (title, calibration) in enumerate(columns):
-            for i, channel in enumerate(CHANNELS):
-                axes: Axes = grid[i, column]
-                axes.axhline(0.0, color=GREY, linewidth=0.7)
-                for _, rows in mounts_of(calibration):
-                    residual_points(axes, calibration, rows, i, along, scale, f"readings-{column}")
-                if column == 0:
-                    axes.set_ylabel(f"channel {channel} / {scale.unit}")
-            word = "installation " if len(mounts_of(calibration)) < MANY else ""
-            mark_changes(grid[:, column], calibration, along, word)
-            grid[0, column].set_title(title, pad=16)
-            grid[2, column].set_xlabel("time / h" if timed else message("reading, in order"))
-        figure.legend(*legend_of(grid.flat), loc="outside upper center", ncols=6)
-
-    alt = message("Residuals of channels x, y, z against time, before and after")
-    return svg_figure("diagnosis-time", (7.6, 5.0), draw, alt)
+    columns = [
+        (title, c, [rows for _, rows in mounts_of(c)])
+        for title, c in columns_of(shown)[: 1 if shown.after is None else 2]
+    ]
+    return residuals_in_time("diagnosis-time", (7.6, 5.0), columns, common_scale(shown))
 
 
 def gap_bars(gap: Gap) -> str:
@@ -376,10 +333,7 @@ def modulus_at_points(shown: ModelComparison, limit_g: float) -> str:
 
     def draw(figure: Figure) -> None:
         axes: Axes = figure.subplots()
-        axes.axhspan(-limit, limit, color=GREEN, alpha=0.07, linewidth=0)
-        axes.axhline(0.0, color=GREY, linewidth=0.7)
-        for sign in (1.0, -1.0):
-            axes.axhline(sign * limit, color=VERMILION, linestyle=(0, (6, 3)), linewidth=1.1)
+        mark_limit(axes, limit, scale)
         for i, (name, points, marker, colour) in enumerate(parts):
             axes.errorbar(
                 np.arange(count) + 0.24 * (i - (len(parts) - 1) / 2),
@@ -395,13 +349,6 @@ def modulus_at_points(shown: ModelComparison, limit_g: float) -> str:
             ],
         )
         axes.set_xlim(-0.6, count - 0.4)
-        axes.grid(visible=False, axis="x")
-        axes.annotate(
-            f"limit ±{limit:g} {scale.unit}", (1.0, limit), xycoords=("axes fraction", "data"),
-            xytext=(-4, 3), textcoords="offset points", ha="right", color="#A34700",
-        )  # fmt: skip
-        axes.set_xlabel(message("verification point: head angle"))
-        axes.set_ylabel(f"Δg / {scale.unit}")
         axes.margins(y=0.15)
         figure.legend(loc="outside upper center", ncols=2)
 
