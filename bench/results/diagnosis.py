@@ -347,7 +347,6 @@ def _block_part(shown: ModelComparison) -> BlockPart:
 
 # --- text for the terminal ----------------------------------------------------------------------
 
-LISTED_PLACES: Final = 6
 LISTED_SHIFT: Final = 0.5
 """Smallest change of a coefficient, in units of its u, that is printed."""
 
@@ -410,11 +409,8 @@ def _places(diagnosis: Diagnosis, out: Console) -> None:
         out.print("Readings and model disagree nowhere: no pattern of the residuals stands out of the noise")
         return
     out.print("Where readings and model disagree, the largest first:")
-    for place in diagnosis.where[:LISTED_PLACES]:
+    for place in diagnosis.where:
         out.print(f"  {typeset(words.place_in_words(place))}")
-    more = len(diagnosis.where) - LISTED_PLACES
-    if more > 0:
-        out.print(f"  and {more} more")
 
 
 def print_mistakes(found: MistakesAlone, files: Files, out: Console) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -114,24 +114,29 @@ class EffectPart(FoundPart):
     )
 
 
-class FoldPart(ResultModel):
+class FormFoldPart(ResultModel):
     """The readings held out together, and the misfit with which the others predict them."""
 
     what: str
-    confirmable: bool = Field(description="whether the other readings determine the coefficients")
     counted: bool = Field(
         description="whether it counts in `before` and `after` above; every fold measured does"
     )
-    left_out: str | None = Field(description="why it does not count")
-    named_without_it: list[str]
     before: Real
     after: Real
+
+
+class FoldPart(FormFoldPart):
+    """The readings held out together, what the others named, and how well they predict."""
+
+    confirmable: bool = Field(description="whether the other readings determine the coefficients")
+    left_out: str | None = Field(description="why it does not count")
+    named_without_it: list[str]
     before_rms_ug: Real
     after_rms_ug: Real
 
 
-class GapPart(ResultModel):
-    """The reduced chi-square of readings that were held out of the fit."""
+class FormGapPart(ResultModel):
+    """The reduced chi-square of readings that were held out of the search and of the fit."""
 
     before: Real = Field(
         description="with the model before; null where no fold measures it, `reason` says why"
@@ -142,14 +147,21 @@ class GapPart(ResultModel):
         description="(before - after)/(before - floor): the part of the gap that is closed; null where nothing is "
         "above the floor"
     )
+    before_rms: Real = Field(description="root mean square of measured less predicted, in `unit`")
+    after_rms: Real
+    unit: str
+    held_out: Sequence[FormFoldPart]
+
+
+class GapPart(FormGapPart):
+    """The reduced chi-square of readings that were held out of the fit, and whether they confirm what was found."""
+
     shrinks: bool | None = Field(
         description="whether it shrinks by the rule in `registered`, without which nothing is named alone; null "
         "where nothing was found or nothing measures it"
     )
     reason: str | None = Field(description="why readings held out do not confirm what was found")
     p_after: Real = Field(description="chance of more than `after`")
-    before_rms: Real = Field(description="root mean square of measured less predicted, in `unit`")
-    after_rms: Real
     before_rms_ug: Real = Field(
         description="root mean square of measured less predicted, in µg by the scale factors"
     )
@@ -159,7 +171,6 @@ class GapPart(ResultModel):
         "the prediction"
     )
     noise_rms: float = Field(description="of a reading, in `unit`")
-    unit: str
     held_out: list[FoldPart]
 
 
@@ -290,28 +301,6 @@ class TermPart(ResultModel):
     p: float = Field(description="for this term alone")
 
 
-class FormFoldPart(ResultModel):
-    """The readings held out together from the search for unnamed terms."""
-
-    what: str
-    counted: bool
-    before: float
-    after: float
-
-
-class FormGapPart(ResultModel):
-    """The reduced chi-square of readings that were held out of the search for unnamed terms."""
-
-    before: Real
-    after: Real
-    floor: float
-    closed: Real
-    before_rms: Real
-    after_rms: Real
-    unit: str
-    held_out: list[FormFoldPart]
-
-
 class DarkPart(ResultModel):
     """The dark uncertainty: the scatter of readings that remains unexplained."""
 
@@ -352,12 +341,9 @@ def mistake_part(mistake: Mistake) -> EffectPart:
 
 def gap_part(gap: Gap) -> GapPart:
     """Return the part of the result on a gap; its sizes are null if no readings could be held out."""
-    opened = bool(gap.folds)
     return GapPart.from_object(
         gap,
-        before=gap.before if opened else None,
-        after=gap.after if opened else None,
-        floor=FLOOR,
+        **_sizes(gap),
         reason=gap.reason or None,
         before_rms_ug=1e6 * gap.before_rms_g,
         after_rms_ug=1e6 * gap.after_rms_g,
@@ -365,6 +351,11 @@ def gap_part(gap: Gap) -> GapPart:
         noise_rms=gap.noise.reading,
         held_out=[*map(_fold_part, gap.folds), *map(_undetermined_part, gap.undetermined)],
     )
+
+
+def _sizes(gap: Gap) -> dict[str, float | None]:
+    before, after = (gap.before, gap.after) if gap.folds else (None, None)
+    return {"before": before, "after": after, "floor": FLOOR}
 
 
 def _fold_part(fold: Fold) -> FoldPart:
@@ -395,13 +386,8 @@ def form_part(form: FreeForm) -> FormPart:
         form,
         terms=[_term_part(term) for term in form.terms],
         gap=FormGapPart.from_object(
-            form,
-            before=form.gap.before if form.gap.folds else None,
-            after=form.gap.after if form.gap.folds else None,
-            closed=form.gap.closed,
-            floor=FLOOR,
-            before_rms=form.gap.before_rms,
-            after_rms=form.gap.after_rms,
+            form.gap,
+            **_sizes(form.gap),
             held_out=[
                 FormFoldPart(
                     what=fold.label, counted=True, before=fold.before.reduced, after=fold.after.reduced

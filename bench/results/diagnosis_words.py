@@ -13,6 +13,7 @@ import numpy as np
 from bench.base.languages import message
 from bench.base.numbers import fixed, quantity, rounded, two_digits, uncertainty
 from bench.diagnosis.gap import Gap
+from bench.diagnosis.levels import BY_CHANCE
 from bench.diagnosis.mistakes.search import Mistake
 from bench.diagnosis.next_measurement import Proposal
 from bench.diagnosis.pipeline import LISTED_FAR, FullDiagnosis, Rival
@@ -289,13 +290,12 @@ def warnings_in_words(diagnosis: Diagnosis) -> Iterator[str]:
 
 
 def odds_in_words(effect: NamedEffect) -> str:
-    """Return the posterior probabilities of an effect's names: "97 % cubic_nonlinearity, 2 % scale_asymmetry"."""
-    shown = [one for one in effect.odds if one.probability >= LEAST_SHOWN]
+    """Return the posterior probabilities of an effect's names: "97 % cubic_nonlinearity, 2 % scale_asymmetry".
+
+    Names below 1 % are in the JSON alone.
+    """
+    shown = [one for one in effect.odds if one.probability >= BY_CHANCE]
     return ", ".join(f"{_percent(one.probability)} {one.name}" for one in shown)
-
-
-LEAST_SHOWN: Final = 0.01
-"""Smallest probability of a name that is printed; the JSON has all."""
 
 
 def _percent(probability: float) -> str:
