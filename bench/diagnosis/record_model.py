@@ -189,6 +189,8 @@ def _robust_means(deviation: Floats, groups: Sequence[Ints]) -> tuple[Floats, Fl
     return means, spread, used
 
 
+SMOOTHED: Final = 41
+"""Means over which the size of the noise is smoothed."""
 LIKE: Final = 2.0
 """The noise counts as even where its size varies by less than this factor, and varies by its square at most."""
 
@@ -198,7 +200,7 @@ def _relative(spread: Floats) -> Floats:
     middle = np.median(spread, axis=0)
     if np.any(middle == 0.0):
         return np.ones(len(spread))
-    size = ndimage.median_filter(np.mean(spread / middle, axis=1), LEAST, mode="reflect")
+    size = ndimage.median_filter(np.mean(spread / middle, axis=1), SMOOTHED, mode="reflect")
     size = np.clip(size / np.median(size), LIKE**-2, LIKE**2)
     return np.ones(len(size)) if size.max() < LIKE * size.min() else np.asarray(size)
 

@@ -51,6 +51,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from bench.diagnosis.free_records import FreeDiagnosis
+    from bench.diagnosis.record_diagnosis import RecordDiagnosis
+
 INK: Final = "#222222"
 DRAWN: Final = 4
 """Number of mountings whose residuals are visible at once; those of further mountings are collapsed."""
@@ -115,6 +118,31 @@ def render_diagnosis(
             for name, size in words.smallest_found(diagnosis)
         ],
         setting=f"{two_digits(diagnosis.noise.setting_arcsec)}″",
+    )
+
+
+def render_alone(
+    template: str,
+    found: FreeDiagnosis | RecordDiagnosis,
+    provenance: Mapping[str, str],
+    **content: Any,
+) -> str:
+    """Return the page of a diagnosis of free positions or of a record; `content` is what the two have not alike."""
+    lines = [(words.effect_title(one), one, list(words.parameters_in_words(one))) for one in found.effects]
+    return page(
+        template,
+        found=found,
+        provenance=provenance,
+        source=words.readings_named(found.source),
+        state=STATES.get(found.verdict, "failed"),
+        lead=words.lead(found),
+        words=words,
+        quantity=quantity,
+        effects=lines,
+        held_out=held_out_rows(found.gap),
+        notes=found.notes,
+        ending="diagnosis",
+        **content,
     )
 
 

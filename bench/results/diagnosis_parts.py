@@ -58,6 +58,13 @@ class MistakePlace(ResultModel):
     misfit_after: Real
 
 
+class OddsPart(ResultModel):
+    """A possible name of an effect found, with its posterior probability."""
+
+    name: str
+    probability: float
+
+
 class FoundPart(ResultModel):
     """The members that mistakes and effects share."""
 
@@ -80,23 +87,15 @@ class FoundPart(ResultModel):
         default=None, description="posterior probability of the name; null for a mistake, which has none"
     )
     words: str = Field(description="the sentence on it")
-
-
-class OddsPart(ResultModel):
-    """A possible name of an effect found, with its posterior probability."""
-
-    name: str
-    probability: float
-
-
-class EffectPart(FoundPart):
-    """An effect or a mistake that was found."""
-
     odds: list[OddsPart] = Field(
         default=[],
         description="the names that may stand in this place, the most probable first; `unnamed_form` is any form "
         "without a name",
     )
+
+
+class EffectPart(FoundPart):
+    """An effect or a mistake that was found."""
 
     installations: list[str] = Field(description="mountings that have it; empty where it is of all")
     plainer_than: list[str] = Field(

@@ -321,15 +321,8 @@ def what_in_words(diagnosis: Diagnosis) -> str:
                 for mistake in diagnosis.mistakes.mistakes
             )
             return message(f"{found}; put right in a copy: {_of_copy_in_words(diagnosis)}")
-        case "named":
-            return ", ".join(f"{effect_title(effect)} ({odds_in_words(effect)})" for effect in effects)
-        case "confounded":
-            return ", ".join(
-                odds_in_words(effect)
-                if effect.cannot_tell_from
-                else f"{effect_title(effect)} ({odds_in_words(effect)})"
-                for effect in effects
-            )
+        case "named" | "confounded":
+            return ", ".join(map(named_in_words, effects))
     return "; ".join([*(effect.words for effect in effects), *(one.words for one in diagnosis.findings)])
 
 
@@ -372,15 +365,18 @@ def alike_in_words(effects: Sequence[NamedEffect | Mistake]) -> str:
     return "; ".join(" or ".join([effect_title(one), *one.cannot_tell_from]) for one in effects)
 
 
+def named_in_words(effect: NamedEffect) -> str:
+    """Return the name of an effect with the odds of its names; of a tie, the odds alone."""
+    odds = odds_in_words(effect)
+    if effect.cannot_tell_from:
+        return odds
+    return f"{effect_title(effect)} ({odds})" if odds else effect_title(effect)
+
+
 def found_in_words(diagnosis: AnyDiagnosis, nothing: str) -> str:
     """Return the findings in free positions or in a record as a sentence; `nothing` where there are none."""
-    found = [
-        f"{alike_in_words([one])}{f' ({odds})' if (odds := odds_in_words(one)) else ''}"
-        if one.in_catalogue
-        else one.words
-        for one in diagnosis.effects
-    ]
-    return "; ".join(found) or nothing
+    effects = diagnosis.effects
+    return "; ".join(named_in_words(e) if e.in_catalogue else e.words for e in effects) or nothing
 
 
 def readings_named(source: str) -> str:

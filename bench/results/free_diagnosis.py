@@ -24,30 +24,21 @@ from bench.results.diagnosis_page import (
     BARS,
     MEASURED,
     MOST_DRAWN,
-    STATES,
     coefficient_rows,
     drawn,
     gap_bars,
-    held_out_rows,
     overlay,
+    render_alone,
 )
-from bench.results.diagnosis_parts import AloneResult, CopyPart, FoundPart, OddsPart, gap_part
+from bench.results.diagnosis_parts import AloneResult, CopyPart, FoundPart, gap_part
 from bench.results.diagnosis_words import NO_FILES, Files
 from bench.results.plots import BLUE, GREY, PASS_COLOURS, PASS_FILLS, VERMILION, legend_of, svg_figure
 from bench.results.repeats import BetweenRecordsPart, between_part, repeats_between
-from bench.results.tables import Row, page
+from bench.results.tables import Row
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-
-class FreeFoundPart(FoundPart):
-    """An effect that was found, or an outlying position."""
-
-    odds: list[OddsPart] = Field(
-        default=[], description="the names that may stand in this place, the most probable first"
-    )
 
 
 class FreeNoise(ResultModel):
@@ -72,7 +63,7 @@ class FreeDiagnoseResult(AloneResult):
     evaluated has a `source-failed` object in its place.
     """
 
-    effects: list[FreeFoundPart]
+    effects: list[FoundPart]
     noise: FreeNoise
     between_records: BetweenRecordsPart | None = Field(
         description="how zeros go between records, each fitted by itself; null for one record"
@@ -96,7 +87,7 @@ def result_of(found: FreeDiagnosis, files: Files = NO_FILES, **made_from: Any) -
         found,
         files,
         made_from,
-        effects=[*map(_outlier, found.apart), *map(FreeFoundPart.model_validate, found.effects)],
+        effects=[*map(_outlier, found.apart), *map(FoundPart.model_validate, found.effects)],
         gap=gap_part(found.gap),
         noise=FreeNoise(
             reading=found.noise.reading, unit="g", stated=found.stated_g, dof=found.noise.freedom
@@ -108,8 +99,8 @@ def result_of(found: FreeDiagnosis, files: Files = NO_FILES, **made_from: Any) -
     )
 
 
-def _outlier(text: str) -> FreeFoundPart:
-    return FreeFoundPart(
+def _outlier(text: str) -> FoundPart:
+    return FoundPart(
         name=OUTLIER, channels=[], cannot_tell_from=[], parameters={}, p=None, p_all_looks=None, words=text
     )
 
@@ -174,7 +165,8 @@ def print_found(found: FreeDiagnosis, files: Files, out: Console) -> None:
         out.print(typeset(f"Zeros: {repeats_between(found.between)}"))
         if line := found.between.in_bench_file():
             out.print(f"  for u of calibrations, put into the bench file: {line}")
-    print_gap(found.gap, out)
+    if found.effects:
+        print_gap(found.gap, out)
     print_files(found, files, out)
     told = "; ".join(filter(None, [what_in_words(found), words.gap_of_verdict(found)]))
     out.print(
@@ -310,28 +302,20 @@ def render(
 ) -> str:
     """Return the HTML page; the same content always gives the same text."""
     shown = range(found.rows.sensors)[:MOST_DRAWN]
-    return page(
+    gap = words.gap_of_verdict(found)
+    return render_alone(
         "free_diagnosis.html.j2",
+        found,
+        provenance,
         title=title,
-        found=found,
         simulated=simulated,
-        source=words.readings_named(found.source),
-        provenance=provenance,
-        state=STATES.get(found.verdict, "failed"),
-        lead=words.lead(found),
         what=what_in_words(found),
-        gap=words.gap_of_verdict(found),
+        told=[gap] if gap else [],
         to_do=list(what_to_do(found, files)),
-        words=words,
-        quantity=quantity,
-        effects=[
-            (words.effect_title(one), one, list(words.parameters_in_words(one))) for one in found.effects
-        ],
         overlays=[drawn(overlay_of_sensor(found, sensor)) for sensor in shown],
         in_time=drawn(modulus_in_time(found)),
         by_record=drawn(modulus_by_record(found)) if found.records > 1 else None,
         gap_bars=drawn(gap_bars(found.gap)) if found.effects and found.gap.folds else None,
-        held_out=held_out_rows(found.gap),
         places=[
             Row(p.pattern, (quantity(p.size, "g"), typeset(words.p_in_column(p.p)))) for p in found.where
         ],

@@ -18,11 +18,10 @@ from bench.diagnosis.record_diagnosis import RecordDiagnosis
 from bench.diagnosis.record_search import ChannelFit
 from bench.results import diagnosis_words as words
 from bench.results.diagnosis import print_effect, print_files
-from bench.results.diagnosis_page import STATES, drawn, held_out_rows
+from bench.results.diagnosis_page import drawn, render_alone
 from bench.results.diagnosis_parts import AloneResult, EffectPart, GapPart, gap_part
 from bench.results.diagnosis_words import NO_FILES, Files
 from bench.results.plots import BLUE, VERMILION, legend_of, svg_figure
-from bench.results.tables import page
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -199,25 +198,18 @@ def render(
     course = course_figure(
         found.record.time_h, [(fit.channel, fit.before_v, fit.residual_v) for fit in found.fits]
     )
-    return page(
+    return render_alone(
         "record.html.j2",
+        found,
+        provenance,
         title=title,
         intro="A record at a known input: each channel is the reference, with a zero, a drift, and what is found.",
         simulated=simulated,
-        provenance=provenance,
-        state=STATES.get(found.verdict, "failed"),
-        lead=words.lead(found),
         what=what_in_words(found),
         told=[line for line in (gap_told(found), rivals_told(found)) if line],
         to_do=list(what_to_do(found, files)),
-        effects=[
-            (words.effect_title(one), one, list(words.parameters_in_words(one))) for one in found.effects
-        ],
         figures=[
             (drawn(course), "Signal less reference, beside a zero and a drift, and with what was found.")
         ],
-        held_out=held_out_rows(found.gap),
         listed=list(channel_lines(found)),
-        notes=found.notes,
-        ending="diagnosis",
     )
