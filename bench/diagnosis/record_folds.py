@@ -28,7 +28,9 @@ class Rival:
 
 
 SWING: Final = 0.15
-"""An excursion is where what is followed is further from its median than this part of its range."""
+"""An excursion is where what is followed is further from its level at rest than this part of its range."""
+PLATEAU: Final = 0.1
+"""Part of the range that counts as one level; evenly spread, as large a part of the record would be at it."""
 
 
 def measure_record_gap(work: RecordWork, finds: Sequence[Find]) -> tuple[Gap, tuple[Rival, ...]]:
@@ -73,7 +75,7 @@ def _excursions(work: RecordWork, course: Course) -> Iterator[tuple[str, Mask]]:
             for number, which in enumerate(("first", "next")):
                 yield f"every other {FOLDS} means, from the {which}", turn == number
             return
-    from_rest = driver - np.median(driver)
+    from_rest = driver - _rest(driver)
     side = np.where(np.abs(from_rest) > SWING * np.ptp(driver), np.sign(from_rest), 0.0)
     turns = np.flatnonzero(np.diff(side)) + 1
     bounds: list[int] = [0, *turns.tolist(), len(side)]
@@ -83,6 +85,16 @@ def _excursions(work: RecordWork, course: Course) -> Iterator[tuple[str, Mask]]:
             rows[start:end] = True
             word = "high" if side[start] > 0 else "low"
             yield f"{word} from {record.time_h[start]:.1f} to {record.time_h[end - 1]:.1f} h", rows
+
+
+def _rest(driver: Floats) -> float:
+    """Return the level from which excursions count: the commonest one, or the median where none is common."""
+    ordered = np.sort(driver)
+    last = np.searchsorted(ordered, ordered + PLATEAU * np.ptp(driver), side="right")
+    inside = last - np.arange(len(ordered))
+    start = int(np.argmax(inside))
+    common = inside[start] >= 2 * PLATEAU * len(ordered)
+    return float(np.median(ordered[start : last[start]] if common else driver))
 
 
 def _predicted(

@@ -415,8 +415,8 @@ def overlay_of_mount(shown: ModelComparison, mount: int) -> str:
         right.set_xlim(-12.0, 372.0)
 
     return overlay(
-        f"diagnosis-overlay-{mount}", f"installation {label}", (volts, scale), draw, message("head angle / °"),
-        found=shown.after is not None,
+        f"diagnosis-overlay-{mount}", message(f"installation {label}"), (volts, scale), draw,
+        message("head angle / °"), found=shown.after is not None,
     )  # fmt: skip
 
 
