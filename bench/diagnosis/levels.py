@@ -14,3 +14,5 @@ FOLDS: Final = 5
 """Parts into which readings are split where neither passes nor visits divide them."""
 NEGLIGIBLE: Final = 1e-12
 """Relative size of a number that is rounding only."""
+FAR: Final = 6.0
+"""Distance in u from which a deviation is named for its own sake."""

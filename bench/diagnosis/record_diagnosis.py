@@ -12,12 +12,12 @@ from bench.base.arrays import CHANNELS, rms
 from bench.diagnosis.candidates import SLOW_IN_TIME
 from bench.diagnosis.evidence import Threshold
 from bench.diagnosis.gap import Gap
-from bench.diagnosis.levels import BY_CHANCE
+from bench.diagnosis.levels import BY_CHANCE, FAR
 from bench.diagnosis.record_folds import Rival, measure_record_gap, why_unconfirmed
 from bench.diagnosis.record_model import FOLLOWS, Course, Noise, Record, make_courses, make_record
 from bench.diagnosis.record_search import ChannelFit, Find, RecordWork
 from bench.diagnosis.result import UNNAMED_WORDS, NamedEffect, Verdict
-from bench.diagnosis.where import FAR, ResidualPattern
+from bench.diagnosis.where import ResidualPattern
 from bench.model.effects import AppliedEffect
 from bench.readings.table import REFERENCE, Readings
 

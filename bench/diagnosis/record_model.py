@@ -19,8 +19,7 @@ from scipy import linalg, ndimage, special
 from bench.base.arrays import CHANNELS, HOUR, MINUTE, Floats, Ints, Mask, least_squares
 from bench.calibration.result import CalibrationError
 from bench.diagnosis.evidence import LOG_SIZE_WEIGHTS, SIZES
-from bench.diagnosis.levels import NEGLIGIBLE
-from bench.diagnosis.where import FAR
+from bench.diagnosis.levels import FAR, NEGLIGIBLE
 from bench.model.conditions import Conditions
 from bench.model.effects import CATALOGUE, AppliedEffect, Effect, Parameter, Seen
 from bench.model.geometry import Block
