@@ -28,7 +28,7 @@ from bench.base.arrays import Floats, Ints
 from bench.base.computing import tracked
 from bench.diagnosis.candidates import KIND_PRIOR, Candidates
 from bench.diagnosis.linear import LinearSystem
-from bench.diagnosis.noise_grid import RATIOS, ColumnProducts, GramProducts, NoiseGrid, Products, Whitener
+from bench.diagnosis.noise_grid import RATIOS, ColumnProducts, GramProducts, NoiseGrid, Whitener
 from bench.model import CATALOGUE
 from bench.model.effects import FormulaEffect
 
@@ -38,9 +38,6 @@ LOG_SIZE_WEIGHTS: Final = tuple(float(np.log(w)) for w in (0.6, 0.28, 0.12))
 
 KNOWN_SIZE: Final = 20.0
 """Prior size, in plausible sizes, of an effect already in the model: wide, so that the data determine it."""
-
-EXCLUDED: Final = -1e9
-"""ln of the evidence assigned to a variant with a column that the model already has."""
 
 CHUNK: Final = 25
 """Data sets scored at once."""
@@ -74,7 +71,7 @@ class Whitened:
 
     grid: NoiseGrid
     candidates: Candidates
-    products: Products
+    products: ColumnProducts | GramProducts
     kept: dict[str, Any] = field(default_factory=dict, compare=False, repr=False)
 
     @classmethod
@@ -103,8 +100,7 @@ class Whitened:
 
     def among(self, ratio: int, columns: Sequence[int]) -> Floats:
         """Return the Gram matrix (k, k) of some columns for one ratio."""
-        chosen = np.array(columns, dtype=np.int64)
-        return self.products.across_at(ratio, chosen)[:, chosen]
+        return np.asarray(self.products.among(np.array(columns, dtype=np.int64))[ratio])
 
     @cached_property
     def square(self) -> Floats:
@@ -164,16 +160,14 @@ class Group:
 class Search:
     """A search over all variants, given a model that already contains the `known` columns.
 
-    `inner` (ratios, known, known) is the Gram matrix of the known columns with their wide prior. `half` (ratios,
-    known, P) is the inverse Cholesky factor of `inner` times the products of the known columns with all P columns.
-    `gain` (ratios, known, P) fits all columns by the known ones.
+    `inverse` (ratios, known, known) is the inverse Cholesky factor of the Gram matrix of the known columns with
+    their wide prior. `half` (ratios, known, P) is this times the products of the known columns with all P columns.
     """
 
     whitened: Whitened
     known: tuple[int, ...]
-    gain: Floats
+    inverse: Floats
     half: Floats
-    inner: Floats
     log_det: Floats
 
     @classmethod
@@ -183,14 +177,9 @@ class Search:
         """
         h = np.array(known, dtype=np.int64)
         across = whitened.products.across(h)
-        inner = across[:, :, h] + np.eye(len(h)) / KNOWN_SIZE**2
-        factor = np.linalg.cholesky(inner)
-        inverse = np.linalg.inv(factor)
-        half = inverse @ across
-        gain = np.swapaxes(inverse, 1, 2) @ half
-        diagonal = np.diagonal(factor, axis1=1, axis2=2)
-        log_det = -np.sum(np.log(KNOWN_SIZE * diagonal), axis=1)
-        return cls(whitened, tuple(known), gain, half, inner, log_det)
+        inverse = np.linalg.inv(np.linalg.cholesky(across[:, :, h] + np.eye(len(h)) / KNOWN_SIZE**2))
+        log_det = np.sum(np.log(np.diagonal(inverse, axis1=1, axis2=2) / KNOWN_SIZE), axis=1)
+        return cls(whitened, tuple(known), inverse, inverse @ across, log_det)
 
     @cached_property
     def groups(self) -> tuple[Group, ...]:
@@ -237,17 +226,17 @@ class Search:
         projected out.
         """
         chosen = np.array(columns, dtype=np.int64)
-        across = sizes @ self.whitened.products.across_at(ratio, chosen)
+        across = sizes @ self.whitened.products.across(chosen)[ratio]
         return np.asarray(across - (self.half[ratio][:, chosen] @ sizes) @ self.half[ratio])
 
     def left_over(self, data: Data) -> Data:
         """Return the products of the data with the known columns fitted and subtracted."""
         if not self.known:
             return data
-        at_known = data.along[:, list(self.known)]
-        fitted = np.swapaxes(self.gain, 1, 2) @ at_known
-        explained = np.einsum("ghs,ghs->gs", at_known, np.linalg.solve(self.inner, at_known))
-        return Data(data.square - explained, data.along - fitted)
+        fitted = self.inverse @ data.along[:, list(self.known)]
+        return Data(
+            data.square - np.sum(fitted**2, axis=1), data.along - np.swapaxes(self.half, 1, 2) @ fitted
+        )
 
     def log_evidence(self, data: Data) -> float:
         """Return ln of the evidence of one data set with the known columns, integrated over the size of the
@@ -271,7 +260,8 @@ class Search:
         base = (grid.log_prior + grid.log_det + self.log_det)[:, None]
         of_null = base + grid.log_likelihood(left.square)
         null = _log_sum(of_null)
-        out = np.full((len(self.whitened.candidates.variants), left.sets), EXCLUDED)
+        # a variant with a column that the model already has
+        out = np.full((len(self.whitened.candidates.variants), left.sets), np.finfo(np.float64).min)
         if self.groups:
             out[self._together[0]] = _log_sum(base[:, None] + self._likelihoods(left))
         return Scores(out - null, np.exp(of_null - null))
@@ -351,12 +341,6 @@ TAIL: Final = 0.05
 """Upper part of the simulated evidences to which an exponential tail is fitted."""
 
 
-CHANNEL_U: Final = 0.1
-"""Relative standard uncertainty of the noise of a channel, as determined from about fifty readings."""
-CHANNEL_STEP: Final = 1.5
-"""Step, a factor, of the coarse grid of channel noise sizes that share a threshold."""
-
-
 @dataclass(frozen=True)
 class Threshold:
     """The evidence `value` (ln odds of any missing effect) that chance reaches with `probability`.
@@ -397,24 +381,12 @@ def null_responses(linear: LinearSystem, sigma: float, ratios: Floats, rng: np.r
     """
     sets = len(ratios)
     setting = rng.standard_normal((linear.settings, sets)) * ratios / linear.typical_slope
-    response = rng.standard_normal((len(linear), sets)) * _row_sizes(linear, sets, rng)
+    response = rng.standard_normal((len(linear), sets)) * linear.relative[:, None]
     response += np.where(linear.setting >= 0, linear.slope, 0.0)[:, None] * setting[linear.setting]
     response *= sigma
     if linear.random.shape[1]:
         response += linear.random @ rng.standard_normal((linear.random.shape[1], sets))
     return response
-
-
-def _row_sizes(linear: LinearSystem, sets: int, rng: np.random.Generator) -> Floats:
-    """Return the relative noise of the rows, with random errors of the estimates for channels and runs."""
-    size = linear.relative[:, None]
-    if np.any(linear.by_channel != 1.0):
-        size = size * np.exp(CHANNEL_U * rng.standard_normal((4, sets)))[linear.rows.channel]
-    if linear.by_run is not None:
-        u = np.sqrt(0.5 / linear.by_run.freedom)[:, None]
-        off = np.exp(u * rng.standard_normal((len(u), sets)))
-        size = size * off[linear.readings.run[linear.rows.reading]]
-    return np.asarray(size)
 
 
 def make_threshold(linear: LinearSystem, whitened: Whitened, nulls: int = NULLS) -> Threshold:
@@ -498,26 +470,12 @@ def _key(linear: LinearSystem, whitened: Whitened, setting_rad: float) -> str:
         np.round(np.linalg.norm(linear.random, axis=0) / scale, 6).tolist(),
         repr([(name, effect.parameters) for name, effect in CATALOGUE.items()]),
         whitened.candidates.families,
-        (NULLS, SEED, FALSE_ALARMS, KIND_PRIOR, TAIL, SIZES, LOG_SIZE_WEIGHTS, RATIOS, CHANNEL_U),
-        channel_steps(linear),
+        (NULLS, SEED, FALSE_ALARMS, KIND_PRIOR, TAIL, SIZES, LOG_SIZE_WEIGHTS, RATIOS),
+        formulas(),
     ]
     if readings.run.any():
         parts += [readings.run.tolist(), None if readings.block is None else readings.block.tolist()]
-    if linear.by_run is not None:
-        parts += [size_steps(linear.by_run.sizes), np.round(linear.by_run.freedom / 10).tolist()]
-    parts += formulas()
     return hashlib.sha256(repr(parts).encode()).hexdigest()[:32]
-
-
-def channel_steps(linear: LinearSystem) -> list[int]:
-    """Return the relative noise of the channels as steps of the coarse grid of thresholds."""
-    return size_steps(linear.by_channel)
-
-
-def size_steps(sizes: Floats) -> list[int]:
-    """Return sizes of noise as steps of the coarse grid, `CHANNEL_STEP` apart."""
-    steps: list[int] = np.round(np.log(sizes) / np.log(CHANNEL_STEP)).astype(int).tolist()
-    return steps
 
 
 DESIGN_COLUMNS: Final = ("scan_order", "reference_v", "range_v")

@@ -37,7 +37,6 @@ from bench.diagnosis.noise_grid import (
     NoiseGrid,
     grid_with_rounding,
     with_rounding,
-    with_sizes_of_runs,
 )
 from bench.diagnosis.posterior import noise_size, posterior
 from bench.diagnosis.single_run_search import Prepared, SearchTask, choose_noise
@@ -426,7 +425,6 @@ def search_runs(task: SearchTask, readings: Readings) -> tuple[Prepared, Naming]
         return _prepared(task, linear, prepared.limit, most)
 
     whole = make_system(readings, task.model, task.stand)
-    whole = with_sizes_of_runs(whole, task.resolution / np.sqrt(12.0))
     whole = with_rounding(whole, task.resolution, task.repeats(whole).sigma)
     return choose_noise(*_prepared(task, whole), again)
 

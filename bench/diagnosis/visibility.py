@@ -83,7 +83,9 @@ def smallest(whitened: Whitened, threshold: Threshold, ratio: int) -> dict[str, 
                     cells.setdefault((kind.channel, kind.mounts), {})[kind.parameter] = column
             known = found.setdefault(variant.family, {})
             for own in (own for own in cells.values() if len(own) == len(of)):
-                one = _smallest_of(whitened.among(ratio, list(own.values())), [of[name] for name in own], half)
+                one = _smallest_of(
+                    whitened.among(ratio, list(own.values())), [of[name] for name in own], half
+                )
                 best = known.get(unit)
                 if one is not None and (best is None or (one.part, one.size) < (best.part, best.size)):
                     known[unit] = one
