@@ -12,3 +12,7 @@ HARDLY_EVER: Final = 1e-4
 """Level where a conclusion would change the record or set the noise of the bench file aside."""
 NEGLIGIBLE: Final = 1e-12
 """Relative size of a number that is rounding only."""
+FAR: Final = 6.0
+"""Distance in u from which a deviation is named for its own sake."""
+UNSEEN: Final = 0.3
+"""Change of the readings, in units of noise, below which it may be neglected."""

@@ -95,19 +95,18 @@ class JointSystem(LinearSystem):
         """Return the change of the rows by an effect of the block, a column for each channel, (N, 3)."""
         return np.concatenate([part.effect_columns(applied) for part in self.parts])
 
-    def formula_columns(self, applied: AppliedEffect) -> Floats:
-        """Return the change of the rows by an effect that needs no path and is the same in all blocks."""
-        return np.concatenate([part.formula_columns(applied) for part in self.parts])
-
-    def course_columns(self, course: Floats, stage: Stage, adds_to: str = "", *, of_force: bool) -> Floats:
-        """Return the change of the rows by a time course, one value per reading (n,), that is the same in all
-        blocks.
-        """
+    def stage_columns(
+        self, of: AppliedEffect | Floats, stage: Stage, adds_to: str = "", *, of_force: bool = False
+    ) -> Floats:
+        """Return the change of the rows by one linearised stage of the model, the same in all blocks."""
         assert self.readings.block is not None  # noqa: S101 - it is a system of several
-        own = [course[self.readings.block == number] for number in np.unique(self.readings.block)]
+        own = [
+            of if isinstance(of, AppliedEffect) else of[self.readings.block == number]
+            for number in np.unique(self.readings.block)
+        ]
         return np.concatenate(
             [
-                part.course_columns(mine, stage, adds_to, of_force=of_force)
+                part.stage_columns(mine, stage, adds_to, of_force=of_force)
                 for mine, part in zip(own, self.parts, strict=True)
             ]
         )

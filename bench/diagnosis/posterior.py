@@ -14,7 +14,7 @@ from scipy import special
 from bench.base.arrays import CHANNELS, Floats, Mask
 from bench.diagnosis.candidates import Candidates, Column, Variant, plausible_columns
 from bench.diagnosis.evidence import KNOWN_SIZE, LOG_SIZE_WEIGHTS, SIZES, Data, Search, Whitened
-from bench.diagnosis.levels import NEGLIGIBLE, OFTEN
+from bench.diagnosis.levels import BY_CHANCE, HARDLY_EVER, NEGLIGIBLE, OFTEN, UNSEEN
 from bench.diagnosis.linear import LinearSystem
 from bench.diagnosis.naming import Naming, Scored
 from bench.model.effects import CATALOGUE, AppliedEffect, Effect
@@ -97,7 +97,8 @@ def posterior(linear: LinearSystem, effects: Floats, noise: NoiseSize, rows: Mas
     """
     extra = effects.shape[1]
     normal, right = _normal(linear, effects, noise, rows)
-    covariance = _inverse(normal + np.diag(_at_the_end(np.full(extra, 1.0 / KNOWN_SIZE**2), len(normal))))
+    normal[np.arange(-extra, 0), np.arange(-extra, 0)] += 1.0 / KNOWN_SIZE**2
+    covariance = _inverse(normal)
     return Posterior(covariance @ right, covariance, extra)
 
 
@@ -193,10 +194,6 @@ def _normal(
     return normal, white[:, :-1].T @ white[:, -1]
 
 
-def _at_the_end(values: Floats, length: int) -> Floats:
-    return np.concatenate([np.zeros(length - len(values)), values])
-
-
 def _inverse(normal: Floats) -> Floats:
     """Return the inverse of a positive matrix whose rows have units of their own."""
     scale = 1.0 / np.sqrt(np.diag(normal))
@@ -238,8 +235,6 @@ def predicted_error(
 
 ADDED: Final = ("warm_up", "bias_drift", "thermal_bias", "turn_on_shift")
 """Effects that add to the signals independently of the acceleration."""
-SEEN: Final = 4.0
-"""and each exceeds this many standard uncertainties, as three insignificant sizes are always equal."""
 
 
 def common_volts(naming: Naming, fitted: Posterior, linear: LinearSystem) -> Iterator[str]:
@@ -255,8 +250,9 @@ def common_volts(naming: Naming, fitted: Posterior, linear: LinearSystem) -> Ite
         covariance = fitted.amplitude_covariance[mine, mine] * np.outer(scale, scale)
         between = apart @ volts
         chi2 = float(between @ np.linalg.solve(apart @ covariance @ apart.T, between))
-        seen = np.all(np.abs(volts) > SEEN * np.sqrt(np.diag(covariance)))
-        if seen and special.chdtrc(2, chi2) > OFTEN:
+        # three insignificant sizes are always equal
+        each = special.chdtrc(1, volts**2 / np.diag(covariance))
+        if np.all(each < HARDLY_EVER) and special.chdtrc(2, chi2) > OFTEN:
             yield (
                 f"{variant.family} is the same voltage in all three channels within its u: that points at what "
                 "they share (the voltmeters' zero, the supply, the wiring), not at three accelerometers; a shorted "
@@ -363,8 +359,6 @@ BEYOND: Final = 2.0
 """Factor by which other shapes extend beyond the ends of a grid of time constants, lags or widths."""
 WIDE: Final = 1.5
 """Neighbours of a grid whose ratio exceeds this have another shape between them."""
-HARDLY: Final = 0.01
-"""A channel that has the effect with at most this probability is left out."""
 
 Shape = tuple[tuple[str, float], ...]
 
@@ -446,7 +440,7 @@ def _in_other_channels(
     candidates: Candidates, variant: Variant, sizes: Floats, plausible: Floats
 ) -> Iterator[AppliedEffect]:
     """Yield the effect with the shape found in other channels, its u weighted by their probability."""
-    others = [c for c in range(3) if c not in variant.channels and plausible[c] > HARDLY]
+    others = [c for c in range(3) if c not in variant.channels and plausible[c] > BY_CHANCE]
     share = np.array([np.sqrt(plausible[c]) if c in others else 0.0 for c in range(3)])
     for one in applied_of(candidates, variant, 0.0 * sizes, sizes):
         u = {name: np.max(of) * share for name, of in one.u.items() if np.ndim(of)}
@@ -487,10 +481,6 @@ def pieces(linear: LinearSystem, others: tuple[AppliedEffect, ...]) -> Iterator[
                 size = float(u[() if channel is None else channel]) / parameter.plausible
                 if size > 0.0 and np.any(column):
                     yield OpenSize(applied, name, channel, column * size)
-
-
-SHOWS: Final = 0.3
-"""A direction that changes all readings together by less, in units of noise, is left out."""
 
 
 def left_open(
@@ -546,7 +536,7 @@ def _directions(covariance: Floats, shown: Floats) -> Floats:
     values, vectors = np.linalg.eigh(covariance)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
     _, sizes, turned = np.linalg.svd(shown @ root, full_matrices=False)
-    return np.asarray((root @ turned.T)[:, sizes > SHOWS])
+    return np.asarray((root @ turned.T)[:, sizes > UNSEEN])
 
 
 def _applied(rest: Sequence[OpenSize], sizes: Floats) -> Iterator[AppliedEffect]:

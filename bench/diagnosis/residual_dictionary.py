@@ -153,14 +153,14 @@ def _columns(
         effect = term.effect("term", per_channel=term.stage in WITH_CHANNELS)
         for size in SIZE_NAMES[: len(term.expressions)]:
             value = np.full(3 if term.stage in WITH_CHANNELS else (), term.unit.plausible)
-            yield linear.formula_columns(AppliedEffect(effect, {size: value}))
+            yield linear.stage_columns(AppliedEffect(effect, {size: value}), term.stage)
         return
     for text in term.course:
         key = (text, tuple((p.name, p.default) for p in term.constants))
         if key not in of_courses:
             of_courses[key] = _course(linear, text, term.constants)
         course = term.unit.plausible * of_courses[key]
-        yield linear.course_columns(course, term.stage, term.adds_to, of_force=term.of_force)
+        yield linear.stage_columns(course, term.stage, term.adds_to, of_force=term.of_force)
 
 
 def _course(linear: LinearSystem, text: str, constants: tuple[Parameter, ...]) -> Floats:

@@ -20,6 +20,7 @@ from bench.diagnosis.candidates import (
     without_copies,
 )
 from bench.diagnosis.evidence import Data, Search, Threshold, ThresholdCache, Whitened
+from bench.diagnosis.levels import UNSEEN
 from bench.diagnosis.linear import LinearSystem, make_linear
 from bench.diagnosis.naming import MOST_EFFECTS, Naming, Scored, name
 from bench.diagnosis.noise_grid import (
@@ -144,8 +145,6 @@ def in_the_noise_of(prepared: LinearSystem, linear: LinearSystem) -> LinearSyste
     )
 
 
-BENT: Final = 0.3
-"""What an effect may change a reading beyond its columns, in units of noise, and count as linear."""
 STEPS: Final = 6
 """Most linearisations; the rest of the nonlinearity stays in the residuals."""
 
@@ -262,7 +261,7 @@ def _relinearised(task: SearchTask, prepared: Prepared, naming: Naming) -> Prepa
     sizes = np.concatenate([value for _, value in parts])
     moved = linear.rows_of(change)
     bend = moved - candidates.columns[:, columns] @ sizes - prepared.bend
-    if float(np.max(np.abs(bend))) < BENT * noise.reading:
+    if float(np.max(np.abs(bend))) < UNSEEN * noise.reading:
         return None
     readings = linear.readings
     try:
