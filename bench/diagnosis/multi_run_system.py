@@ -19,7 +19,6 @@ from bench.diagnosis.candidates import (
     SCALE_BY_RUN,
     SLOW_IN_TIME,
     SUBSETS,
-    WAVES,
     ZERO_BY_RUN,
     Candidates,
     Collector,
@@ -39,6 +38,7 @@ from bench.diagnosis.noise_grid import (
     with_rounding,
 )
 from bench.diagnosis.posterior import noise_size, posterior
+from bench.diagnosis.residual_dictionary import FASTEST
 from bench.diagnosis.single_run_search import Prepared, SearchTask, choose_noise
 from bench.model.conditions import Conditions, Mounting
 from bench.model.effects import AppliedEffect, Effect, Stage
@@ -338,7 +338,7 @@ def _add_unnamed(collector: Collector, unit: float) -> None:
     phase = _phase(readings)[rows.reading]
     for channel in range(3):
         mine = (collector.linear.setting >= 0) & (rows.channel == channel)
-        waves = [unit * mine * np.cos(np.pi * k * phase) for k in range(1, WAVES + 1)]
+        waves = [unit * mine * np.cos(np.pi * k * phase) for k in range(1, FASTEST + 1)]
         collector.add_free(SLOW_IN_TIME, (channel,), waves)
     _add_by_run(collector, readings.run[rows.reading], unit)
 
