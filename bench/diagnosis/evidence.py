@@ -72,7 +72,7 @@ class Whitened:
     grid: NoiseGrid
     candidates: Candidates
     products: ColumnProducts | GramProducts
-    kept: dict[str, Any] = field(default_factory=dict, compare=False, repr=False)
+    kept: dict[Any, Any] = field(default_factory=dict, compare=False, repr=False)
 
     @classmethod
     def of(cls, grid: NoiseGrid, candidates: Candidates, *, few_known: bool = False) -> Whitened:

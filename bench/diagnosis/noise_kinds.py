@@ -145,7 +145,7 @@ def _by_run(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Iterator
     for _ in range(ROUNDS):
         residual, free = _fit(system, effects, noise)
         white = whiten_rows(system, noise, residual[:, None])[:, 0]
-        freedom = np.bincount(run, free)
+        freedom = np.bincount(run, free).astype(np.float64)
         variance = variance * np.maximum(np.bincount(run, white**2) / np.maximum(freedom, 1.0), 1e-6)
         sizes = np.sqrt(variance / np.average(variance, weights=np.bincount(run)))
         system = replace(linear, by_run=RunSizes(sizes, freedom))

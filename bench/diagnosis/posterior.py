@@ -285,14 +285,9 @@ def known_together(
     third mounting angle of both installations. Verification points determine the sum; nothing determines the
     difference, which is a rotation of the block's axes.
     """
-    return tuple(_pairs(candidates, variant, value, covariance))
-
-
-def _pairs(
-    candidates: Candidates, variant: Variant, value: Floats, covariance: Floats
-) -> Iterator[KnownTogether]:
     kinds = [candidates.kinds[column] for column in variant.columns]
     parameters = {parameter.name: parameter for parameter in CATALOGUE[variant.family].parameters}
+    found = []
     for i, j in itertools.combinations(range(len(kinds)), 2):
         if kinds[i].parameter != kinds[j].parameter:
             continue
@@ -302,14 +297,11 @@ def _pairs(
             continue
         parameter = parameters[kinds[i].parameter]
         size = candidates.scale[variant.columns[i]] / parameter.si_per_unit
-        yield KnownTogether(
-            parameter.name,
-            "sum" if sign > 0 else "difference",
-            (_place(kinds[i]), _place(kinds[j])),
-            float((value[i] + sign * value[j]) * size),
-            float(u * size),
-            parameter.unit,
-        )
+        places = (_place(kinds[i]), _place(kinds[j]))
+        what: Literal["sum", "difference"] = "sum" if sign > 0 else "difference"
+        both = float((value[i] + sign * value[j]) * size)
+        found.append(KnownTogether(parameter.name, what, places, both, float(u * size), parameter.unit))
+    return tuple(found)
 
 
 def _place(kind: Column) -> str:

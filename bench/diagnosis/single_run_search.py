@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 
@@ -74,11 +74,8 @@ class Prepared:
         return self.log_odds + total
 
 
-class Reconsider(Protocol):
-    """A function that prepares and searches the readings again with another noise."""
-
-    def __call__(self, prepared: Prepared, linear: LinearSystem, most: float) -> tuple[Prepared, Naming]:
-        """Search `linear`, whose noise is at `most` this, about the finds of `prepared`."""
+Reconsider = Callable[[Prepared, LinearSystem, float], tuple[Prepared, Naming]]
+"""Searches a system with another noise, at most so large, about the finds of what is prepared."""
 
 
 SURELY_LESS: Final = 6.0

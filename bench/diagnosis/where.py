@@ -127,9 +127,8 @@ def _rows(of: Mask) -> Floats:
 def _in_mount(linear: LinearSystem, own: Mask) -> Iterator[tuple[str, Floats]]:
     """Yield the patterns over the angles, passes and directions in some rows of a mounting."""
     readings, reading = linear.readings, linear.rows.reading
-    angle, passes, direction = (
-        of[reading] for of in (readings.angle_rad, readings.pass_number, readings.direction)
-    )
+    angle, passes = readings.angle_rad[reading], readings.pass_number[reading]
+    direction = readings.direction[reading].astype(np.float64)
     waves = {
         k: np.where(own[:, None], np.column_stack([np.cos(k * angle), np.sin(k * angle)]), 0.0)
         for k in range(1, len(HARMONICS))
