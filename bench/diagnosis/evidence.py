@@ -14,8 +14,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -26,6 +26,7 @@ from scipy.special import logsumexp
 
 from bench.base.arrays import Floats, Ints
 from bench.base.computing import tracked
+from bench.base.files import write_whole
 from bench.diagnosis.candidates import KIND_PRIOR, Candidates
 from bench.diagnosis.linear import LinearSystem
 from bench.diagnosis.noise_grid import RATIOS, ColumnProducts, GramProducts, NoiseGrid, Whitener
@@ -81,22 +82,17 @@ class Whitened:
         if many > rows or few_known:
             whitened = np.empty((len(grid.white), rows, many))
             for white, columns in zip(grid.white, whitened, strict=True):
-                _whiten(white, candidates.columns, grid.sigma, columns)
+                columns[:] = _whitened(white, candidates.columns, grid.sigma)
             return cls(grid, candidates, ColumnProducts(whitened))
-        gram, columns = np.empty((len(grid.white), many, many)), np.empty((rows, many))
+        gram = np.empty((len(grid.white), many, many))
         for white, product in zip(grid.white, gram, strict=True):
-            _whiten(white, candidates.columns, grid.sigma, columns)
+            columns = _whitened(white, candidates.columns, grid.sigma)
             np.matmul(columns.T, columns, out=product)
         return cls(grid, candidates, GramProducts(gram))
 
     def forget(self) -> None:
         """Drop the cached results of searches: they refer back to this object and would keep its memory in use."""
         self.kept.clear()
-
-    @property
-    def ratios(self) -> int:
-        """The number of ratios of the noise sizes."""
-        return len(self.grid.white)
 
     def among(self, ratio: int, columns: Sequence[int]) -> Floats:
         """Return the Gram matrix (k, k) of some columns for one ratio."""
@@ -136,11 +132,13 @@ class Whitened:
         return Data(square, along)
 
 
-def _whiten(white: Whitener, columns: Floats, sigma: float, into: Floats) -> None:
-    """Write whitened columns (N, P), in units of `sigma`, `into` an array of that shape, some at a time."""
+def _whitened(white: Whitener, columns: Floats, sigma: float) -> Floats:
+    """Return whitened columns (N, P), in units of `sigma`, made some at a time."""
+    into = np.empty_like(columns)
     for start in range(0, columns.shape[1], CHUNK):
         part = slice(start, start + CHUNK)
         into[:, part] = white @ (columns[:, part] / sigma)
+    return into
 
 
 @dataclass(frozen=True)
@@ -197,13 +195,7 @@ class Search:
         if self.half.shape[1]:
             seen = np.moveaxis(self.half[:, :, columns], 1, 2)
             blocks = blocks - np.swapaxes(seen, 2, 3) @ seen
-        match columns.shape[1]:
-            case 1:
-                values, vectors = blocks[:, :, 0], np.ones_like(blocks)
-            case 2:
-                values, vectors = _of_pairs(blocks)
-            case _:
-                values, vectors = np.linalg.eigh(blocks)
+        values, vectors = np.linalg.eigh(blocks)
         return Group(members, columns, vectors, np.maximum(values, 0.0))
 
     @cached_property
@@ -307,9 +299,7 @@ class Scores:
 
 def _along(group: Group, left: Data) -> Floats:
     """Return the squared projections of the data on a group's eigenvectors, shape (ratios, e, sets)."""
-    along = left.along[:, group.columns]
-    if group.columns.shape[1] > 1:
-        along = np.swapaxes(group.vectors, 2, 3) @ along
+    along = np.swapaxes(group.vectors, 2, 3) @ left.along[:, group.columns]
     return np.asarray(along.reshape(len(along), -1, left.sets) ** 2)
 
 
@@ -318,16 +308,6 @@ def _log_sum(logarithms: Floats) -> Floats:
     largest = logarithms.max(axis=0)
     total: Floats = largest + np.log(np.sum(np.exp(logarithms - largest), axis=0))
     return total
-
-
-def _of_pairs(blocks: Floats) -> tuple[Floats, Floats]:
-    """Return eigenvalues (…, 2) and eigenvectors (…, 2, 2) of symmetric matrices (…, 2, 2)."""
-    first, second, mixed = blocks[..., 0, 0], blocks[..., 1, 1], blocks[..., 0, 1]
-    middle, apart = (first + second) / 2, (first - second) / 2
-    radius, turn = np.hypot(apart, mixed), np.arctan2(mixed, apart) / 2
-    cosine, sine = np.cos(turn), np.sin(turn)
-    vectors = np.stack([np.stack([cosine, -sine], axis=-1), np.stack([sine, cosine], axis=-1)], axis=-2)
-    return np.stack([middle + radius, middle - radius], axis=-1), vectors
 
 
 # --- the threshold --------------------------------------------------------------------------------
@@ -435,13 +415,9 @@ class ThresholdCache:
             return Threshold(**json.loads(file.read_text(encoding="utf-8")))
         except (OSError, ValueError, TypeError, KeyError, RecursionError):
             made = make_threshold(linear, whitened)
-        try:
+        with suppress(OSError):  # the cache saves time and nothing else
             self.folder.mkdir(parents=True, exist_ok=True)
-            part = file.with_suffix(f".{os.getpid()}")
-            part.write_text(json.dumps(asdict(made)), encoding="utf-8")
-            part.replace(file)
-        except OSError:
-            pass  # the cache saves time and nothing else
+            write_whole(file, json.dumps(asdict(made)))
         return made
 
 
