@@ -446,11 +446,12 @@ def _key(linear: LinearSystem, whitened: Whitened, setting_rad: float) -> str:
         np.round(np.linalg.norm(linear.random, axis=0) / scale, 6).tolist(),
         repr([(name, effect.parameters) for name, effect in CATALOGUE.items()]),
         whitened.candidates.families,
-        (NULLS, SEED, FALSE_ALARMS, KIND_PRIOR, TAIL, SIZES, LOG_SIZE_WEIGHTS, RATIOS),
-        formulas(),
+        (NULLS, SEED, FALSE_ALARMS, KIND_PRIOR, TAIL, SIZES, LOG_SIZE_WEIGHTS, RATIOS, 0.1),
+        [0, 0, 0],  # sizes of channels: the files of a version that distinguished them stay valid
     ]
     if readings.run.any():
         parts += [readings.run.tolist(), None if readings.block is None else readings.block.tolist()]
+    parts += formulas()
     return hashlib.sha256(repr(parts).encode()).hexdigest()[:32]
 
 

@@ -157,11 +157,14 @@ class LinearSystem:
     def __len__(self) -> int:
         return len(self.response)
 
+    def with_random(self, *columns: Floats) -> LinearSystem:
+        """Return the system with more `random` columns (N, …) of unit variance."""
+        return replace(self, random=np.column_stack([self.random, *columns]))
+
     def with_noise(self, *columns: Floats) -> LinearSystem:
-        """Return the system with more `random` columns (N, …): shared noise of unit variance."""
-        random = np.column_stack([self.random, *columns])
-        added = random.shape[1] - self.random.shape[1]
-        return replace(self, random=random, of_noise=self.of_noise + added)
+        """Return the system with more `random` columns (N, …) that are noise, shared by readings."""
+        system = self.with_random(*columns)
+        return replace(system, of_noise=self.of_noise + system.random.shape[1] - self.random.shape[1])
 
     def design(self, effects: Floats) -> Floats:
         """Return the columns of coefficients, stand and own effects, and further `effects` (N, m)."""

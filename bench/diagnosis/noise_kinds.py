@@ -234,13 +234,12 @@ def _places(linear: LinearSystem) -> Iterator[tuple[str, str, Mask]]:
 
 def _with_tails(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> NoiseHypothesis:
     """Return noise with the tails of a t distribution, as a precision of each row (`by_row`)."""
-    random = np.concatenate([linear.random, effects * KNOWN_SIZE], axis=1)
+    beside = linear.with_random(effects * KNOWN_SIZE)
     relative2 = linear.relative**2
     weight: Floats = np.ones(len(linear))
     scale, of_mean, square = noise.reading, weight, weight
     for _ in range(ROUNDS):
-        rows = replace(linear, random=random, by_row=1.0 / np.sqrt(weight))
-        white = make_whitener(rows, scale, noise.setting_rad)
+        white = make_whitener(replace(beside, by_row=1.0 / np.sqrt(weight)), scale, noise.setting_rad)
         variance = relative2 / weight
         left = variance * white.weigh(linear.response)
         free = np.clip(variance * white.diagonal, 0.0, 1.0)
@@ -281,8 +280,7 @@ def log_density(linear: LinearSystem, effects: Floats, like: NoiseGrid) -> float
 
     Their priors are those of the grid `like`.
     """
-    random = np.concatenate([linear.random, effects * KNOWN_SIZE], axis=1)
-    grid = make_noise_grid(replace(linear, random=random), like.sigma, 0.0)
+    grid = make_noise_grid(linear.with_random(effects * KNOWN_SIZE), like.sigma, 0.0)
     square = np.array([np.sum((white @ (linear.response / like.sigma)) ** 2) for white in grid.white])
     of_ratio = like.log_prior + grid.log_det + grid.log_likelihood(square)
     return float(special.logsumexp(of_ratio)) + log_null(grid)
@@ -333,8 +331,7 @@ def slow_noise(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> tuple
     It is empty if there is none. It has one size in all channels, or a size in each channel that has it, whichever
     has more evidence.
     """
-    random = np.concatenate([linear.random, effects * KNOWN_SIZE], axis=1)
-    white = make_whitener(replace(linear, random=random), noise.reading, noise.setting_rad)
+    white = make_whitener(linear.with_random(effects * KNOWN_SIZE), noise.reading, noise.setting_rad)
     left = white @ (linear.response / noise.reading)
     waves = [_waves(linear, channel) for channel in range(3)]
     sets = [(0, 1, 2), *((channel,) for channel in range(3))]

@@ -444,9 +444,7 @@ def _in_other_channels(
 def with_other_shapes(linear: LinearSystem, others: tuple[AppliedEffect, ...]) -> LinearSystem:
     """Return the system with the possible other shapes of the effects as further `random` columns."""
     columns = [piece.column for piece in pieces(linear, others)]
-    if not columns:
-        return linear
-    return replace(linear, random=np.column_stack([linear.random, *columns]))
+    return linear.with_random(*columns) if columns else linear
 
 
 class OpenSize(NamedTuple):

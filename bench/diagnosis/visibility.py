@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -204,7 +204,7 @@ class ReadingDesign:
         """Project out the coefficients, and within their priors the stand's angles and the `known` columns."""
         self._known = known
         self._seen: dict[EffectPart, Floats] = {}
-        rows = replace(self.linear, random=np.column_stack([self.linear.random, *known]))
+        rows = self.linear.with_random(*known)
         self._white = make_whitener(rows, self._noise.reading, self._noise.setting_rad)
 
     def _left(self, columns: Floats) -> Floats:

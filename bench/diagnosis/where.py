@@ -198,8 +198,7 @@ def far_readings(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> tup
     Residuals and Influence in Regression, 1982, section 2.2), with the noise of its channel.
     """
     heavy = linear.by_row is not None
-    random = np.column_stack([linear.random, KNOWN_SIZE * effects])
-    rows = replace(linear, random=random, by_row=None)
+    rows = replace(linear.with_random(KNOWN_SIZE * effects), by_row=None)
     white = make_whitener(rows, noise.reading, noise.setting_rad)
     pull = white.weigh(linear.response) / noise.reading
     size = np.abs(pull) / np.sqrt(np.maximum(white.diagonal, 1e-12))
