@@ -16,13 +16,10 @@ from bench.diagnosis.candidates import Candidates, Column, Variant, plausible_co
 from bench.diagnosis.evidence import KNOWN_SIZE, LOG_SIZE_WEIGHTS, SIZES, Data, Search, Whitened
 from bench.diagnosis.levels import BY_CHANCE, HARDLY_EVER, NEGLIGIBLE, OFTEN, UNSEEN
 from bench.diagnosis.linear import LinearSystem
-from bench.diagnosis.naming import Naming, Scored
+from bench.diagnosis.naming import MOST_EFFECTS, Naming, Scored
 from bench.model.effects import CATALOGUE, AppliedEffect, Effect
 from bench.model.effects.base import InPart, in_part
 from bench.model.effects.voltmeter import NORMAL_V
-
-AVERAGED: Final = 5
-"""Largest number of finds averaged over their prior sizes. Of more finds, the least certain are averaged."""
 
 
 @dataclass(frozen=True)
@@ -78,9 +75,8 @@ def noise_size(whitened: Whitened, data: Data, known: tuple[int, ...]) -> NoiseS
     search = Search.beside(whitened, known)
     left = search.left_over(data)
     grid = whitened.grid
-    weight = grid.log_prior + grid.log_det + search.log_det + grid.log_likelihood(left.square[:, 0])
-    weight = np.exp(weight - weight.max())
-    weight /= weight.sum()
+    logs = grid.log_prior + grid.log_det + search.log_det + grid.log_likelihood(left.square[:, 0])
+    weight = special.softmax(logs)
     freedom = grid.freedom - len(known)
     sigma2 = left.square[:, 0] / freedom
     if grid.known:
@@ -145,17 +141,19 @@ def _of_any_size(precision: Floats, right: Floats, parts: Sequence[slice]) -> tu
         ),
         strict=True,
     )
-    weight = np.exp(np.array(log_weights) - max(log_weights))
-    weight /= weight.sum()
+    weight = special.softmax(log_weights)
     mean = weight @ np.array(means)
     apart = np.array(means) - mean
     return mean, np.einsum("s,sij->ij", weight, np.array(spreads)) + (apart.T * weight) @ apart
 
 
 def _plausible_sizes(precision: Floats, right: Floats, parts: Sequence[slice]) -> list[tuple[int, ...]]:
-    """Return the size indices to average for each part; the surest of many parts have the likeliest only."""
+    """Return the size indices to average for each part; of many parts the least sure `MOST_EFFECTS` have all.
+
+    The others have the likeliest alone.
+    """
     every = tuple(range(len(SIZES)))
-    if len(parts) <= AVERAGED:
+    if len(parts) <= MOST_EFFECTS:
         return [every] * len(parts)
     likeliest = [len(SIZES) - 1] * len(parts)
     surety = np.empty(len(parts))
@@ -164,7 +162,7 @@ def _plausible_sizes(precision: Floats, right: Floats, parts: Sequence[slice]) -
         logs = np.array([_of_sizes(precision, right, parts, (*before, k, *after))[0] for k in every])
         likeliest[number] = int(np.argmax(logs))
         surety[number] = 1.0 / np.sum(np.exp(logs - logs.max()))
-    open_parts = set(np.argsort(surety)[:AVERAGED].tolist())
+    open_parts = set(np.argsort(surety)[:MOST_EFFECTS].tolist())
     return [every if number in open_parts else (size,) for number, size in enumerate(likeliest)]
 
 
@@ -394,9 +392,8 @@ def channels_of(whitened: Whitened, data: Data, naming: Naming) -> dict[int, Flo
         scored = Scored.beside(whitened, data, others)
         members = whitened.candidates.of_family(one.variant.family)
         evidence = scored.scores.variants[members, 0]
-        weight = np.exp(evidence - evidence.max())
         has = np.array([[c in whitened.candidates.variants[m].channels for c in range(3)] for m in members])
-        plausible[number] = np.asarray(weight @ has / weight.sum())
+        plausible[number] = np.asarray(special.softmax(evidence) @ has)
     return plausible
 
 
