@@ -258,12 +258,13 @@ def without_copies(candidates: Candidates, white: Whitener) -> Candidates:
     for variant in candidates.variants:
         if variant.named:
             own.setdefault((variant.family, variant.shape), set()).update(variant.columns)
+    unnamed = sorted({c for v in candidates.variants if not v.named for c in v.columns})
     columns = white @ candidates.columns
-    left, explained = np.sum(columns**2, axis=0), np.zeros(len(candidates.kinds))
-    for of_effect in own.values():
-        basis = orth(columns[:, sorted(of_effect)], rcond=1e-9)
-        explained = np.maximum(explained, np.sum((basis.T @ columns) ** 2, axis=0))
-    same = explained >= SAME * left
+    left, same = columns[:, unnamed], np.zeros(len(candidates.kinds), dtype=bool)
+    bases = [orth(columns[:, sorted(of_effect)], rcond=1e-9).T for of_effect in own.values()]
+    starts = np.cumsum([0, *map(len, bases[:-1])])
+    explained = np.add.reduceat((np.concatenate(bases) @ left) ** 2, starts, axis=0)
+    same[unnamed] = np.any(explained >= SAME * np.sum(left**2, axis=0), axis=0)
     kept = tuple(v for v in candidates.variants if v.named or not all(same[c] for c in v.columns))
     return Candidates(candidates.columns, candidates.kinds, candidates.scale, kept)
 

@@ -195,7 +195,10 @@ class Search:
         if self.half.shape[1]:
             seen = np.moveaxis(self.half[:, :, columns], 1, 2)
             blocks = blocks - np.swapaxes(seen, 2, 3) @ seen
-        values, vectors = np.linalg.eigh(blocks)
+        if columns.shape[1] == 1:
+            values, vectors = blocks[:, :, 0], np.ones_like(blocks)
+        else:
+            values, vectors = np.linalg.eigh(blocks)
         return Group(members, columns, vectors, np.maximum(values, 0.0))
 
     @cached_property
@@ -299,7 +302,9 @@ class Scores:
 
 def _along(group: Group, left: Data) -> Floats:
     """Return the squared projections of the data on a group's eigenvectors, shape (ratios, e, sets)."""
-    along = np.swapaxes(group.vectors, 2, 3) @ left.along[:, group.columns]
+    along = left.along[:, group.columns]
+    if group.columns.shape[1] > 1:
+        along = np.swapaxes(group.vectors, 2, 3) @ along
     return np.asarray(along.reshape(len(along), -1, left.sets) ** 2)
 
 
