@@ -142,13 +142,16 @@ def _by_run(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Iterator
     """Yield noise with a size for each run; a setting error is common to all."""
     run = linear.readings.run[linear.rows.reading]
     system, variance = linear, np.ones(int(run.max()) + 1)
+    sizes = variance
     for _ in range(ROUNDS):
         residual, free = _fit(system, effects, noise)
         white = whiten_rows(system, noise, residual[:, None])[:, 0]
         freedom = np.bincount(run, free).astype(np.float64)
         variance = variance * np.maximum(np.bincount(run, white**2) / np.maximum(freedom, 1.0), 1e-6)
-        sizes = np.sqrt(variance / np.average(variance, weights=np.bincount(run)))
+        before, sizes = sizes, np.sqrt(variance / np.average(variance, weights=np.bincount(run)))
         system = replace(linear, by_run=RunSizes(sizes, freedom))
+        if np.allclose(sizes, before, rtol=0.1 * SAME_SIZE):
+            break
     if np.max(np.abs(np.log(sizes))) >= SAME_SIZE:
         cost = 0.5 * (len(sizes) - 1) * math.log(max(float(freedom.sum()), 1.0))
         yield NoiseHypothesis("runs", system, LOG_PRIOR["runs"] - cost, "")
