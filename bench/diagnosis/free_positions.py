@@ -17,7 +17,6 @@ from bench.diagnosis.candidates import (
     SCALE_BY_RUN,
     SLOW_IN_TIME,
     SUBSETS,
-    WAVES,
     ZERO_BY_RUN,
     Candidates,
     Collector,
@@ -47,6 +46,7 @@ from bench.diagnosis.naming import Naming, name
 from bench.diagnosis.noise_grid import NoiseGrid, make_noise_grid
 from bench.diagnosis.pipeline import effects_of, verdict_of
 from bench.diagnosis.posterior import NoiseSize, Posterior, fit_found, noise_size, posterior
+from bench.diagnosis.residual_dictionary import FASTEST
 from bench.diagnosis.result import UNNAMED_WORDS, NamedEffect
 from bench.diagnosis.where import MOST_PLACES, ResidualPattern, far_readings
 from bench.model.effects import CATALOGUE, Effect
@@ -211,7 +211,7 @@ def _add_unnamed(rows: FreeRows, collector: Collector, unit: float) -> None:
         for record in records:
             mine = rows.record == record
             phase = (time - time[mine].min()) / max(float(np.ptp(time[mine])), 1e-300)
-            waves += [zero * mine * np.cos(np.pi * k * phase) for k in range(1, WAVES // 2 + 1)]
+            waves += [zero * mine * np.cos(np.pi * k * phase) for k in range(1, FASTEST // 2 + 1)]
         collector.add_free(SLOW_IN_TIME, (channel,), waves)
 
 

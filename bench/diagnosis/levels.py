@@ -16,3 +16,5 @@ NEGLIGIBLE: Final = 1e-12
 """Relative size of a number that is rounding only."""
 FAR: Final = 6.0
 """Distance in u from which a deviation is named for its own sake."""
+UNSEEN: Final = 0.3
+"""Change of the readings, in units of noise, below which it may be neglected."""

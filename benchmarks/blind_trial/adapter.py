@@ -13,7 +13,7 @@ from bench.config.bench_file.file import BenchFile, load_bench
 from bench.config.formulas import load_effects
 from bench.config.shipped import find_bench
 from bench.diagnosis import Threshold, ThresholdCache, diagnose
-from bench.diagnosis.evidence import Whitened, channel_steps, size_steps
+from bench.diagnosis.evidence import Whitened
 from bench.diagnosis.free_positions import diagnose_free
 from bench.diagnosis.linear import LinearSystem
 from bench.diagnosis.posterior import posterior
@@ -40,11 +40,10 @@ class _ByDesign(ThresholdCache):
 
     def threshold(self, linear: LinearSystem, whitened: Whitened, setting_rad: float) -> Threshold:
         """Return the threshold of the present key, made from the first case that has it."""
-        of_runs = () if linear.by_run is None else size_steps(linear.by_run.sizes)
         # readings that are rounded alike share random columns, and their noise is believed
         of_noise = (linear.random.shape[1], whitened.grid.known)
         size = (len(linear), linear.fixed.shape[1])
-        key = (*self.key, *size, *of_noise, *channel_steps(linear), *of_runs)
+        key = (*self.key, *size, *of_noise)
         if key not in self.known:
             self.known[key] = super().threshold(linear, whitened, setting_rad)
         return self.known[key]
