@@ -49,8 +49,8 @@ def test_an_effect_hidden_in_a_dry_run_is_named_added_and_the_gap_shrinks(bench)
     Path("hidden.yaml").write_text(HIDDEN, encoding="utf-8")
     run = bench("run", "calibration", "--dry-run", "--model", "hidden.yaml", "--name", "a", "--seed", 5)
     assert run[0] == 1
-    status, out, err = bench("diagnose", "a", "--json", "a.json")
-    assert (status, err) == (0, "")
+    status, out, err = bench("diagnose", "a", "--strict", "--json", "a.json")
+    assert (status, err) == (1, "")
     found = result_of("a.json")
     assert found["verdict"] == "named"
     (effect,) = found["effects"]
@@ -85,8 +85,13 @@ def test_an_effect_hidden_in_a_dry_run_is_named_added_and_the_gap_shrinks(bench)
 @pytest.mark.slow
 def test_readings_without_an_effect_agree_and_strict_accepts_them(bench):
     # JSON alone goes to standard output, what a person reads beside it
-    status, out, told = bench("diagnose", measured("null.csv", 3), "--strict", "--no-report", "--json", "-")
+    lines = Path(measured("null.csv", 3)).read_text(encoding="utf-8").splitlines(keepends=True)
+    lines[5] = lines[5].replace("1,1,5", "1,1,nan", 1)
+    Path("null.csv").write_text("".join(lines), encoding="utf-8")
+    asked = ("diagnose", "null.csv", "--skip-bad-rows", "--strict", "--no-report", "--json", "-")
+    status, out, told = bench(*asked)
     found = json.loads(out, parse_constant=refuse)
+    assert "left out: null.csv, line 6, column point" in " ".join(told.split())
     assert (status, found["verdict"], found["effects"], found["model"]) == (0, "agrees", [], None)
     assert "NOTHING FOUND" in told
     assert "quadratic_nonlinearity" in told  # the smallest size that would have shown
@@ -96,25 +101,25 @@ def test_readings_without_an_effect_agree_and_strict_accepts_them(bench):
 
 @pytest.fixture(scope="module")
 def day_before(tmp_path_factory):
-    """A folder with readings of a block with a K2, and what was found in them."""
+    """A folder with readings of a block with a K2, and what was found in them, with a model file of it."""
     folder = tmp_path_factory.mktemp("first")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         patch.delenv("BENCH_FILE", raising=False)
-        program.diagnose(measured("first.csv", 4, K2=(0, 100e-6, 0)), write=True, report=False)
-    return folder
+        found = program.diagnose(measured("first.csv", 4, K2=(0, 100e-6, 0)), write=True, report=False)
+    return folder, found
 
 
 @pytest.fixture
 def first(bench, day_before):
-    shutil.copytree(day_before, ".", dirs_exist_ok=True)
+    shutil.copytree(day_before[0], ".", dirs_exist_ok=True)
     return "first.csv"
 
 
 @pytest.mark.slow
-def test_a_model_of_one_day_serves_on_another_and_is_never_overwritten(bench, first):
+def test_a_model_of_one_day_serves_on_another_and_is_never_overwritten(bench, first, day_before):
     written = Path("diagnose/first-model.yaml").read_bytes()
-    assert bench("diagnose", first, "--no-report", "--strict")[0] == 1
+    assert day_before[1].written(report=False).files.model == Path("diagnose/first-model-2.yaml")
     assert Path("diagnose/first-model.yaml").read_bytes() == written
     written = sorted(path.name for path in Path("diagnose").glob("*-model*.yaml"))
     assert written == ["first-model-2.yaml", "first-model.yaml"]
@@ -154,46 +159,15 @@ def test_a_child_has_the_effects_of_its_parent_and_what_was_found_beside_them(be
 def test_what_the_data_cannot_tell_is_added_only_when_asked(bench):
     # no input was shorted: the zero of the voltmeters drifts, or the biases of all three channels alike
     measured("tie.csv", 7, drift_v_per_h=(1e-4, 1e-4, 1e-4))
-    assert bench("diagnose", "tie.csv", "--no-report", "--json", "d.json")[0] == 0
-    found = result_of("d.json")
+    result = program.diagnose("tie.csv", write=True, report=False)
+    found = result.to_dict()
     assert found["verdict"] == "confounded"
     (effect,) = found["effects"]
     assert {effect["name"], *effect["cannot_tell_from"]} >= {"voltmeter_drift", "bias_drift"}
     assert found["model"] is None
-    assert bench("diagnose", "tie.csv", "--no-report", "--accept-first", "--json", "d.json")[0] == 0
-    model = load_model(Path(result_of("d.json")["model"]))
+    model = load_model(result.written(accept_first=True, report=False).files.model)
     assert [e.name for e in model.effects] == [effect["name"]]
     assert "cannot tell" in " ".join(model.evidence.values())
-
-
-class InThisProcess:
-    """Carries out here what a pool of processes would: that it is one, `test_one_of_several` shows."""
-
-    def __init__(self, *workers, **how):
-        self.map = map
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *error, **how):
-        pass
-
-    shutdown = __exit__
-
-
-@pytest.mark.slow
-def test_several_sources_keep_their_order_and_rows_that_were_left_out_are_named_for_each(bench, monkeypatch):
-    monkeypatch.setattr("bench.services.diagnosis.ProcessPoolExecutor", InThisProcess)
-    names = [measured("b.csv", 3), measured("a.csv", 5, K2=(0, 100e-6, 0))]
-    lines = Path("b.csv").read_text(encoding="utf-8").splitlines(keepends=True)
-    lines[5] = lines[5].replace("1,1,5", "1,1,nan", 1)
-    Path("b.csv").write_text("".join(lines), encoding="utf-8")
-    out = printed(bench("diagnose", *names, "--skip-bad-rows", "--json", "all.json"))
-    assert "left out: b.csv, line 6, column point" in " ".join(out.split())
-    found = result_of("all.json")
-    assert [f["source"] for f in found] == names
-    assert [f["verdict"] for f in found] == ["agrees", "named"]
-    assert [f["report"] for f in found] == [None] * 2
 
 
 @pytest.mark.slow
@@ -284,17 +258,6 @@ def test_what_cannot_be_done_is_told_in_one_line(bench, arguments, message):
 
 
 @pytest.mark.slow
-def test_a_folder_that_cannot_be_made_costs_the_files_and_not_the_result(bench):
-    Path("diagnose").write_text("a file where the folder would be", encoding="utf-8")
-    name = measured("k2.csv", 4, K2=(0, 100e-6, 0))
-    status, _, err = bench("diagnose", name, "--no-report", "--json", "d.json")
-    found = result_of("d.json")
-    assert (status, found["verdict"], found["model"]) == (0, "named", None)
-    assert "use --out DIR" in err
-    refused(bench("diagnose", name, "--no-report", "--out", "diagnose"), "diagnose")
-
-
-@pytest.mark.slow
 def test_of_several_blocks_all_are_told(bench):
     """Scale factors 1 % apart: coefficients of both stand in the terminal and on the page, each its own."""
     write_csv(paper_run(np.random.default_rng(21)), Path("first.csv"))
@@ -310,8 +273,6 @@ def test_of_several_blocks_all_are_told(bench):
         assert f"Block {number}: mountings" in page
     of_each = [block["coefficients"]["Kxx"]["after"] for block in found["blocks"]]
     assert of_each[1] / of_each[0] == pytest.approx(1.01, abs=1e-4)
-    both = program.diagnose(["first.csv", "second.csv"], one_block=False)
-    assert [block["coefficients"]["Kxx"]["after"] for block in both.to_dict()["blocks"]] == of_each
 
 
 def test_what_too_little_is_left_of_is_written_as_a_copy(bench):
