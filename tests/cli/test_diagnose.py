@@ -17,8 +17,8 @@ from bench.readings.csv import write_csv
 from bench.services.bodies import body_of
 from bench.services.diagnosis import MistakesResult
 from bench.services.source import Request, load_sources
+from tests.support import diagnosis_bench
 from tests.support.commands import printed, refused
-from tests.support.diagnosis_bench import paper_run
 from tests.support.schemas import keeps_to
 
 BOTH_WAYS = (1, -1, 1)
@@ -32,7 +32,9 @@ effects:
 
 def measured(name, seed, **hidden):
     """Write a readings file of the independent simulation in support/paper_bench.py."""
-    write_csv(paper_run(np.random.default_rng(seed), directions=BOTH_WAYS, **hidden), Path(name))
+    write_csv(
+        diagnosis_bench.paper_run(np.random.default_rng(seed), directions=BOTH_WAYS, **hidden), Path(name)
+    )
     return name
 
 
@@ -187,7 +189,7 @@ def test_together_they_are_one_body_of_data(bench):
 
 @pytest.mark.slow
 def test_a_mistake_is_put_right_in_a_copy_alone(bench):
-    right = paper_run(np.random.default_rng(3), directions=BOTH_WAYS)
+    right = diagnosis_bench.paper_run(np.random.default_rng(3), directions=BOTH_WAYS)
     write_csv(replace(right, signal=right.signal[:, [1, 0, 2]]), Path("swapped.csv"))
     before = Path("swapped.csv").read_bytes()
     status, out, _ = bench("diagnose", "swapped.csv", "--strict", "--no-report", "--json", "d.json")
@@ -202,7 +204,7 @@ def test_a_mistake_is_put_right_in_a_copy_alone(bench):
 
 @pytest.mark.slow
 def test_the_search_goes_on_in_the_copy_and_its_model_says_on_which_correction_it_rests(bench):
-    right = paper_run(np.random.default_rng(4), directions=BOTH_WAYS, K2=(0, 150e-6, 0))
+    right = diagnosis_bench.paper_run(np.random.default_rng(4), directions=BOTH_WAYS, K2=(0, 150e-6, 0))
     signal = right.signal.copy()
     signal[20, 0] += 2e-3
     write_csv(replace(right, signal=signal), Path("both.csv"))
@@ -223,19 +225,15 @@ def test_the_search_goes_on_in_the_copy_and_its_model_says_on_which_correction_i
 
 
 @pytest.mark.slow
-def test_the_copy_of_a_run_tells_where_it_comes_from(bench):
-    assert bench("run", "calibration", "--dry-run", "--name", "a", "--seed", 5)[0] == 0
-    assert bench("export", "a", "--csv", "a.csv")[0] == 0
-    text = Path("a.csv").read_text(encoding="utf-8").splitlines()
-    cells = text[21].split(",")
-    ux = text[0].split(",").index("ux_v")
-    cells[ux] = str(float(cells[ux]) + 2e-3)
-    Path("a.csv").write_text("\n".join([*text[:21], ",".join(cells), *text[22:]]), encoding="utf-8")
-    assert bench("import", "a.csv", "--name", "b")[0] == 0
-    assert bench("diagnose", "b", "--no-report", "--json", "d.json")[0] == 0
-    copy = result_of("d.json")["corrected"]["readings"]
-    assert copy == str(Path("runs/b/diagnose-corrected.csv"))
-    printed(bench("calibrate", copy, "--json", "c.json"), "with corrected mistakes: installation")
+def test_the_copy_of_a_run_stands_in_its_folder_and_tells_where_it_comes_from(bench, paper_run):
+    """As a diagnosis writes it that left out one reading of the run."""
+    (source,) = load_sources(Request(["run"], Path("runs")))
+    mistake = Mistake("outlier", ("x",), ("1",), None, None, "one reading is off", 1e-9, ())
+    left = source.readings.select(np.arange(len(source.readings)) != 20)
+    found = MistakesAlone("run", True, (mistake,), left, "it ends here")
+    copy = MistakesResult(body_of([source]), found).written().to_dict()["corrected"]["readings"]
+    assert copy == str(Path("runs/run/diagnose-corrected.csv"))
+    printed(bench("calibrate", copy, "--json", "c.json"), "with corrected mistakes: one reading is off")
 
 
 @pytest.mark.parametrize(
@@ -260,8 +258,8 @@ def test_what_cannot_be_done_is_told_in_one_line(bench, arguments, message):
 @pytest.mark.slow
 def test_of_several_blocks_all_are_told(bench):
     """Scale factors 1 % apart: coefficients of both stand in the terminal and on the page, each its own."""
-    write_csv(paper_run(np.random.default_rng(21)), Path("first.csv"))
-    other = paper_run(np.random.default_rng(22))
+    write_csv(diagnosis_bench.paper_run(np.random.default_rng(21)), Path("first.csv"))
+    other = diagnosis_bench.paper_run(np.random.default_rng(22))
     write_csv(replace(other, signal=other.signal * 1.01), Path("second.csv"))
     out = printed(bench("diagnose", "first.csv", "second.csv", "--together", "--json", "d.json"))
     found = result_of("d.json")
@@ -292,7 +290,7 @@ def test_what_too_little_is_left_of_is_written_as_a_copy(bench):
 
 
 def test_a_block_that_was_not_remounted_is_named_though_the_rest_determines_too_little(bench):
-    taken, again = (paper_run(np.random.default_rng(seed)) for seed in (24, 25))
+    taken, again = (diagnosis_bench.paper_run(np.random.default_rng(seed)) for seed in (24, 25))
     signal = taken.signal.copy()
     signal[taken.installation == "2"] = again.signal[again.installation == "1"]
     write_csv(replace(taken, signal=signal), Path("r.csv"))
