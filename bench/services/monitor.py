@@ -45,16 +45,21 @@ def monitored(request: Monitor) -> Monitored:
     Raises `Refused` for a source without date, `CalibrationError` if runs are too few or unlike.
     """
     sources = tuple(load_sources(reading(request, *request.sources)))
-    return Monitored(monitor_chart([_run(source) for source in sources], request.baseline), sources)
+    return Monitored(monitor_chart([_dated(source) for source in sources], request.baseline), sources)
 
 
-def _run(source: Source) -> CheckRun:
+def _dated(source: Source) -> CheckRun:
     if source.made_at is None:
         raise Refused(f"{source.name}: has no date; use runs, or a file that 'bench export' wrote")
+    return check_run(source)
+
+
+def check_run(source: Source) -> CheckRun:
+    """Return the numbers of one monitor; its day is 1970-01-01 if unknown. Raises `CalibrationError`."""
     conditions = source.readings.conditions()
     stand = np.zeros((len(conditions.mounts), len(STAND_ANGLES)))
     force = source.model.specific_force(conditions, stand, Block(np.eye(3), np.zeros(3)))
-    when = datetime.fromisoformat(source.made_at)
+    when = datetime.fromisoformat(source.made_at or "1970-01-01")
     return monitor_run(
         source.name, when if when.tzinfo else when.replace(tzinfo=UTC), source.readings.signal, force
     )

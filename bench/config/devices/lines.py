@@ -53,9 +53,9 @@ class LineForm(WiredForm):
     @model_validator(mode="after")
     def _fits(self) -> LineForm:
         if list(re.compile(self.pattern).groupindex) != [self.group]:
+            such = rf"POS=(?P<{self.group}>[+-]\d+\.\d+)"
             raise ValueError(
-                "'pattern': expected one named group, such as in "
-                rf"'POS=(?P<{self.group}>[+-]\d+\.\d+)', got '{self.pattern}'"
+                f"expected one named group in the pattern, such as in '{such}', got '{self.pattern}'"
             )
         match = re.fullmatch(self.pattern, self.example)
         if match is None:

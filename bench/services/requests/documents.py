@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -295,10 +296,11 @@ class VerifyCertificate:
 class PlanKit:
     """The plan of an interlaboratory comparison."""
 
-    plan: Annotated[Path, Option("Plan to write (YAML).", argument=True)]
+    plan: Annotated[str | Path, Option("Plan to write (YAML).", argument=True, typed=Path)]
     _: KW_ONLY
     laboratory: Annotated[
-        list[str], Option("A laboratory, the pilot first (repeatable).", metavar="NAME", common=True)
+        Sequence[str],
+        Option("A laboratory, the pilot first (repeatable).", metavar="NAME", common=True, typed=list[str]),
     ]
     block: Annotated[str, Option("Type and serial number of the block.", metavar="TEXT", common=True)] = (
         "block"
@@ -310,9 +312,10 @@ class PlanKit:
 class SealKit:
     """Seals of results, before any is opened."""
 
-    plan: Annotated[Path, Option("Plan of the comparison.", argument=True)]
+    plan: Annotated[str | Path, Option("Plan of the comparison.", argument=True, typed=Path)]
     results: Annotated[
-        list[str], Option("Code and result file, or its SHA-256.", metavar="CODE=FILE…", argument=True)
+        Sequence[str],
+        Option("Code and result file, or its SHA-256.", metavar="CODE=FILE…", argument=True, typed=list[str]),
     ]
 
 
@@ -321,6 +324,13 @@ class EvaluateKit(SealKit):
     """The evaluation of all sealed results."""
 
     _: KW_ONLY
+    check: Annotated[
+        Sequence[str],
+        Option(
+            "Readings of a transport check of a stop: a monitor on arrival, then before departure (repeatable).",
+            metavar="CODE=FILE", common=True, typed=list[str],
+        ),
+    ] = ()  # fmt: skip
     g: Annotated[
         float | None, Option("Local gravity of the stated K, for a foreign certificate.", metavar="M/S2")
     ] = None
