@@ -62,7 +62,7 @@ from bench.services.bench_selection import bench_for_record, bench_path, why_tak
 from bench.services.errors import Refused
 from bench.services.fitness import agree_to_expired, is_away, refuse_unfit
 from bench.services.own_effects import effects_for_record, knowing_effects_on_record, simulated_truth
-from bench.services.persons import acting_at, operator_of
+from bench.services.persons import acting_at, operator_of, resumed_by
 from bench.services.requests.measuring import ResumeRequest, RunRequest
 from bench.services.requests.shared import name_to_type, runs_folder
 from bench.services.traceability import remarks
@@ -204,7 +204,7 @@ def _free_name(procedure: str, runs: Path) -> str:
 
 @dataclass(frozen=True)
 class AnswerChannels:
-    """The channels between people and a run.
+    """The channels between people and a run, and who resumed it (`resumed_by`), if known.
 
     `wishes` reads the requests (pause, skip, …) left in the run's folder. `asker` puts questions to a person; it
     is None for a run that asks nobody.
@@ -212,6 +212,7 @@ class AnswerChannels:
 
     wishes: WishListener
     asker: Asker | None = None
+    resumed_by: WishAuthor = NOBODY_KNOWN
 
 
 def heard_in(
@@ -274,6 +275,7 @@ def resumed(
     """
     away = is_away(request.answers, panel=request.panel)
     who = None if away else acting_at(TERMINAL, request.operator)
+    by = resumed_by("panel" if away else TERMINAL, request.operator)
     run = unfinished_run(request.name, runs_folder(request.runs), results_too=True)
     refuse_missing_devices(run)
     announce(run)
@@ -287,7 +289,7 @@ def resumed(
             if history.torn and not quiet.get():
                 print("note: the last line of the record was incomplete and was dropped", file=sys.stderr)
             if history.state is not RunState.FINISHED:
-                heard = heard_in(run, record, history, wishes, out, who)
+                heard = replace(heard_in(run, record, history, wishes, out, who), resumed_by=by)
                 accept_changes(run, heard.asker, out)
                 carry_out(run, record, out, history=history, wire=wire, interrupts=interrupts, heard=heard)
         yield Run(run.folder), interrupts
@@ -345,7 +347,14 @@ def carry_out(
             bar.recall(history.progress.chosen if history else ())
             # a stopped dry run is resumed by a person, who can be asked
             decider = heard.asker if history else None
-            people = People(assembly.person, decider, heard.asker, heard.wishes, hold_signals=signals.hold)
+            people = People(
+                assembly.person,
+                decider,
+                heard.asker,
+                heard.wishes,
+                hold_signals=signals.hold,
+                resumed_by=heard.resumed_by,
+            )
             live = _live(run, bench, watcher, heard.asker)
             recorder = Recorder(
                 record,
