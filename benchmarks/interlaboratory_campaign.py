@@ -74,7 +74,9 @@ def rounds(seed: int, numbers: range) -> tuple[list[bool], ...]:
         rng = np.random.default_rng([seed, number])
         wrong, which = int(rng.integers(LABORATORIES)), int(rng.integers(len(INTRINSIC)))
         sign, off, moved = rng.choice([-1.0, 1.0]), values.copy(), values.copy()
-        off[wrong, which] += OFF * sign * before[wrong].u[which]
+        # a pilot that is wrong is so at its returns as well
+        its = [wrong] if wrong else [0, *range(LABORATORIES, len(values))]
+        off[its, which] += OFF * sign * before[wrong].u[which]
         one = [one.off for one in judged(off, covariances)[0]]
         # the route is 0 1 2 (0) 3 4 (0): the block steps before the pilot's first return
         step = OFF * sign * np.sqrt((covariances[0] + covariances[LABORATORIES])[which, which])
