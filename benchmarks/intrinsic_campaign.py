@@ -87,7 +87,8 @@ def pairs(seed: int, numbers: range) -> Floats:
 
     Found by the nine jointly, by the twelve jointly, by any of the twelve.
     """
-    calibrator, rows = own("all"), []
+    calibrator = own("all")
+    rows: list[list[tuple[bool, ...]]] = []
     along = np.linalg.pinv(intrinsic(Block(K, U0), np.eye(12)).jacobian)
     for number in numbers:
         bench = Bench.drawn(np.random.default_rng([seed, number]), "all")
