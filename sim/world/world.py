@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import cmath
 import itertools
+import math
 import threading
 from bisect import bisect_right
 from contextlib import contextmanager
@@ -15,7 +17,6 @@ from bench.base.arrays import CHANNELS, Floats
 from bench.model.geometry import STAND_ANGLES, Distribution, stand_errors
 from sim.world.chance import KeyedNumbers
 from sim.world.clock import VirtualClock
-from sim.world.heat import Heat, Room
 from sim.world.pose import (
     HeadFault,
     HeadTurn,
@@ -29,12 +30,110 @@ from sim.world.pose import (
 from sim.world.power import Power, PowerSettings, dead_v
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Iterator, Mapping
 
     from bench.model.forward import ForwardModel
     from bench.model.geometry import Block
     from drivers.clock import Clock
     from drivers.interfaces import Channel, Direction, LevelAxis
+
+
+_LEAST_SPREAD: Final = 1e-6
+"""Smallest relative difference between the two lags: the formula for the block divides by their difference."""
+
+
+@dataclass(frozen=True)
+class _Stretch:
+    """A period from `since_s` in which the air is base + slope·s + Re(excess·exp(-s/lag)), s the time elapsed.
+
+    A complex lag is an air that rings. `block_c` is the block's temperature at the beginning.
+    """
+
+    since_s: float
+    base_c: float
+    slope_c_s: float
+    excess_c: complex
+    lag_s: complex
+    block_c: float
+
+    def air_c(self, time_s: float) -> float:
+        elapsed_s = max(0.0, time_s - self.since_s)
+        excess_c = self.excess_c * cmath.exp(-elapsed_s / self.lag_s)
+        return self.base_c + self.slope_c_s * elapsed_s + excess_c.real
+
+    def block_c_at(self, time_s: float, block_lag_s: float) -> float:
+        """Return the solution of block' = (air - block) / block_lag for the air of this period, °C."""
+        elapsed_s = max(0.0, time_s - self.since_s)
+        carried_c = self.excess_c * self.lag_s / (self.lag_s - block_lag_s) if self.excess_c else 0.0
+        left_c = self.block_c - (self.base_c - self.slope_c_s * block_lag_s + carried_c.real)
+        return (
+            self.base_c
+            + self.slope_c_s * (elapsed_s - block_lag_s)
+            + (carried_c * cmath.exp(-elapsed_s / self.lag_s)).real
+            + left_c * math.exp(-elapsed_s / block_lag_s)
+        )
+
+
+class Heat:
+    """The temperatures of the chamber air and of the block in it, both at `ambient_c` at time `now_s`.
+
+    `block_lag_s` is the time constant of the block behind the air. A demand holds until the next one.
+    """
+
+    def __init__(self, now_s: float, ambient_c: float, block_lag_s: float) -> None:
+        self._block_lag_s = block_lag_s
+        self._stretches = [_Stretch(now_s, ambient_c, 0.0, 0.0, 1.0, ambient_c)]
+
+    def air_c(self, time_s: float) -> float:
+        """Return the air's temperature at a time, °C."""
+        return self._at(time_s).air_c(time_s)
+
+    def block_c(self, time_s: float) -> float:
+        """Return the block's temperature at a time, °C."""
+        return self._at(time_s).block_c_at(time_s, self._block_lag_s)
+
+    def set_air(self, now_s: float, target_c: float) -> None:
+        """Set the air to `target_c` at once."""
+        self._go_on(now_s, target_c, 0.0, 0.0, 1.0)
+
+    def relax_air(self, now_s: float, target_c: float, lag_s: float) -> None:
+        """Let the air relax to `target_c` with a time constant, as in a chamber that is switched off."""
+        self._go_on(now_s, target_c, 0.0, self.air_c(now_s) - target_c, lag_s)
+
+    def ramp_air(
+        self, now_s: float, target_c: float, rate_c_s: float, lag_s: float, ringing_s: float = 0.0
+    ) -> None:
+        """Ramp the demand from the present air to `target_c` at `rate_c_s`; the air follows with its lag.
+
+        With a period `ringing_s` it overshoots the target, rings with this period and decays with the lag.
+        """
+        start_c = self.air_c(now_s)
+        slope_c_s = math.copysign(rate_c_s, target_c - start_c)
+        end_s = now_s + abs(target_c - start_c) / rate_c_s
+        self._go_on(now_s, start_c - slope_c_s * lag_s, slope_c_s, slope_c_s * lag_s, lag_s)
+        excess_c: complex = self.air_c(end_s) - target_c
+        after_s: complex = lag_s
+        if ringing_s and end_s > now_s:
+            rate = 2.0 * math.pi / ringing_s
+            rising_c_s = slope_c_s * (1.0 - math.exp(-(end_s - now_s) / lag_s))
+            # The imaginary part makes the air's rate continuous at the end of the ramp.
+            excess_c += 1j * (rising_c_s + excess_c.real / lag_s) / rate
+            after_s = 1.0 / complex(1.0 / lag_s, rate)
+        self._go_on(end_s, target_c, 0.0, excess_c, after_s)
+
+    def _go_on(
+        self, since_s: float, base_c: float, slope_c_s: float, excess_c: complex, lag_s: complex
+    ) -> None:
+        """Begin a new period at `since_s`; discard periods that were scheduled after it."""
+        if cmath.isclose(lag_s, self._block_lag_s, rel_tol=_LEAST_SPREAD):
+            lag_s = self._block_lag_s * (1.0 + _LEAST_SPREAD)
+        block_c = self.block_c(since_s)
+        kept = [stretch for stretch in self._stretches if stretch.since_s <= since_s]
+        self._stretches = [*kept, _Stretch(since_s, base_c, slope_c_s, excess_c, lag_s, block_c)]
+
+    def _at(self, time_s: float) -> _Stretch:
+        index = bisect_right(self._stretches, time_s, key=lambda stretch: stretch.since_s) - 1
+        return self._stretches[max(0, index)]
 
 
 class Terminals:
@@ -72,24 +171,6 @@ class Terminals:
         return self._world.fixed_random(purpose, self._channel)
 
 
-class Elsewhere:
-    """A world as a thermometer away from the block sees it: `at_c` of the time, s, is the temperature there."""
-
-    def __init__(self, world: World, at_c: Callable[[float | None], float]) -> None:
-        self._world = world
-        self.block_c_at = at_c
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._world, name)
-
-    @property
-    def block_c(self) -> float:
-        """The temperature now, °C."""
-        return self.block_c_at(None)
-
-    chamber_c = block_c
-
-
 SETTING_ERROR: Final = "setting_error"
 VOLTMETER_ERROR: Final = "voltmeter_error"
 STAND_NAMES: Final = (*STAND_ANGLES, SETTING_ERROR, VOLTMETER_ERROR)
@@ -104,7 +185,8 @@ class WorldSettings:
 
     `stand` maps names in `STAND_NAMES` to the distributions of the stand errors: the stand angles (rad, drawn at
     each mounting), "setting_error" alpha4 (rad, drawn at each turn of the head) and "voltmeter_error" (V, drawn
-    for each reading of each channel); an omitted error is zero. `room` is the temperature of the room;
+    for each reading of each channel); an omitted error is zero. The room swings about
+    `ambient_c` by `room_swing` (K, period in s), and the meters follow it with `meter_lag_s`.
     `block_time_constant_s` is the lag of the block behind the chamber air. A controlled chamber ramps its demand
     at `chamber_rate_c_s`, and its air follows with the lag `chamber_lag_s`; with a period `chamber_ringing_s` it
     overshoots and rings. Switched off, it relaxes to the room temperature with `chamber_off_lag_s`. The platform
@@ -116,7 +198,9 @@ class WorldSettings:
     model: ForwardModel
     stand: Mapping[str, Distribution]
     seed: int
-    room: Room = field(default_factory=Room)
+    ambient_c: float = 23.0
+    room_swing: tuple[float, float] = (0.0, 86400.0)
+    meter_lag_s: float = 0.0
     block_time_constant_s: float = 750.0
     chamber_rate_c_s: float = 4.0 / 60.0
     chamber_lag_s: float = 120.0
@@ -149,7 +233,7 @@ class World(KeyedNumbers):
         self._signals: dict[object, Floats] = {}
         self._stands_rad: dict[tuple[str, int], Floats] = {}
         now_s = clock.now_s()
-        self._heat = Heat(now_s, settings.room.ambient_c, settings.block_time_constant_s)
+        self._heat = Heat(now_s, settings.ambient_c, settings.block_time_constant_s)
         self._chamber_demand_c: float | None = None
         self._chamber_offset_c = 0.0
         self.head_fault = HeadFault()
@@ -299,9 +383,7 @@ class World(KeyedNumbers):
         """Let the chamber air relax to the room temperature."""
         with self._lock:
             self._chamber_demand_c = None
-            self._heat.relax_air(
-                self.clock.now_s(), self.settings.room.ambient_c, self.settings.chamber_off_lag_s
-            )
+            self._heat.relax_air(self.clock.now_s(), self.settings.ambient_c, self.settings.chamber_off_lag_s)
 
     def disturb_chamber(self, offset_c: float) -> None:
         """Add a control error `offset_c`, °C: from now on the air settles at the demand plus `offset_c`."""
@@ -423,12 +505,19 @@ class World(KeyedNumbers):
 
     def room_c(self, time_s: float | None = None) -> float:
         """Return the temperature of the room now, or at a time of the clock, °C."""
-        return self.settings.room.at_c((self.clock.now_s() if time_s is None else time_s) - self.began_s)
+        return self._swung_c(time_s, 0.0)
 
     def meters_c(self, time_s: float | None = None) -> float:
         """Return the temperature of the voltmeters now, or at a time of the clock, °C."""
+        return self._swung_c(time_s, self.settings.meter_lag_s)
+
+    def _swung_c(self, time_s: float | None, lag_s: float) -> float:
+        """Return the temperature of what follows the room with a first-order lag, after the first swings."""
         elapsed_s = (self.clock.now_s() if time_s is None else time_s) - self.began_s
-        return self.settings.room.at_c(elapsed_s, self.settings.room.meter_lag_s)
+        size_c, period_s = self.settings.room_swing
+        rate = math.tau / period_s
+        behind = math.sin(rate * elapsed_s - math.atan(rate * lag_s)) / math.hypot(1.0, rate * lag_s)
+        return self.settings.ambient_c + size_c * behind
 
     def level_shows_rad(self, axis: LevelAxis) -> float:
         """Return the present reading of the level on the platform, rad, with its zero error and new noise."""

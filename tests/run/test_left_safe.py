@@ -59,7 +59,7 @@ def test_every_way_out_leaves_the_bench_safe(tmp_path, monkeypatch, trouble, sta
         chamber = served["bench"].dialects["chamber"]
         assert b"STANDBY" in (chamber.handle(b"MODE?", lambda: False) or b"")
         assembly.clock.sleep(24 * 3600.0)
-        assert world.chamber_c == pytest.approx(world.settings.room.ambient_c, abs=0.1)
+        assert world.chamber_c == pytest.approx(world.settings.ambient_c, abs=0.1)
     record.close()
     assert read_history(tmp_path / "run").state is state
 

@@ -15,13 +15,14 @@ from bench.base.units import DurationS
 from bench.config.devices.device import (
     Device,
     IdentityPattern,
+    LineForm,
     PortSection,
+    Printable,
     WiredForm,
     any_resource,
     as_stated,
     resource_on,
 )
-from bench.config.devices.lines import LineForm, Printable
 from bench.config.devices.sections import (
     HeadTruth,
     LevelForm,

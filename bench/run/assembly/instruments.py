@@ -32,15 +32,14 @@ from drivers.person import Person
 from drivers.readout import Approach, ScaleOfEncoder
 from drivers.wire.resources import Holding
 from drivers.wire.visa import MessageSession, SerialSettings, Wire
-from sim.bench import SimulatedMeter
+from sim.bench import Elsewhere, SimulatedMeter
 from sim.keysight_34970a import Probe
 from sim.wires.faults import Fault
 from sim.wires.session import Dialect
-from sim.world.heat import Room
 from sim.world.operator import OperatorSettings
 from sim.world.pose import LevelSettings
 from sim.world.power import PowerSettings, Rail
-from sim.world.world import Elsewhere, World, WorldSettings
+from sim.world.world import World, WorldSettings
 
 
 @dataclass(frozen=True)
@@ -171,7 +170,9 @@ def world_of(bench: BenchFile, model: ForwardModel, seed: int, clock: Clock) -> 
         model=model,
         stand=bench.stand_distributions(),
         seed=seed,
-        room=Room(truth.ambient_temperature, truth.room.swing, truth.room.period, truth.room.meter_lag),
+        ambient_c=truth.ambient_temperature,
+        room_swing=(truth.room.swing, truth.room.period),
+        meter_lag_s=truth.room.meter_lag,
         chamber_rate_c_s=truth.chamber.rate,
         chamber_lag_s=truth.chamber.lag,
         chamber_off_lag_s=truth.chamber.off_lag,

@@ -167,7 +167,7 @@ class _Heating(Effect):
 def test_effects_see_time_since_the_beginning_and_the_temperature_of_the_block() -> None:
     model = ForwardModel({"1": INSTALLATION_1}, (AppliedEffect(_Heating(), {}),))
     clock = VirtualClock(start_s=1000.0)
-    world = World(WorldSettings(BLOCK, model, {}, 1), clock, began_s=1000.0)
+    world = World(WorldSettings(BLOCK, model, {}, 1, ambient_c=23.0), clock, began_s=1000.0)
     clock.sleep(250.0)
     assert world.signal_v("x") == pytest.approx(3.0, abs=1e-12)
     assert world.signal_v("y") == pytest.approx(250.0)
