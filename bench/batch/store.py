@@ -6,7 +6,6 @@ import glob
 import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
@@ -28,6 +27,7 @@ from bench.batch.job import (
 )  # fmt: skip
 from bench.run.events import EVENTS, MANIFEST, sha256
 from bench.run.folder import BENCH, EFFECTS, IMPORTED, PLAN
+from bench.services.chain import sync_folder
 from bench.services.errors import Refused
 from drivers.clock import Clock, SystemClock, utc_now
 
@@ -319,12 +319,7 @@ def _write_synced(file: Path, content: Any) -> None:
         written.flush()
         os.fsync(written.fileno())
     half.replace(file)
-    with suppress(OSError):  # not every system opens folders
-        folder = os.open(file.parent, os.O_RDONLY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
+    sync_folder(file.parent)
 
 
 PART_ROWS: Final = 256

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Final
 
 from bench.base.computing import missing
 from bench.base.numbers import read_number
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from bench.base.units import QuantityKind
 
 _OPTION: Final = re.compile(r"--([a-z][a-z-]*)( (?=[0-9.-]))?")
@@ -67,6 +71,15 @@ def sentence(error: Exception) -> str:
     if isinstance(error, OSError):
         return f"{error.filename or 'a file'}: {error.strerror or error}"
     return f"stopped by an error of the program ({kind_and_words(error)})"
+
+
+@contextmanager
+def refusing(remedy: str, place: Path | None = None, *, verb: str = "written") -> Iterator[None]:
+    """Turn an `OSError` within the context into a `Refused`, which names `place` (or the file) and the remedy."""
+    try:
+        yield
+    except OSError as error:
+        raise Refused(f"{place or error.filename}: cannot be {verb} ({error.strerror}); {remedy}") from error
 
 
 def quantity(option: str, text: str, kind: QuantityKind, *, plain: bool = True) -> float:

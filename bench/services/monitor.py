@@ -15,6 +15,7 @@ from bench.history.monitor import monitor_chart, monitor_run
 from bench.model.geometry import STAND_ANGLES, Block
 from bench.results.monitor import MonitorResult, monitor_figures, monitor_result
 from bench.services.arguments import python_call
+from bench.services.coefficients import date_of
 from bench.services.errors import Refused
 from bench.services.requests.history import Monitor
 from bench.services.source import Source, load_sources, reading
@@ -59,10 +60,8 @@ def check_run(source: Source) -> CheckRun:
     conditions = source.readings.conditions()
     stand = np.zeros((len(conditions.mounts), len(STAND_ANGLES)))
     force = source.model.specific_force(conditions, stand, Block(np.eye(3), np.zeros(3)))
-    when = datetime.fromisoformat(source.made_at or "1970-01-01")
-    return monitor_run(
-        source.name, when if when.tzinfo else when.replace(tzinfo=UTC), source.readings.signal, force
-    )
+    when = date_of(source.made_at, source.name) or datetime(1970, 1, 1, tzinfo=UTC)
+    return monitor_run(source.name, when, source.readings.signal, force)
 
 
 monitor = python_call(Monitor, monitored)
