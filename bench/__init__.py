@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 
     from bench.base.yaml_files import FileMistakes as FileMistakes
     from bench.calibration import CalibrationError as CalibrationError
+    from bench.certificate.interlaboratory import kit_evaluate as kit_evaluate
+    from bench.certificate.interlaboratory import kit_plan as kit_plan
+    from bench.certificate.interlaboratory import kit_seal as kit_seal
     from bench.config.bench_file.file import BenchFile as BenchFile
     from bench.readings.csv import ReadingsError as ReadingsError
     from bench.readings.table import Readings as Readings
@@ -58,6 +61,7 @@ if TYPE_CHECKING:
 
 _HOMES: Final = {
     "bench.calibration": ("CalibrationError",),
+    "bench.certificate.interlaboratory": ("kit_evaluate", "kit_plan", "kit_seal"),
     "bench.results.budget": ("BudgetResult",),
     "bench.services.planning": ("budget",),
     "bench.services.calibration": ("CalibrationResult", "Coefficient"),
