@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 
     from bench.base.yaml_files import FileMistakes as FileMistakes
     from bench.calibration import CalibrationError as CalibrationError
+    from bench.certificate.interlaboratory import kit_evaluate as kit_evaluate
+    from bench.certificate.interlaboratory import kit_plan as kit_plan
+    from bench.certificate.interlaboratory import kit_seal as kit_seal
     from bench.config.bench_file.file import BenchFile as BenchFile
     from bench.readings.csv import ReadingsError as ReadingsError
     from bench.readings.table import Readings as Readings
@@ -34,6 +37,7 @@ if TYPE_CHECKING:
     from bench.services.diagnosis import DiagnosisResult as DiagnosisResult
     from bench.services.diagnosis import FreeDiagnosisResult as FreeDiagnosisResult
     from bench.services.diagnosis import MistakesResult as MistakesResult
+    from bench.services.diagnosis import RecordDiagnosisResult as RecordDiagnosisResult
     from bench.services.errors import Refused as Refused
     from bench.services.face import DryRun as DryRun
     from bench.services.face import calibrate as calibrate
@@ -51,13 +55,13 @@ if TYPE_CHECKING:
     from bench.services.monitor import monitor as monitor
     from bench.services.planning import budget as budget
     from bench.services.record_calibration import RecordCalibrationResult as RecordCalibrationResult
-    from bench.services.record_diagnosis import RecordDiagnosisResult as RecordDiagnosisResult
     from bench.services.stability import RecordAtRest as RecordAtRest
     from bench.services.stability import stability as stability
     from bench.services.verification import VerificationResult as VerificationResult
 
 _HOMES: Final = {
     "bench.calibration": ("CalibrationError",),
+    "bench.certificate.interlaboratory": ("kit_evaluate", "kit_plan", "kit_seal"),
     "bench.results.budget": ("BudgetResult",),
     "bench.services.planning": ("budget",),
     "bench.services.calibration": ("CalibrationResult", "Coefficient"),
@@ -65,9 +69,10 @@ _HOMES: Final = {
     "bench.services.check_block": ("chart",),
     "bench.services.compensation": ("tumble",),
     "bench.services.confirmation": ("ConfirmationResult",),
-    "bench.services.diagnosis": ("DiagnosisResult", "FreeDiagnosisResult", "MistakesResult"),
+    "bench.services.diagnosis": (
+        "DiagnosisResult", "FreeDiagnosisResult", "MistakesResult", "RecordDiagnosisResult",
+    ),
     "bench.services.record_calibration": ("RecordCalibrationResult",),
-    "bench.services.record_diagnosis": ("RecordDiagnosisResult",),
     "bench.services.errors": ("Refused",),
     "bench.services.face": (
         "DryRun", "calibrate", "confirm", "diagnose", "diagnose_each", "dry_run", "load_bench",

@@ -171,13 +171,17 @@ def pairs(case: str, seed: int, numbers: range) -> tuple[int, int, int, int, int
     for k in numbers:
         rng = np.random.default_rng([seed, 100 + CASES.index(case), k])
         bench = Bench.drawn(rng, case)
-        first = _snapshot(own(case).of(simulate_whole(rng, case, bench, change=turn(rng)).readings), "a")
+        first = snapshot_of_run(
+            own(case).of(simulate_whole(rng, case, bench, change=turn(rng)).readings), "a"
+        )
         turned_by = turn(rng)
 
         def second(change: Floats, k: int = k, bench: Bench = bench) -> Snapshot:
             """The second calibration, with a change of the block, and the same noise whatever that is."""
             other = np.random.default_rng([seed, 100 + CASES.index(case), k, 1])
-            return _snapshot(own(case).of(simulate_whole(other, case, bench, change=change).readings), "b")
+            return snapshot_of_run(
+                own(case).of(simulate_whole(other, case, bench, change=change).readings), "b"
+            )
 
         unchanged = compare([first, second(turned_by)])
         differ += unchanged.changed
@@ -197,7 +201,8 @@ def turn(rng: np.random.Generator) -> Floats:
     return np.concatenate([(K @ turned(rng, np.radians(2.0)) - K).ravel(), np.zeros(3)])
 
 
-def _snapshot(found: Calibration, name: str) -> Snapshot:
+def snapshot_of_run(found: Calibration, name: str) -> Snapshot:
+    """Return a calibration for `compare`, by the meters of block 1."""
     return Snapshot(
         name, TODAY, "block 1", found.unit, found.g_m_s2, found.block.vector, found.covariance,
         same_meters=found.covariance_same_meters, meters=("1", "2", "3"), block_terms=found.block_terms,

@@ -120,9 +120,13 @@ class LevelPlatform(TypedDict):
 
 
 class Say(TypedDict):
-    """A task that changes nothing: read the chamber's thermometer, answer, wait, or see that the way is clear."""
+    """A task that changes nothing: read a thermometer, answer, wait, or see that the way is clear.
+
+    `of` is "meter" or "room" for a thermometer that is neither at the block nor the chamber's.
+    """
 
     do: Literal["read_temperature", "answer", "ask", "wait", "stand_clear"]
+    of: NotRequired[str]
 
 
 Action = (

@@ -54,6 +54,24 @@ class SimulatedMeter:
         return self.make(wiring, clock or world.clock, **self.options)
 
 
+class Elsewhere:
+    """A world as a thermometer away from the block sees it: `at_c` of the time, s, is the temperature there."""
+
+    def __init__(self, world: World, at_c: Callable[[float | None], float]) -> None:
+        self._world = world
+        self.block_c_at = at_c
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._world, name)
+
+    @property
+    def block_c(self) -> float:
+        """The temperature now, °C."""
+        return self.block_c_at(None)
+
+    chamber_c = block_c
+
+
 class SimulatedBench:
     """A context manager that serves the instruments of a world.
 

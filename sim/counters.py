@@ -1,4 +1,4 @@
-"""Simulated counters of an encoder on the head of the world: Heidenhain ND 281B and ND 287, MUX-10, a line of text.
+"""Simulated counters of an encoder on the head (Heidenhain ND 281B and ND 287, MUX-10, a line), a line thermometer.
 
 Sources: see their facts. The encoder has neither errors nor noise: its values are those of the head's scale.
 """
@@ -9,8 +9,8 @@ import math
 import re
 from typing import TYPE_CHECKING, Final
 
-from drivers.facts import encoder_line, mitutoyo_mux10
 from drivers.facts import heidenhain_nd28x as nd
+from drivers.facts import mitutoyo_mux10, text_line
 from sim.wires.session import LineEnds, PlainDialect
 
 if TYPE_CHECKING:
@@ -141,6 +141,34 @@ class MitutoyoMux10(Counter):
 _NUMBER: Final = re.compile(r"([+-]?)( *)(\d+)(?:\.(\d+))?")
 
 
+class _Reply:
+    """The reply to `request` in the form of the line `example`, in which `pattern` finds the number."""
+
+    def __init__(self, request: str, pattern: str, example: str, errors: tuple[str, ...], group: str) -> None:
+        self._request = request.encode("ascii")
+        self._error = next(iter(errors), "?").encode("ascii")
+        match = re.fullmatch(pattern, example)
+        first, last = match.span(group) if match else (0, len(example))
+        self._around = example[:first], example[last:]
+        self._example = example[first:last]
+
+    def to(self, message: bytes, value: float, failed: bool) -> bytes | None:
+        """Return a line for the request, the first of the errors if `failed`, and None for anything else."""
+        if message.removesuffix(b"\r") != self._request:
+            return None
+        begin, end = self._around
+        return self._error if failed else f"{begin}{self._number(value)}{end}".encode("ascii", "replace")
+
+    def _number(self, value: float) -> str:
+        """Return the number with sign, width and decimals as in the example."""
+        match = _NUMBER.fullmatch(self._example)
+        decimals = len(match[4] or "") if match else 4
+        whole = len(match[3]) if match else 1
+        wide = f"{abs(value):.{decimals}f}".zfill(whole + (decimals + 1 if decimals else 0))
+        plus = match[1] if match else ""
+        return f"{'-' if value < 0.0 else '+' if plus else ''}{wide}"
+
+
 class EncoderLine(Counter):
     """A counter that answers `request` with a line like `example`, in which `pattern` finds the number.
 
@@ -148,7 +176,7 @@ class EncoderLine(Counter):
     with the first of the `errors`, or with "?" if there is none.
     """
 
-    model = encoder_line.MODEL
+    model = text_line.MODEL
 
     def __init__(
         self,
@@ -166,29 +194,39 @@ class EncoderLine(Counter):
     ) -> None:
         super().__init__(world, zero_deg=zero_deg, falling=falling, referenced=referenced)
         self.line_ends = LineEnds((ends[0].encode(),), reply=ends[1].encode())
-        self._request = request.encode("ascii")
         self._per_deg = per_turn / 360.0
-        self._error = next(iter(errors), "?").encode("ascii")
-        match = re.fullmatch(pattern, example)
-        first, last = match.span(encoder_line.ANGLE) if match else (0, len(example))
-        self._around = example[:first], example[last:]
-        self._example = example[first:last]
+        self._reply = _Reply(request, pattern, example, errors, text_line.ANGLE)
 
     def handle(self, message: bytes, interrupted: Callable[[], bool]) -> bytes | None:
         """Return a line for the request, and None for anything else."""
-        if message.removesuffix(b"\r") != self._request:
-            return None
-        if self.failed:
-            return self._error
-        begin, end = self._around
-        return f"{begin}{self._number()}{end}".encode("ascii", "replace")
+        return self._reply.to(message, self.shown_deg * self._per_deg, self.failed)
 
-    def _number(self) -> str:
-        """Return the number with sign, width and decimals as in the example."""
-        match = _NUMBER.fullmatch(self._example)
-        decimals = len(match[4] or "") if match else 4
-        whole = len(match[3]) if match else 1
-        shown = f"{abs(self.shown_deg * self._per_deg):.{decimals}f}"
-        wide = shown.zfill(whole + (decimals + 1 if decimals else 0))
-        plus = match[1] if match else ""
-        return f"{'-' if self.shown_deg < 0.0 else '+' if plus else ''}{wide}"
+
+class LineThermometer(PlainDialect):
+    """A thermometer at the block that answers as an `EncoderLine` does, with its constant error `error_c`."""
+
+    model = text_line.MODEL
+
+    def __init__(
+        self,
+        world: World,
+        *,
+        request: str,
+        pattern: str,
+        example: str,
+        ends: tuple[str, str],
+        errors: tuple[str, ...] = (),
+        error_c: float = 0.0,
+    ) -> None:
+        self.line_ends = LineEnds((ends[0].encode(),), reply=ends[1].encode())
+        self._world = world
+        self._error_c = error_c
+        self._reply = _Reply(request, pattern, example, errors, text_line.TEMPERATURE)
+        self.failed = False
+
+    def power_cycle(self) -> None:
+        """Switch off and on, which changes nothing."""
+
+    def handle(self, message: bytes, interrupted: Callable[[], bool]) -> bytes | None:
+        """Return a line for the request, and None for anything else."""
+        return self._reply.to(message, self._world.block_c + self._error_c, self.failed)

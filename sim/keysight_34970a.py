@@ -376,8 +376,8 @@ class Probe:
 
     @property
     def temperature_c(self) -> float:
-        """The temperature of the room, °C."""
-        return self._world.settings.ambient_c
+        """The temperature of its meter, °C."""
+        return self._world.meters_c()
 
     def signal_v(self, time_s: float | None = None) -> float:
         """Return 0 V: to a voltmeter the sensor is a short."""
@@ -418,8 +418,12 @@ def meter_with_probe(
     error_c: float = 0.0,
     noise_c: float = 0.0,
     air_share: float = 0.0,
+    probes: Mapping[int, Probe] | None = None,
     **options: object,
 ) -> Keysight34970A:
-    """Return a meter with only a temperature sensor, on `channel`; `options` are those of the meter."""
+    """Return a meter with only a temperature sensor, on `channel`; `options` are those of the meter.
+
+    `probes` replaces this sensor by several, by channel.
+    """
     probe = Probe(world, sensor, error_c=error_c, noise_c=noise_c, air_share=air_share)
-    return Keysight34970A({channel: probe}, world.clock, **options)  # type: ignore[arg-type]
+    return Keysight34970A(probes or {channel: probe}, world.clock, **options)  # type: ignore[arg-type]

@@ -82,7 +82,7 @@ class LeicaNivel(PlainDialect):
 
     @property
     def _temperature(self) -> str:
-        return f"T:{self._world.settings.ambient_c:+.1f}"
+        return f"T:{self._world.room_c():+.1f}"
 
     @property
     def _addresses(self) -> str:

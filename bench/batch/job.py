@@ -8,6 +8,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
+from bench.base.arrays import CHANNELS
 from bench.base.computing import versions
 from bench.calibration.estimators import GLS, find_estimator
 from bench.config.bench_file.file import load_bench
@@ -136,6 +137,9 @@ def program() -> Mapping[str, str]:
 
 TEXT, NUMBER, WHOLE, FLAG, NUMBERS = "text", "number", "whole", "flag", "numbers"
 
+OF_METERS: Final = tuple(f"{what}_{channel}" for channel in CHANNELS for what in ("gain", "offset_v"))
+"""Columns of a record at a known input: gain and offset of each channel's meter."""
+
 _COMMON: Final = {
     **dict.fromkeys(("run", "name", "unit_type", "serial", "bench"), TEXT), "simulated": FLAG,
     **dict.fromkeys(("begun", "measured_with", "failed", "verdict_stored", "verdict"), TEXT),
@@ -158,6 +162,11 @@ _CALIBRATION: Final = {
         for column in (f"{name}_stored", name, f"u_{name}_stored", f"u_{name}", f"{name}_change_in_u")
     },
     "covariance": NUMBERS,
+    **{
+        column: NUMBER
+        for name in OF_METERS
+        for column in (f"{name}_stored", name, f"u_{name}_stored", f"u_{name}", f"{name}_change_in_u")
+    },
 }  # fmt: skip
 _DIAGNOSIS: Final = {
     "model": TEXT, "names_stored": TEXT, "names": TEXT, "names_differ": FLAG, "gap_before_stored": NUMBER,

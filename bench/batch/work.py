@@ -23,9 +23,11 @@ from bench.model import CATALOGUE, Effect
 from bench.model.geometry import COEFFICIENTS
 from bench.run.events import RecordError, read_manifest, sha256
 from bench.services.bodies import body_of
-from bench.services.calibration import CalibrationResult, calibration_of, report_page, verification_of
+from bench.services.calibration import CalibrationResult, calibrated, report_page, verification_of
 from bench.services.diagnosis import diagnosis_of
 from bench.services.errors import sentence
+from bench.services.record_calibration import RecordCalibrationResult
+from bench.services.requests.evaluation import Calibrate
 from bench.services.source import Source, load_sources
 from bench.services.verification import VerificationResult
 
@@ -86,13 +88,13 @@ def _of_run(job: Job, run: str) -> Row:
 
 
 def _calibrated(job: Job, source: Source) -> Row:
-    result = calibration_of(
-        source,
-        job.estimator,
-        nominal_angles=job.nominal_angles,
-        join_free=job.join_free,
+    asked = Calibrate(
+        source.name, estimator=job.estimator, nominal_angles=job.nominal_angles, join_free=job.join_free,
         join_verification=job.join_verification,
-    )
+    )  # fmt: skip
+    result = calibrated(asked, source)
+    if not isinstance(result, CalibrationResult):
+        return _of_meters(job, source, result)
     row: Row = {}
     verdict: VerificationResult | None = None
     if job.command == REPORT:
@@ -102,6 +104,40 @@ def _calibrated(job: Job, source: Source) -> Row:
         verdict = verification_of(result.source, result, job.asked())
     stored = stored_calibration(Path(source.name))
     return row | _compared(result, verdict, stored)
+
+
+def _of_meters(job: Job, source: Source, result: RecordCalibrationResult) -> Row:
+    """Return the columns of a record at a known input: gain and offset of each channel, beside the stored ones."""
+    row: Row = {}
+    if job.command == REPORT:
+        row["page"] = str(_written(job, source, report_page(result, job.asked())[0]))
+    told, notes = result.to_dict(), [*result.notes]
+    now = _meters_of(told)
+    before = _read(Path(source.name) / CALIBRATE_FILE, _meters_of, notes) or {}
+    moved = {
+        name: (value - before[name][0]) / before[name][1]
+        for name, (value, _) in now.items()
+        if name in before and before[name][1] > 0
+    }
+    for values, suffix in ((now, ""), (before, "_stored")):
+        row |= {f"{name}{suffix}": value for name, (value, _) in values.items()}
+        row |= {f"u_{name}{suffix}": u for name, (_, u) in values.items()}
+    row |= {f"{name}_change_in_u": change for name, change in moved.items()}
+    if moved:
+        largest = max(moved, key=lambda name: abs(moved[name]))
+        row |= {"largest_change_in_u": abs(moved[largest]), "largest_change_of": largest}
+    own = {"estimator": told["estimator"], "model": told["model"], "signal_unit": told["unit"]}
+    return row | own | {"readings_used": told["readings"]["used"], "notes": "; ".join(map(visible, notes))}
+
+
+def _meters_of(told: Mapping[str, Any]) -> dict[str, tuple[float, float]]:
+    """Return value and u of gain and offset by column of a stored result."""
+    return {
+        f"{what}_{channel}": (float(part[what]["value"]), float(part[what]["u"]))
+        for channel, part in told["channels"].items()
+        for what in ("gain", "offset_v")
+        if part[what] is not None
+    }
 
 
 def _written(job: Job, source: Source, page: str) -> Path:

@@ -6,8 +6,9 @@ import hashlib
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import numpy as np
 import yaml
@@ -16,18 +17,23 @@ from bench.base.arrays import u_of
 from bench.base.files import read_given, to_text, write_whole
 from bench.calibration.intrinsic import INTRINSIC
 from bench.certificate.dcc.reading import coefficients_in
-from bench.history.comparison import Snapshot, compare
-from bench.history.equivalence import against_others, consensus_weights
+from bench.history.comparison import Snapshot, compare, joint_of
+from bench.history.control_chart import CheckRun
+from bench.history.equivalence import Drift, against_others, consensus_weights, transport_dark
 from bench.history.measured import STANDARD_GRAVITY
-from bench.results.interlaboratory import KitResult, laboratories_of, render_kit
+from bench.results.interlaboratory import CHANGED_P, KitResult, drifts_of, laboratories_of, render_kit
 from bench.results.parts import ValuePart
+from bench.services.arguments import python_call
 from bench.services.coefficients import snapshot_of, snapshots_in
 from bench.services.errors import Refused
+from bench.services.monitor import check_run
+from bench.services.requests.documents import EvaluateKit, PlanKit, SealKit
+from bench.services.requests.shared import runs_folder
+from bench.services.source import Request, load_sources
 
 LETTERS: Final = "ACDEFHJKLMNPQRTUVWXY34679"
 CHECK: Final = "monitor-4 on arrival and before departure; both accompany the result"
 """What each stop measures so that a change in transport shows."""
-CHANGED_P: Final = 0.05
 SHA256: Final = re.compile(r"[0-9a-f]{64}")
 
 
@@ -126,10 +132,17 @@ def sealed(kit: Kit, given: Mapping[str, str]) -> Kit:
     )
 
 
-def evaluate_kit(kit: Kit, given: Mapping[str, str], g_m_s2: float | None = None) -> KitResult:
+def evaluate_kit(
+    kit: Kit,
+    given: Mapping[str, str],
+    g_m_s2: float | None = None,
+    checks: Mapping[str, Sequence[str]] | None = None,
+) -> KitResult:
     """Return the evaluation of results by code: files of `calibrate --json`, or DCCs (XML, PDF) of any program.
 
-    `g_m_s2` is the local gravity of certificates that do not state it. Raises `Refused` if a seal is missing or
+    `g_m_s2` is the local gravity of certificates that do not state it. `checks` are readings of monitors by code,
+    in order of time. What the block changed between them and between the pilot's stops, beyond u, widens u of each
+    difference. Raises `Refused` if a seal is missing or
     broken, or a stop has no result.
     """
     problems = [f"{s.code}: no result is given" for s in kit.stops if s.code not in given]
@@ -149,12 +162,16 @@ def evaluate_kit(kit: Kit, given: Mapping[str, str], g_m_s2: float | None = None
         raise Refused(f"results in {', '.join(units)}: compare signals of one unit")
     nine = [there[code].per(STANDARD_GRAVITY).in_nine() for code in once]
     values, covariances = (np.array([getattr(one, of) for one in nine]) for of in ("vector", "covariance"))
-    judged = against_others(values, covariances)
+    drifts = [*_between_pilots(pilots, there), *_between_checks(kit, checks or {})]
+    transport = transport_dark([drift for *_, drift in drifts], INTRINSIC)
+    judged = against_others(values, covariances, transport)
+    covariances = covariances + np.diag(transport**2)
     weights, dark = consensus_weights(values, covariances)
     joint = np.einsum("ka,kb,kab->ab", weights, weights, covariances)
     u = np.sqrt(u_of(joint) ** 2 + dark**2 * np.sum(weights**2, axis=0))
-    transport = compare([there[code] for code in pilots]).nine.p_constant if len(pilots) > 1 else None
+    p_same = compare([there[code] for code in pilots]).nine.p_constant if len(pilots) > 1 else None
     off = [code for code, one in zip(once, judged, strict=True) if one.off]
+    parts = drifts_of(drifts)
     return KitResult(
         block=kit.block, unit=units[0], g_m_s2=STANDARD_GRAVITY,
         consensus={
@@ -162,9 +179,40 @@ def evaluate_kit(kit: Kit, given: Mapping[str, str], g_m_s2: float | None = None
             for name, v, s in zip(INTRINSIC, np.sum(weights * values, axis=0), u, strict=True)
         },
         dark=dict(zip(INTRINSIC, dark.tolist(), strict=True)), laboratories=laboratories_of(once, judged),
-        transport_p=transport, off=off, accepted=not off and (transport is None or transport >= CHANGED_P),
+        transport_p=p_same, drifts=parts, transport=dict(zip(INTRINSIC, transport.tolist(), strict=True)), off=off,
+        accepted=not off and (p_same is None or p_same >= CHANGED_P) and not any(one.changed for one in parts),
         notes=[f"{code}: {note}" for code in once for note in _notes(there[code])],
     )  # fmt: skip
+
+
+_Seen = tuple[str, str, Literal["calibration", "monitor"], Drift]
+
+
+def _between_pilots(pilots: Sequence[str], there: Mapping[str, Snapshot]) -> Iterator[_Seen]:
+    """Yield the change of the nine from each stop of the pilot to its next; errors that both share cancel."""
+    for first, last in pairwise(pilots):
+        nine = [there[code].per(STANDARD_GRAVITY).in_nine() for code in (first, last)]
+        covariance = joint_of(nine).of_sums(np.tile([-1.0, 1.0], (len(INTRINSIC), 1)))
+        yield first, last, "calibration", Drift(INTRINSIC, nine[1].vector - nine[0].vector, covariance)
+
+
+def _between_checks(kit: Kit, checks: Mapping[str, Sequence[str]]) -> Iterator[_Seen]:
+    """Yield the change between successive monitors at one stop, and between those of the pilot's stops."""
+    before: tuple[str, CheckRun] | None = None
+    for stop in sorted(kit.stops, key=lambda stop: not stop.pilot):
+        of_stop = Request(list(checks.get(stop.code, ())), runs_folder(None))
+        runs = [check_run(source) for source in load_sources(of_stop)]
+        before = before if stop.pilot else None
+        for run in runs:
+            if before is not None:
+                code, own = before
+                if own.names != run.names:
+                    raise Refused(
+                        f"{code}, {stop.code}: monitors of different axes; give runs of one procedure"
+                    )
+                dof, covariance = own.s_dof + run.s_dof, own.covariance + run.covariance
+                yield code, stop.code, "monitor", Drift(run.names, run.value - own.value, covariance, dof)
+            before = stop.code, run
 
 
 def _read(path: Path, g_m_s2: float | None) -> Snapshot:
@@ -178,6 +226,61 @@ def _read(path: Path, g_m_s2: float | None) -> Snapshot:
 def _notes(one: Snapshot) -> Iterator[str]:
     if one.simulated:
         yield "of simulated instruments"
+
+
+def _by_code(given: Sequence[str]) -> dict[str, list[str]]:
+    """Return the files by code. Raises `Refused` for one that is not given as CODE=FILE."""
+    files: dict[str, list[str]] = {}
+    for code, _, file in (one.partition("=") for one in given):
+        if not code or not file:
+            raise Refused(f"{code or file}: give each file as CODE=FILE")
+        files.setdefault(code, []).append(file)
+    return files
+
+
+def _results(request: SealKit) -> dict[str, str]:
+    files = _by_code(request.results)
+    if twice := [code for code, given in files.items() if len(given) > 1]:
+        raise Refused(f"{', '.join(twice)}: give each result once, as CODE=FILE")
+    return {code: file for code, (file,) in files.items()}
+
+
+def kit_planned(request: PlanKit) -> Kit:
+    """Plan the route of the block with a blind code for each stop, and write it, as `bench kit plan` does.
+
+    Raises `Refused` for a plan that exists, fewer than three laboratories, or a name given twice.
+    """
+    path = Path(request.plan)
+    if path.exists():
+        raise Refused(f"{path}: exists, and a plan is not overwritten; name another")
+    kit = plan_kit(request.block, request.laboratory, request.seed)
+    write_kit(path, kit)
+    return kit
+
+
+def kit_sealed(request: SealKit) -> Kit:
+    """Note the seal (SHA-256) of each result, given as CODE=FILE, in the plan; return the plan.
+
+    Raises `Refused` for an unknown code, or one that is sealed with another result.
+    """
+    path = Path(request.plan)
+    kit = sealed(load_kit(path), _results(request))
+    write_kit(path, kit)
+    return kit
+
+
+def kit_evaluated(request: EvaluateKit) -> KitResult:
+    """Return each laboratory against the consensus of the others in the nine numbers, as `bench kit evaluate` does.
+
+    Results and checks are given as CODE=FILE. Raises `Refused` if a seal is missing or broken, or a stop has no
+    result.
+    """
+    return evaluate_kit(load_kit(Path(request.plan)), _results(request), request.g, _by_code(request.check))
+
+
+kit_plan = python_call(PlanKit, kit_planned, "kit_plan")
+kit_seal = python_call(SealKit, kit_sealed, "kit_seal")
+kit_evaluate = python_call(EvaluateKit, kit_evaluated, "kit_evaluate")
 
 
 def files_of(result: KitResult, out: Path) -> Iterator[tuple[str, Path, str]]:

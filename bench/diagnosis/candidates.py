@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import itertools
-from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
+from scipy.linalg import orth
 
 from bench.base.arrays import CHANNELS, Floats, Ints, Mask
 from bench.base.languages import message
@@ -33,37 +33,25 @@ def spells(readings: Readings, *, lasting: bool) -> Iterator[tuple[str, ...]]:
     effects that outlast a remount, every mounting is yielded, and so is everything after a pass, verification
     points included. A mounting with all its passes in the set is named by its own label.
     """
-    mounts = [
-        label if series == 1 else f"{label}/{series}"
-        for label, series in zip(readings.installation.tolist(), readings.series.tolist(), strict=True)
-    ]
-    kinds = readings.installation.tolist()
-    rows = zip(mounts, readings.pass_number.tolist(), kinds, strict=True)
-    cells = list(dict.fromkeys((mount, number) for mount, number, kind in rows if kind not in UNORIENTED))
-    checked = {mount for mount, kind in zip(mounts, kinds, strict=True) if kind == VERIFICATION}
-    seen: set[tuple[str, ...]] = set()
-    fitted = [cell for cell in cells if cell[0] not in checked]
-    of_visit = dict(zip(mounts, kinds, strict=True))
-    visits = Counter(of_visit[mount] for mount in {mount for mount, _ in fitted})
-    whole = {mount for mount, _ in fitted if lasting or visits[of_visit[mount]] > 1}
-    for chosen in _chosen(fitted, whole, cells if lasting else []):
-        labels = _labels(chosen, cells)
-        if labels not in seen:
-            seen.add(labels)
-            yield labels
-
-
-def _chosen(
-    fitted: Sequence[Cell], whole: Collection[str], to_the_end: Sequence[Cell]
-) -> Iterator[Sequence[Cell]]:
-    for mount in dict.fromkeys(mount for mount, _ in fitted):
+    conditions = readings.conditions()
+    mounts = [str(conditions.mounts[number]) for number in conditions.mount]
+    kinds = dict(zip(mounts, readings.installation.tolist(), strict=True))
+    of_all = zip(mounts, readings.pass_number.tolist(), strict=True)
+    cells = [cell for cell in dict.fromkeys(of_all) if kinds[cell[0]] not in UNORIENTED]
+    fitted = [cell for cell in cells if kinds[cell[0]] != VERIFICATION]
+    labels = list(dict.fromkeys(mount for mount, _ in fitted))
+    chosen: list[Sequence[Cell]] = []
+    for mount in labels:
         own = [cell for cell in fitted if cell[0] == mount]
-        yield from (own[first:] for first in range(1, len(own)))
+        chosen += [own[first:] for first in range(1, len(own))]
         if len(own) > 2:  # of two passes, one is as different from the other as the other from it
-            yield from ([cell] for cell in own[:-1])
-        if mount in whole and len(own) < len(fitted):
-            yield own
-    yield from (to_the_end[first:] for first in range(1, len(to_the_end)))
+            chosen += [[cell] for cell in own[:-1]]
+        again = sum(kinds[other] == kinds[mount] for other in labels) > 1
+        if (lasting or again) and len(own) < len(fitted):
+            chosen.append(own)
+    if lasting:
+        chosen += [cells[first:] for first in range(1, len(cells))]
+    yield from dict.fromkeys(_labels(one, cells) for one in chosen)
 
 
 def _labels(chosen: Sequence[Cell], cells: Sequence[Cell]) -> tuple[str, ...]:
@@ -236,29 +224,20 @@ def with_terms(candidates: Candidates, linear: LinearSystem) -> Candidates:
     """Return the candidates with the unnamed forms of the dictionary added: one family for each course and
     place.
     """
-    columns: list[Floats] = []
-    kinds, scale, variants = list(candidates.kinds), candidates.scale.tolist(), list(candidates.variants)
-    first = len(kinds)
+    columns, scale, variants = [candidates.columns], candidates.scale.tolist(), list(candidates.variants)
+    kinds = list(candidates.kinds)
     for term, channels, sizes in dictionary(linear):
-        places = tuple(range(first, first + len(sizes)))
-        first += len(sizes)
-        for size, channel, column in sizes:
-            columns.append(column)
-            kinds.append(Column(size, channel))
-            scale.append(term.unit.plausible)
+        places = tuple(range(len(kinds), len(kinds) + len(sizes)))
+        kinds += [Column(size, channel) for size, channel, _ in sizes]
+        scale += [term.unit.plausible] * len(sizes)
+        columns += [column[:, None] for *_, column in sizes]
         variants.append(Variant(term.family, places, channels, term=term))
-    whole = np.column_stack([candidates.columns, *columns])
-    return Candidates(whole, tuple(kinds), np.array(scale), tuple(variants))
+    return Candidates(np.concatenate(columns, axis=1), tuple(kinds), np.array(scale), tuple(variants))
 
 
 def is_form(candidates: Candidates, family: str) -> bool:
     """Return whether a family is an unnamed form with a formula."""
-    return (
-        candidates.variants[
-            candidates.by_family[candidates.family_starts[candidates.families.index(family)]]
-        ].term
-        is not None
-    )
+    return candidates.variants[candidates.of_family(family)[0]].term is not None
 
 
 def replace_columns(candidates: Candidates, columns: Floats) -> Candidates:
@@ -268,7 +247,6 @@ def replace_columns(candidates: Candidates, columns: Floats) -> Candidates:
 
 SAME: Final = 0.999
 """A pattern of whose square this part lies in an effect's own is the effect itself, written otherwise."""
-RANK: Final = 1e-9
 
 
 def without_copies(candidates: Candidates, white: Whitener) -> Candidates:
@@ -283,11 +261,8 @@ def without_copies(candidates: Candidates, white: Whitener) -> Candidates:
     unnamed = sorted({c for v in candidates.variants if not v.named for c in v.columns})
     columns = white @ candidates.columns
     left, same = columns[:, unnamed], np.zeros(len(candidates.kinds), dtype=bool)
-    bases = []
-    for of_effect in own.values():
-        u, size, _ = np.linalg.svd(columns[:, sorted(of_effect)], full_matrices=False)
-        bases.append(u[:, size > RANK * size[0]].T)
-    starts = np.cumsum([0, *(len(basis) for basis in bases[:-1])])
+    bases = [orth(columns[:, sorted(of_effect)], rcond=1e-9).T for of_effect in own.values()]
+    starts = np.cumsum([0, *map(len, bases[:-1])])
     explained = np.add.reduceat((np.concatenate(bases) @ left) ** 2, starts, axis=0)
     same[unnamed] = np.any(explained >= SAME * np.sum(left**2, axis=0), axis=0)
     kept = tuple(v for v in candidates.variants if v.named or not all(same[c] for c in v.columns))
@@ -333,14 +308,17 @@ def in_volts(effect: Effect) -> bool:
 
 def _in_model(variant: Variant, effects: Sequence[AppliedEffect]) -> bool:
     """Return whether the model has this effect already, in one of these channels and mountings."""
-    for applied in effects:
-        if applied.effect.name == variant.family:
-            per_channel = any(p.per_channel for p in applied.effect.parameters)
-            channels = not per_channel or any(CHANNELS[c] in applied.channels for c in variant.channels)
-            everywhere = not variant.mounts or not applied.installations
-            if channels and (everywhere or set(variant.mounts) & set(applied.installations)):
-                return True
-    return False
+    channels = {CHANNELS[c] for c in variant.channels}
+    return any(
+        applied.effect.name == variant.family
+        and (channels & set(applied.channels) or not any(p.per_channel for p in applied.effect.parameters))
+        and (
+            not variant.mounts
+            or not applied.installations
+            or bool(set(variant.mounts) & set(applied.installations))
+        )
+        for applied in effects
+    )
 
 
 # --- effects of the catalogue -----------------------------------------------------------------------
@@ -437,9 +415,6 @@ def plausible_columns(
 
 # --- families without a name ------------------------------------------------------------------------
 
-WAVES: Final = 6
-"""Number of half waves over a run that describe a slow change in time."""
-
 
 def add_free_patterns(collector: Collector, unit: float, visit: Ints) -> None:
     """Add unnamed patterns with a free value for each angle and each pass, by channel.
@@ -514,7 +489,7 @@ class KnownBench:
         The ranges in the record take precedence over the bench file.
         """
         fixed, said = self.fixed_ranges, message("the bench file has fixed ranges")
-        recorded = {str(text).strip() for text in readings.extra.get("range_v", ())} - {""}
+        recorded = _ranges(readings)
         if recorded:
             fixed, said = len(recorded) == 1, "all readings were taken on one range"
         why = {
@@ -534,9 +509,8 @@ class KnownBench:
 
         An empty string if there are none.
         """
-        recorded = {str(text).strip() for text in readings.extra.get("range_v", ())} - {""}
         unknown = {
-            "range_offset": self.fixed_ranges is None and not recorded,
+            "range_offset": self.fixed_ranges is None and not _ranges(readings),
             "channel_crosstalk": self.own_meters is None,
             "meters_exchanged": self.own_meters is None,
             "backlash": self.scale_on_axis is None,
@@ -548,6 +522,11 @@ class KnownBench:
             f"whether the bench can have {', '.join(names)} was not judged, as nobody named its bench file: "
             "they are looked for; --bench FILE says what meters and head it has"
         )
+
+
+def _ranges(readings: Readings) -> set[str]:
+    """Return the ranges in the record."""
+    return {str(text).strip() for text in readings.extra.get("range_v", ())} - {""}
 
 
 NOTHING_KNOWN = KnownBench()

@@ -14,8 +14,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -26,9 +26,10 @@ from scipy.special import logsumexp
 
 from bench.base.arrays import Floats, Ints
 from bench.base.computing import tracked
+from bench.base.files import write_whole
 from bench.diagnosis.candidates import KIND_PRIOR, Candidates
 from bench.diagnosis.linear import LinearSystem
-from bench.diagnosis.noise_grid import RATIOS, ColumnProducts, GramProducts, NoiseGrid, Products, Whitener
+from bench.diagnosis.noise_grid import RATIOS, ColumnProducts, GramProducts, NoiseGrid, Whitener
 from bench.model import CATALOGUE
 from bench.model.effects import FormulaEffect
 
@@ -38,9 +39,6 @@ LOG_SIZE_WEIGHTS: Final = tuple(float(np.log(w)) for w in (0.6, 0.28, 0.12))
 
 KNOWN_SIZE: Final = 20.0
 """Prior size, in plausible sizes, of an effect already in the model: wide, so that the data determine it."""
-
-EXCLUDED: Final = -1e9
-"""ln of the evidence assigned to a variant with a column that the model already has."""
 
 CHUNK: Final = 25
 """Data sets scored at once."""
@@ -74,8 +72,8 @@ class Whitened:
 
     grid: NoiseGrid
     candidates: Candidates
-    products: Products
-    kept: dict[str, Any] = field(default_factory=dict, compare=False, repr=False)
+    products: ColumnProducts | GramProducts
+    kept: dict[Any, Any] = field(default_factory=dict, compare=False, repr=False)
 
     @classmethod
     def of(cls, grid: NoiseGrid, candidates: Candidates, *, few_known: bool = False) -> Whitened:
@@ -84,11 +82,11 @@ class Whitened:
         if many > rows or few_known:
             whitened = np.empty((len(grid.white), rows, many))
             for white, columns in zip(grid.white, whitened, strict=True):
-                _whiten(white, candidates.columns, grid.sigma, columns)
+                columns[:] = _whitened(white, candidates.columns, grid.sigma)
             return cls(grid, candidates, ColumnProducts(whitened))
-        gram, columns = np.empty((len(grid.white), many, many)), np.empty((rows, many))
+        gram = np.empty((len(grid.white), many, many))
         for white, product in zip(grid.white, gram, strict=True):
-            _whiten(white, candidates.columns, grid.sigma, columns)
+            columns = _whitened(white, candidates.columns, grid.sigma)
             np.matmul(columns.T, columns, out=product)
         return cls(grid, candidates, GramProducts(gram))
 
@@ -96,15 +94,9 @@ class Whitened:
         """Drop the cached results of searches: they refer back to this object and would keep its memory in use."""
         self.kept.clear()
 
-    @property
-    def ratios(self) -> int:
-        """The number of ratios of the noise sizes."""
-        return len(self.grid.white)
-
     def among(self, ratio: int, columns: Sequence[int]) -> Floats:
         """Return the Gram matrix (k, k) of some columns for one ratio."""
-        chosen = np.array(columns, dtype=np.int64)
-        return self.products.across_at(ratio, chosen)[:, chosen]
+        return np.asarray(self.products.among(np.array(columns, dtype=np.int64))[ratio])
 
     @cached_property
     def square(self) -> Floats:
@@ -140,11 +132,13 @@ class Whitened:
         return Data(square, along)
 
 
-def _whiten(white: Whitener, columns: Floats, sigma: float, into: Floats) -> None:
-    """Write whitened columns (N, P), in units of `sigma`, `into` an array of that shape, some at a time."""
+def _whitened(white: Whitener, columns: Floats, sigma: float) -> Floats:
+    """Return whitened columns (N, P), in units of `sigma`, made some at a time."""
+    into = np.empty_like(columns)
     for start in range(0, columns.shape[1], CHUNK):
         part = slice(start, start + CHUNK)
         into[:, part] = white @ (columns[:, part] / sigma)
+    return into
 
 
 @dataclass(frozen=True)
@@ -164,16 +158,14 @@ class Group:
 class Search:
     """A search over all variants, given a model that already contains the `known` columns.
 
-    `inner` (ratios, known, known) is the Gram matrix of the known columns with their wide prior. `half` (ratios,
-    known, P) is the inverse Cholesky factor of `inner` times the products of the known columns with all P columns.
-    `gain` (ratios, known, P) fits all columns by the known ones.
+    `inverse` (ratios, known, known) is the inverse Cholesky factor of the Gram matrix of the known columns with
+    their wide prior. `half` (ratios, known, P) is this times the products of the known columns with all P columns.
     """
 
     whitened: Whitened
     known: tuple[int, ...]
-    gain: Floats
+    inverse: Floats
     half: Floats
-    inner: Floats
     log_det: Floats
 
     @classmethod
@@ -183,14 +175,9 @@ class Search:
         """
         h = np.array(known, dtype=np.int64)
         across = whitened.products.across(h)
-        inner = across[:, :, h] + np.eye(len(h)) / KNOWN_SIZE**2
-        factor = np.linalg.cholesky(inner)
-        inverse = np.linalg.inv(factor)
-        half = inverse @ across
-        gain = np.swapaxes(inverse, 1, 2) @ half
-        diagonal = np.diagonal(factor, axis1=1, axis2=2)
-        log_det = -np.sum(np.log(KNOWN_SIZE * diagonal), axis=1)
-        return cls(whitened, tuple(known), gain, half, inner, log_det)
+        inverse = np.linalg.inv(np.linalg.cholesky(across[:, :, h] + np.eye(len(h)) / KNOWN_SIZE**2))
+        log_det = np.sum(np.log(np.diagonal(inverse, axis1=1, axis2=2) / KNOWN_SIZE), axis=1)
+        return cls(whitened, tuple(known), inverse, inverse @ across, log_det)
 
     @cached_property
     def groups(self) -> tuple[Group, ...]:
@@ -208,13 +195,10 @@ class Search:
         if self.half.shape[1]:
             seen = np.moveaxis(self.half[:, :, columns], 1, 2)
             blocks = blocks - np.swapaxes(seen, 2, 3) @ seen
-        match columns.shape[1]:
-            case 1:
-                values, vectors = blocks[:, :, 0], np.ones_like(blocks)
-            case 2:
-                values, vectors = _of_pairs(blocks)
-            case _:
-                values, vectors = np.linalg.eigh(blocks)
+        if columns.shape[1] == 1:
+            values, vectors = blocks[:, :, 0], np.ones_like(blocks)
+        else:
+            values, vectors = np.linalg.eigh(blocks)
         return Group(members, columns, vectors, np.maximum(values, 0.0))
 
     @cached_property
@@ -237,17 +221,17 @@ class Search:
         projected out.
         """
         chosen = np.array(columns, dtype=np.int64)
-        across = sizes @ self.whitened.products.across_at(ratio, chosen)
+        across = sizes @ self.whitened.products.across(chosen)[ratio]
         return np.asarray(across - (self.half[ratio][:, chosen] @ sizes) @ self.half[ratio])
 
     def left_over(self, data: Data) -> Data:
         """Return the products of the data with the known columns fitted and subtracted."""
         if not self.known:
             return data
-        at_known = data.along[:, list(self.known)]
-        fitted = np.swapaxes(self.gain, 1, 2) @ at_known
-        explained = np.einsum("ghs,ghs->gs", at_known, np.linalg.solve(self.inner, at_known))
-        return Data(data.square - explained, data.along - fitted)
+        fitted = self.inverse @ data.along[:, list(self.known)]
+        return Data(
+            data.square - np.sum(fitted**2, axis=1), data.along - np.swapaxes(self.half, 1, 2) @ fitted
+        )
 
     def log_evidence(self, data: Data) -> float:
         """Return ln of the evidence of one data set with the known columns, integrated over the size of the
@@ -271,7 +255,8 @@ class Search:
         base = (grid.log_prior + grid.log_det + self.log_det)[:, None]
         of_null = base + grid.log_likelihood(left.square)
         null = _log_sum(of_null)
-        out = np.full((len(self.whitened.candidates.variants), left.sets), EXCLUDED)
+        # a variant with a column that the model already has
+        out = np.full((len(self.whitened.candidates.variants), left.sets), np.finfo(np.float64).min)
         if self.groups:
             out[self._together[0]] = _log_sum(base[:, None] + self._likelihoods(left))
         return Scores(out - null, np.exp(of_null - null))
@@ -330,16 +315,6 @@ def _log_sum(logarithms: Floats) -> Floats:
     return total
 
 
-def _of_pairs(blocks: Floats) -> tuple[Floats, Floats]:
-    """Return eigenvalues (…, 2) and eigenvectors (…, 2, 2) of symmetric matrices (…, 2, 2)."""
-    first, second, mixed = blocks[..., 0, 0], blocks[..., 1, 1], blocks[..., 0, 1]
-    middle, apart = (first + second) / 2, (first - second) / 2
-    radius, turn = np.hypot(apart, mixed), np.arctan2(mixed, apart) / 2
-    cosine, sine = np.cos(turn), np.sin(turn)
-    vectors = np.stack([np.stack([cosine, -sine], axis=-1), np.stack([sine, cosine], axis=-1)], axis=-2)
-    return np.stack([middle + radius, middle - radius], axis=-1), vectors
-
-
 # --- the threshold --------------------------------------------------------------------------------
 
 
@@ -349,12 +324,6 @@ FALSE_ALARMS: Final = 0.006
 """Probability of a false alarm: the search finds something where nothing is missing."""
 TAIL: Final = 0.05
 """Upper part of the simulated evidences to which an exponential tail is fitted."""
-
-
-CHANNEL_U: Final = 0.1
-"""Relative standard uncertainty of the noise of a channel, as determined from about fifty readings."""
-CHANNEL_STEP: Final = 1.5
-"""Step, a factor, of the coarse grid of channel noise sizes that share a threshold."""
 
 
 @dataclass(frozen=True)
@@ -397,24 +366,12 @@ def null_responses(linear: LinearSystem, sigma: float, ratios: Floats, rng: np.r
     """
     sets = len(ratios)
     setting = rng.standard_normal((linear.settings, sets)) * ratios / linear.typical_slope
-    response = rng.standard_normal((len(linear), sets)) * _row_sizes(linear, sets, rng)
+    response = rng.standard_normal((len(linear), sets)) * linear.relative[:, None]
     response += np.where(linear.setting >= 0, linear.slope, 0.0)[:, None] * setting[linear.setting]
     response *= sigma
     if linear.random.shape[1]:
         response += linear.random @ rng.standard_normal((linear.random.shape[1], sets))
     return response
-
-
-def _row_sizes(linear: LinearSystem, sets: int, rng: np.random.Generator) -> Floats:
-    """Return the relative noise of the rows, with random errors of the estimates for channels and runs."""
-    size = linear.relative[:, None]
-    if np.any(linear.by_channel != 1.0):
-        size = size * np.exp(CHANNEL_U * rng.standard_normal((4, sets)))[linear.rows.channel]
-    if linear.by_run is not None:
-        u = np.sqrt(0.5 / linear.by_run.freedom)[:, None]
-        off = np.exp(u * rng.standard_normal((len(u), sets)))
-        size = size * off[linear.readings.run[linear.rows.reading]]
-    return np.asarray(size)
 
 
 def make_threshold(linear: LinearSystem, whitened: Whitened, nulls: int = NULLS) -> Threshold:
@@ -463,13 +420,9 @@ class ThresholdCache:
             return Threshold(**json.loads(file.read_text(encoding="utf-8")))
         except (OSError, ValueError, TypeError, KeyError, RecursionError):
             made = make_threshold(linear, whitened)
-        try:
+        with suppress(OSError):  # the cache saves time and nothing else
             self.folder.mkdir(parents=True, exist_ok=True)
-            part = file.with_suffix(f".{os.getpid()}")
-            part.write_text(json.dumps(asdict(made)), encoding="utf-8")
-            part.replace(file)
-        except OSError:
-            pass  # the cache saves time and nothing else
+            write_whole(file, json.dumps(asdict(made)))
         return made
 
 
@@ -498,26 +451,13 @@ def _key(linear: LinearSystem, whitened: Whitened, setting_rad: float) -> str:
         np.round(np.linalg.norm(linear.random, axis=0) / scale, 6).tolist(),
         repr([(name, effect.parameters) for name, effect in CATALOGUE.items()]),
         whitened.candidates.families,
-        (NULLS, SEED, FALSE_ALARMS, KIND_PRIOR, TAIL, SIZES, LOG_SIZE_WEIGHTS, RATIOS, CHANNEL_U),
-        channel_steps(linear),
+        (NULLS, SEED, FALSE_ALARMS, KIND_PRIOR, TAIL, SIZES, LOG_SIZE_WEIGHTS, RATIOS, 0.1),
+        [0, 0, 0],  # sizes of channels: the files of a version that distinguished them stay valid
     ]
     if readings.run.any():
         parts += [readings.run.tolist(), None if readings.block is None else readings.block.tolist()]
-    if linear.by_run is not None:
-        parts += [size_steps(linear.by_run.sizes), np.round(linear.by_run.freedom / 10).tolist()]
     parts += formulas()
     return hashlib.sha256(repr(parts).encode()).hexdigest()[:32]
-
-
-def channel_steps(linear: LinearSystem) -> list[int]:
-    """Return the relative noise of the channels as steps of the coarse grid of thresholds."""
-    return size_steps(linear.by_channel)
-
-
-def size_steps(sizes: Floats) -> list[int]:
-    """Return sizes of noise as steps of the coarse grid, `CHANNEL_STEP` apart."""
-    steps: list[int] = np.round(np.log(sizes) / np.log(CHANNEL_STEP)).astype(int).tolist()
-    return steps
 
 
 DESIGN_COLUMNS: Final = ("scan_order", "reference_v", "range_v")

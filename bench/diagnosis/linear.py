@@ -9,10 +9,12 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from bench.base.arrays import Floats, Ints, Mask
 from bench.calibration.calibrate import first_guess
 from bench.calibration.design import FIXED, STEP_RAD, Problem, coefficient_columns, make_problem
+from bench.diagnosis.levels import FAR
 from bench.model.conditions import Conditions
 from bench.model.effects import AppliedEffect, Stage
 from bench.model.effects.base import Seen, rows_of
@@ -20,12 +22,12 @@ from bench.model.forward import ForwardModel
 from bench.model.geometry import STAND_ANGLES, Block, Installation, specific_force_on_platform
 from bench.readings.table import FREE, REFERENCE, SHORTED, VERIFICATION, Readings
 
-CONTRADICTS_RAD: Final = float(np.radians(0.5))
-"""Rotation from the stated orientation that changes no signature. A larger one is reported and used."""
-OF_LIMITS: Final = 5.0
-"""A rotation below this many standard uncertainties of the stand's angles is no contradiction either."""
 ONE_MOUNTING: Final = 0.01
-"""Largest root mean square residual, in rad, of directions that belong to one mounting."""
+"""Largest root mean square residual, in rad, of directions that belong to one mounting.
+
+A rotation from the stated orientation by less changes no signature. A larger one is reported and used, if it is
+beyond the limits of the stand.
+"""
 LEAST_APART: Final = 0.05
 """Least second singular value of the directions, per point, that determines an orientation."""
 
@@ -34,15 +36,13 @@ LEAST_APART: Final = 0.05
 class Orientation:
     """The orientation `block_from_platform` (3, 3) of the verification points, as the signals give it.
 
-    `off_rad` is the rotation from the orientation in the bench file, about `axis` (3,) of the block.
-    `missed_rad` is the root mean square residual of the directions. `contradicts` says whether the rotation
-    is significant.
+    `off_rad` is the rotation from the orientation in the bench file, about `axis` (3,) of the block. `contradicts`
+    says whether the rotation is significant.
     """
 
     block_from_platform: Floats
     off_rad: float
     axis: Floats
-    missed_rad: float
     contradicts: bool
 
     def in_words(self) -> str:
@@ -72,14 +72,13 @@ def orientation_of(
     if sizes[1] < LEAST_APART * len(rows):
         return None
     turn = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
-    missed = float(np.sqrt(np.mean(np.sum((seen - platform @ turn.T) ** 2, axis=1))))
-    if missed > ONE_MOUNTING:
+    if np.sqrt(np.mean(np.sum((seen - platform @ turn.T) ** 2, axis=1))) > ONE_MOUNTING:
         return None
     stated = model.installations[VERIFICATION].block_from_platform
-    off, axis = _turn(turn @ stated.T)
-    limits = np.linalg.norm([stand_u.get(name, 0.0) for name in STAND_ANGLES])
-    contradicts = off > max(CONTRADICTS_RAD, OF_LIMITS * float(limits))
-    return Orientation(turn, off, axis, missed, contradicts)
+    rotation = Rotation.from_matrix(turn @ stated.T).as_rotvec()
+    off = float(np.linalg.norm(rotation))
+    limits = float(np.linalg.norm([stand_u.get(name, 0.0) for name in STAND_ANGLES]))
+    return Orientation(turn, off, rotation / max(off, 1e-300), off > max(ONE_MOUNTING, FAR * limits))
 
 
 def as_measured(model: ForwardModel, orientation: Orientation | None) -> ForwardModel:
@@ -88,17 +87,6 @@ def as_measured(model: ForwardModel, orientation: Orientation | None) -> Forward
         return model
     measured = Installation(VERIFICATION, orientation.block_from_platform)
     return replace(model, installations={**model.installations, VERIFICATION: measured})
-
-
-def _turn(matrix: Floats) -> tuple[float, Floats]:
-    """Return angle (rad) and unit axis (3,) of a rotation."""
-    twice_sine = np.array(
-        [matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0], matrix[1, 0] - matrix[0, 1]]
-    )
-    angle = float(np.arctan2(np.linalg.norm(twice_sine), np.trace(matrix) - 1.0))
-    values, vectors = np.linalg.eigh((matrix + matrix.T) / 2)
-    axis = vectors[:, int(np.argmax(values))]
-    return angle, np.asarray(axis * (1.0 if axis @ twice_sine >= 0 else -1.0))
 
 
 MODULUS: Final = 3
@@ -169,11 +157,14 @@ class LinearSystem:
     def __len__(self) -> int:
         return len(self.response)
 
+    def with_random(self, *columns: Floats) -> LinearSystem:
+        """Return the system with more `random` columns (N, …) of unit variance."""
+        return replace(self, random=np.column_stack([self.random, *columns]))
+
     def with_noise(self, *columns: Floats) -> LinearSystem:
-        """Return the system with more `random` columns (N, …): shared noise of unit variance."""
-        random = np.column_stack([self.random, *columns])
-        added = random.shape[1] - self.random.shape[1]
-        return replace(self, random=random, of_noise=self.of_noise + added)
+        """Return the system with more `random` columns (N, …) that are noise, shared by readings."""
+        system = self.with_random(*columns)
+        return replace(system, of_noise=self.of_noise + system.random.shape[1] - self.random.shape[1])
 
     def design(self, effects: Floats) -> Floats:
         """Return the columns of coefficients, stand and own effects, and further `effects` (N, m)."""
@@ -197,16 +188,12 @@ class LinearSystem:
     @cached_property
     def relative(self) -> Floats:
         """Relative noise of each row, 1 for a channel and a run of average noise, shape (N,)."""
-        of_row = 1.0 if self.by_row is None else self.by_row
-        of_place = 1.0 if self.by_place is None else self.by_place
-        return self.relative_of_channel * self.relative_of_run * of_row * of_place
-
-    @cached_property
-    def relative_of_run(self) -> Floats:
-        """Relative noise of each row that is due to its run, 1 if the runs are alike, shape (N,)."""
-        if self.by_run is None:
-            return np.ones(len(self))
-        return np.asarray(self.by_run.sizes[self.readings.run[self.rows.reading]])
+        relative = self.relative_of_channel
+        if self.by_run is not None:
+            relative = relative * self.by_run.sizes[self.readings.run[self.rows.reading]]
+        for own in (self.by_row, self.by_place):
+            relative = relative if own is None else relative * own
+        return relative
 
     @property
     def relative_of_channel(self) -> Floats:
@@ -252,48 +239,27 @@ class LinearSystem:
     def _change(self, applied: AppliedEffect) -> Floats:
         return self.view.read(replace(self.model, effects=(applied,)), self.block) - self._still
 
-    def formula_columns(self, applied: AppliedEffect) -> Floats:
-        """Return the change of the rows by an effect that needs no path, from one linearised stage of the model.
+    def stage_columns(
+        self, of: AppliedEffect | Floats, stage: Stage, adds_to: str = "", *, of_force: bool = False
+    ) -> Floats:
+        """Return the change of the rows by one linearised stage of the model.
 
-        The shape is (N, 1) for an effect of the stand or the head, else (N, 3), a column for each channel.
-        """
-        effect = applied.effect
-        match effect.stage:
-            case Stage.STAND | Stage.HEAD_ANGLE:
-                force, by_angle = self._stand
-                many = (len(force), len(STAND_ANGLES))
-                signal = np.zeros(many) if effect.stage is Stage.STAND else self.conditions.angle_rad
-                added = applied.addition(Seen(signal, self.conditions, self.block))
-                by = by_angle[:, :, :-1] if effect.stage is Stage.STAND else by_angle[:, :, -1:]
-                change = np.einsum("nij,nj->ni", by, added.reshape(len(force), -1))
-                return self.view.rows_of(change)[:, None]
-            case _:
-                force, at_inputs = self._stand[0], self._still
-                of_block = effect.stage is Stage.BLOCK_OUTPUT
-                change = applied.addition(Seen(force if of_block else at_inputs, self.conditions, self.block))
-                return self._of_channels(change, of_block=of_block)
-
-    def course_columns(self, course: Floats, stage: Stage, adds_to: str = "", *, of_force: bool) -> Floats:
-        """Return the change of the rows by a time course, one value per reading (n,), shaped as by
-        `formula_columns`.
-
-        At the stand the course is added to the angle `adds_to`. At the block's output it is in g, or with
-        `of_force` a fraction of the specific force.
+        `of` is an effect that needs no path, at the block's output or the voltmeter, or a time course, one value
+        per reading (n,). At the stand the course is added to the angle `adds_to`. At the block's output it is in g,
+        or with `of_force` a fraction of the specific force. The shape is (N, 1) for a course of the stand or the
+        head, else (N, 3), a column for each channel.
         """
         force, by_angle = self._stand
-        match stage:
-            case Stage.STAND | Stage.HEAD_ANGLE:
-                number = STAND_ANGLES.index(adds_to) if stage is Stage.STAND else -1
-                return self.view.rows_of(by_angle[:, :, number] * course[:, None])[:, None]
-            case _:
-                of_block = stage is Stage.BLOCK_OUTPUT
-                change = np.repeat(course[:, None], 3, axis=1)
-                if of_block:
-                    change = change * np.diag(self.block.K) * (force if of_force else 1.0)
-                return self._of_channels(change, of_block=of_block)
-
-    def _of_channels(self, change: Floats, *, of_block: bool) -> Floats:
-        """Convert changes (n, 3) to rows by channel (N, 3); `of_block` sets them to 0 at other inputs."""
+        if stage in (Stage.STAND, Stage.HEAD_ANGLE):
+            number = STAND_ANGLES.index(adds_to) if stage is Stage.STAND else -1
+            return self.view.rows_of(by_angle[:, :, number] * np.asarray(of)[:, None])[:, None]
+        of_block = stage is Stage.BLOCK_OUTPUT
+        if isinstance(of, AppliedEffect):
+            change = of.addition(Seen(force if of_block else self._still, self.conditions, self.block))
+        else:
+            change = np.repeat(of[:, None], 3, axis=1)
+            if of_block:
+                change = change * np.diag(self.block.K) * (force if of_force else 1.0)
         if of_block:
             change = np.where(np.isnan(self.view.voltage_v), change, 0.0)
         return self.view.rows_of(change[:, :, None] * np.eye(3))
@@ -387,8 +353,7 @@ def make_linear(readings: Readings, model: ForwardModel, stand_u: Mapping[str, f
     others = problem.prior_mean
     given = np.full((len(readings), 3), np.nan)
     given[moduli] = _unit(force)  # how the block stood there its signals say better than any bench file
-    voltage_v = np.full((len(readings), 3), np.nan)
-    voltage_v[inputs] = _input_v(readings.select(kind_of == 2))
+    voltage_v, unstated = _references(readings)
     view = View(readings.conditions(), given, voltage_v, settings, moduli, inputs, by_signal)
 
     own = view.own(model, problem.effects_at(others), block)
@@ -401,7 +366,7 @@ def make_linear(readings: Readings, model: ForwardModel, stand_u: Mapping[str, f
     slope[: 3 * count] = problem.slope(block, others).ravel()
     setting = np.full(len(slope), -1)
     setting[: 3 * count] = np.repeat(np.arange(count), 3)
-    fixed, random = _columns(problem, block, _unit(force), view, label, _unstated(readings))
+    fixed, random = _columns(problem, block, _unit(force), view, label, unstated)
     rows = Rows(
         np.concatenate([np.repeat(settings, 3), moduli, np.repeat(inputs, 3)]),
         np.concatenate(
@@ -440,21 +405,20 @@ def _unit(vectors: Floats) -> Floats:
     return vectors / np.linalg.norm(vectors, axis=1, keepdims=True) if len(vectors) else vectors
 
 
-def _unstated(readings: Readings) -> Ints:
-    """Return the readings of a reference of unstated value. The prior u of that value is the value itself."""
+def _references(readings: Readings) -> tuple[Floats, Ints]:
+    """Return the voltage (n, 3) of each input, NaN elsewhere, and the references of unstated value.
+
+    The value of those is what the voltmeters read, its prior u that value itself.
+    """
+    volts = np.full((len(readings), 3), np.nan)
+    volts[readings.installation == SHORTED] = 0.0
+    unstated = []
     stated = readings.extra.get("reference_v", np.full(len(readings), ""))
-    blank = np.array([not str(text).strip() for text in stated], dtype=bool)
-    return np.flatnonzero((readings.installation == REFERENCE) & blank)
-
-
-def _input_v(inputs: Readings) -> Floats:
-    stated = inputs.extra.get("reference_v")
-    volts = np.zeros(len(inputs))
-    for i in range(len(inputs)):
-        text = "" if stated is None else str(stated[i]).strip()
-        if inputs.installation[i] == REFERENCE:
-            volts[i] = float(text) if text else float(np.mean(inputs.signal[i]))
-    return np.repeat(volts[:, None], 3, axis=1)
+    for i in np.flatnonzero(readings.installation == REFERENCE).tolist():
+        text = str(stated[i]).strip()
+        volts[i] = float(text) if text else float(np.mean(readings.signal[i]))
+        unstated += [] if text else [i]
+    return volts, np.array(unstated, dtype=np.int64)
 
 
 def own_column(problem: Problem, block: Block, view: View, number: int) -> Floats:

@@ -19,7 +19,6 @@ from bench.diagnosis.candidates import (
     SCALE_BY_RUN,
     SLOW_IN_TIME,
     SUBSETS,
-    WAVES,
     ZERO_BY_RUN,
     Candidates,
     Collector,
@@ -28,8 +27,8 @@ from bench.diagnosis.candidates import (
     add_free_patterns,
     make_candidates,
 )
-from bench.diagnosis.evidence import Data, Threshold, Whitened
-from bench.diagnosis.levels import HARDLY_EVER
+from bench.diagnosis.evidence import FALSE_ALARMS, Data, Threshold, Whitened
+from bench.diagnosis.levels import BY_CHANCE, HARDLY_EVER
 from bench.diagnosis.linear import LinearSystem, Rows, make_linear
 from bench.diagnosis.mistakes.search import Mistake, MistakeSearch, find_mistakes
 from bench.diagnosis.naming import FoundEffect, Naming, Scored, name
@@ -37,9 +36,9 @@ from bench.diagnosis.noise_grid import (
     NoiseGrid,
     grid_with_rounding,
     with_rounding,
-    with_sizes_of_runs,
 )
 from bench.diagnosis.posterior import noise_size, posterior
+from bench.diagnosis.residual_dictionary import FASTEST
 from bench.diagnosis.single_run_search import Prepared, SearchTask, choose_noise
 from bench.model.conditions import Conditions, Mounting
 from bench.model.effects import AppliedEffect, Effect, Stage
@@ -96,19 +95,18 @@ class JointSystem(LinearSystem):
         """Return the change of the rows by an effect of the block, a column for each channel, (N, 3)."""
         return np.concatenate([part.effect_columns(applied) for part in self.parts])
 
-    def formula_columns(self, applied: AppliedEffect) -> Floats:
-        """Return the change of the rows by an effect that needs no path and is the same in all blocks."""
-        return np.concatenate([part.formula_columns(applied) for part in self.parts])
-
-    def course_columns(self, course: Floats, stage: Stage, adds_to: str = "", *, of_force: bool) -> Floats:
-        """Return the change of the rows by a time course, one value per reading (n,), that is the same in all
-        blocks.
-        """
+    def stage_columns(
+        self, of: AppliedEffect | Floats, stage: Stage, adds_to: str = "", *, of_force: bool = False
+    ) -> Floats:
+        """Return the change of the rows by one linearised stage of the model, the same in all blocks."""
         assert self.readings.block is not None  # noqa: S101 - it is a system of several
-        own = [course[self.readings.block == number] for number in np.unique(self.readings.block)]
+        own = [
+            of if isinstance(of, AppliedEffect) else of[self.readings.block == number]
+            for number in np.unique(self.readings.block)
+        ]
         return np.concatenate(
             [
-                part.course_columns(mine, stage, adds_to, of_force=of_force)
+                part.stage_columns(mine, stage, adds_to, of_force=of_force)
                 for mine, part in zip(own, self.parts, strict=True)
             ]
         )
@@ -340,7 +338,7 @@ def _add_unnamed(collector: Collector, unit: float) -> None:
     phase = _phase(readings)[rows.reading]
     for channel in range(3):
         mine = (collector.linear.setting >= 0) & (rows.channel == channel)
-        waves = [unit * mine * np.cos(np.pi * k * phase) for k in range(1, WAVES + 1)]
+        waves = [unit * mine * np.cos(np.pi * k * phase) for k in range(1, FASTEST + 1)]
         collector.add_free(SLOW_IN_TIME, (channel,), waves)
     _add_by_run(collector, readings.run[rows.reading], unit)
 
@@ -391,11 +389,9 @@ def _phase(readings: Readings) -> Floats:
 # --- what one of several runs has alone: looked for in each, beside what was found in all of them together ----
 
 
-TOGETHER: Final = 0.004
-"""Probability of a false alarm in the joint search over several runs."""
-
-ALONE: Final = 0.002
-"""Probability of a false alarm in the searches of single runs, all runs together."""
+ALONE: Final = FALSE_ALARMS / 3
+TOGETHER: Final = FALSE_ALARMS - ALONE
+"""Probability of a false alarm in the searches of single runs, all runs together, and in the joint search."""
 
 
 @dataclass(frozen=True)
@@ -415,9 +411,6 @@ class _Run:
 COMMON: Final = 5
 """If more than one run in this many has finds of its own, they do not count as effects of single runs."""
 
-UNLIKELY: Final = 5.0
-"""ln odds that an effect of a single run must exceed, beside the common effects, to be kept."""
-
 
 def search_runs(task: SearchTask, readings: Readings) -> tuple[Prepared, Naming]:
     """Return the prepared readings of several runs and their finds; arguments and errors as `search_run`."""
@@ -426,7 +419,6 @@ def search_runs(task: SearchTask, readings: Readings) -> tuple[Prepared, Naming]
         return _prepared(task, linear, prepared.limit, most)
 
     whole = make_system(readings, task.model, task.stand)
-    whole = with_sizes_of_runs(whole, task.resolution / np.sqrt(12.0))
     whole = with_rounding(whole, task.resolution, task.repeats(whole).sigma)
     return choose_noise(*_prepared(task, whole), again)
 
@@ -496,7 +488,9 @@ def _stays(whitened: Whitened, data: Data, naming: Naming, one: FoundEffect) -> 
         return True
     others = [i for found in naming.found if found.variant != one.variant for i in found.variant.columns]
     scores = Scored.beside(whitened, data, others).scores
-    return float(scores.variants[whitened.candidates.variants.index(one.variant), 0]) > UNLIKELY
+    return float(scores.variants[whitened.candidates.variants.index(one.variant), 0]) > -float(
+        np.log(BY_CHANCE)
+    )
 
 
 def _common(linear: LinearSystem, whitened: Whitened, data: Data, naming: Naming) -> Floats:

@@ -19,7 +19,6 @@ from bench.diagnosis.evidence import (
     Search,
     Threshold,
     Whitened,
-    total_evidence,
 )
 from bench.model.effects import CATALOGUE
 
@@ -107,29 +106,32 @@ class Scored:
     def beside(cls, whitened: Whitened, data: Data, known: Sequence[int]) -> Scored:
         """Score all variants, given a model that contains the `known` columns.
 
-        The scores of the same data are cached, as a search requests them repeatedly.
+        The scores of the data scored last are cached, as a search requests them repeatedly.
         """
-        kept = _kept(whitened, data)
+        kept = whitened.kept
+        if kept.get("data") is not data:
+            kept.clear()
+            kept["data"] = data
         key = tuple(sorted(known))
-        scored = kept.pop(key, None)
-        scored = cls._beside(whitened, data, key) if scored is None else scored
+        scored = kept.pop(key, None) or cls._beside(whitened, data, key)
         kept[key] = scored
         if len(kept) > MOST_KEPT:
-            del kept[next(iter(kept))]
+            del kept[list(kept)[1]]
         return scored
 
     @classmethod
-    def _beside(cls, whitened: Whitened, data: Data, known: Sequence[int]) -> Scored:
-        search, candidates = Search.beside(whitened, known), whitened.candidates
+    def _beside(cls, whitened: Whitened, data: Data, key: tuple[int, ...]) -> Scored:
+        search, candidates = Search.beside(whitened, key), whitened.candidates
         scores = search.score(data)
         families = scores.families(candidates)[:, 0]
+        log_odds = families + candidates.log_prior
         return cls(
             search,
             search.left_over(data),
             scores,
             dict(zip(candidates.families, families.tolist(), strict=True)),
-            dict(zip(candidates.families, (families + candidates.log_prior).tolist(), strict=True)),
-            float(total_evidence(scores, whitened)[0]),
+            dict(zip(candidates.families, log_odds.tolist(), strict=True)),
+            float(logsumexp(log_odds)),
             int(np.argmax(scores.ratio[:, 0])),
         )
 
@@ -147,7 +149,7 @@ class Scored:
     def likeliest(self, family: str) -> Variant:
         """Return the form of a family that has the most evidence."""
         evidence = self._forms(family)
-        return self.search.whitened.candidates.variants[max(evidence, key=lambda i: evidence[i])]
+        return self.search.whitened.candidates.variants[max(evidence, key=evidence.__getitem__)]
 
     def _forms(self, family: str) -> dict[int, float]:
         of_family = self.search.whitened.candidates.of_family(family)
@@ -186,15 +188,6 @@ MOST_KEPT: Final = 24
 """The number of scored models that are cached for the data scored last."""
 
 
-def _kept(whitened: Whitened, data: Data) -> dict[tuple[int, ...], Scored]:
-    """Return the scores cached for these data, by the columns of the model; those of other data are dropped."""
-    if whitened.kept.get("data") is not data:
-        whitened.kept.clear()
-        whitened.kept.update(data=data, scored={})
-    scored: dict[tuple[int, ...], Scored] = whitened.kept["scored"]
-    return scored
-
-
 def name(
     whitened: Whitened,
     data: Data,
@@ -221,10 +214,10 @@ def name(
             if found == list(begun):
                 break
     scored = Scored.beside(whitened, data, _columns(found))
-    found_tied = tuple(
-        in_place(Scored.beside(whitened, data, _columns(found, but=i)), f, among) for i, f in enumerate(found)
+    beside = (Scored.beside(whitened, data, _columns(found, but=i)) for i in range(len(found)))
+    return Naming(
+        tuple(in_place(given, one, among) for given, one in zip(beside, found, strict=True)), scored.total
     )
-    return Naming(found_tied, scored.total)
 
 
 def _columns(found: Sequence[FoundEffect], but: int | None = None) -> list[int]:
@@ -278,7 +271,7 @@ def in_place(scored: Scored, one: FoundEffect, among: Among | None = None) -> Fo
     logs = np.array([scored.log_odds[f] for f in ranked])
     share = np.exp(logs - logsumexp(logs))
     odds = [FamilyOdds(f, float(p)) for f, p in zip(ranked, share, strict=True)]
-    likely = _holding(odds)
+    likely = holding(odds)
     explained = scored.explained(one.variant)
     aliases = _aliases(scored, one.variant, explained - ALIAS**2) if explained > (2 * ALIAS) ** 2 else {}
     fewest = min(len(one.variant.columns), aliases.pop(family, len(one.variant.columns)))
@@ -295,15 +288,11 @@ def in_place(scored: Scored, one: FoundEffect, among: Among | None = None) -> Fo
         ties=tuple(ties),
         plainer_than=tuple(f for f in plainer if f not in ties),
         same=tuple(f for f in ties if f in same),
-        odds=tuple(o for o in odds if o.probability >= LEAST_SAID or o.name in ties),
+        odds=tuple(o for o in odds if o.probability >= 1.0 - SET or o.name in ties),
     )
 
 
-LEAST_SAID: Final = 1e-3
-"""Posterior probability below which a family is not listed."""
-
-
-def _holding(odds: Sequence[FamilyOdds]) -> list[str]:
+def holding(odds: Sequence[FamilyOdds]) -> list[str]:
     """Return the first family if its probability reaches `ALONE`, else the first ones that together reach `SET`."""
     if odds[0].probability >= ALONE:
         return [odds[0].name]

@@ -5,17 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy import special
+from scipy.linalg import null_space
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from bench.base.arrays import Floats, Ints, Mask
-from bench.diagnosis.levels import BY_CHANCE, NEGLIGIBLE
-from bench.diagnosis.linear import MODULUS, LinearSystem, RunSizes
+from bench.diagnosis.levels import NEGLIGIBLE
+from bench.diagnosis.linear import MODULUS, LinearSystem
 from bench.readings.table import Readings
 
 
@@ -166,10 +165,7 @@ def make_noise_grid(
         distance = (np.log(np.maximum(grid, 0.25)) - known) / RATIO_SPREAD
         log_prior = -0.5 * np.minimum(distance**2, 25.0)
         log_prior = log_prior - np.logaddexp.reduce(log_prior)
-    # sizes of runs beside each other come from the same readings
-    freedom = (
-        len(linear) - linear.fixed.shape[1] - (0 if linear.by_run is None else len(linear.by_run.sizes) - 1)
-    )
+    freedom = len(linear) - linear.fixed.shape[1]
     return NoiseGrid(tuple(whites), np.array(log_dets), log_prior, grid / typical, sigma, freedom)
 
 
@@ -247,19 +243,6 @@ def _as_slice(rows: Ints) -> slice | Ints:
     return slice(first, last + 1) if last - first == len(rows) - 1 else rows
 
 
-class Products(Protocol):
-    """Interface to the scalar products of P whitened columns, for each ratio of the noise sizes."""
-
-    def across(self, columns: Ints) -> Floats:
-        """Return the products of some columns (k,) with all, shape (ratios, k, P)."""
-
-    def across_at(self, ratio: int, columns: Ints) -> Floats:
-        """Return the products of some columns (k,) with all for one ratio, shape (k, P)."""
-
-    def among(self, columns: Ints) -> Floats:
-        """Return the products of columns (…, p) with each other, shape (ratios, …, p, p)."""
-
-
 @dataclass(frozen=True)
 class ColumnProducts:
     """Scalar products of whitened columns, computed on demand.
@@ -273,10 +256,6 @@ class ColumnProducts:
     def across(self, columns: Ints) -> Floats:
         """Return the products of some columns (k,) with all, shape (ratios, k, P)."""
         return np.swapaxes(self.white[:, :, columns], 1, 2) @ self.white
-
-    def across_at(self, ratio: int, columns: Ints) -> Floats:
-        """Return the products of some columns (k,) with all for one ratio, shape (k, P)."""
-        return np.asarray(self.white[ratio][:, columns].T @ self.white[ratio])
 
     def among(self, columns: Ints) -> Floats:
         """Return the products of columns (…, p) with each other, shape (ratios, …, p, p)."""
@@ -300,10 +279,6 @@ class GramProducts:
         """Return the products of some columns (k,) with all, shape (ratios, k, P)."""
         return np.asarray(self.gram[:, columns])
 
-    def across_at(self, ratio: int, columns: Ints) -> Floats:
-        """Return the products of some columns (k,) with all for one ratio, shape (k, P)."""
-        return np.asarray(self.gram[ratio][columns])
-
     def among(self, columns: Ints) -> Floats:
         """Return the products of columns (…, p) with each other, shape (ratios, …, p, p)."""
         return np.asarray(self.gram[:, columns[..., :, None], columns[..., None, :]])
@@ -314,8 +289,6 @@ class GramProducts:
 
 LEAST_FREEDOM: Final = 6
 """Least number of settings beyond the saturated description from which repeats determine the noise."""
-RATIOS2: Final = np.append(0.0, np.geomspace(1e-2, 1e6, 81))
-"""Trial variances of the setting error where it is largest, in units of the noise variance."""
 
 
 @dataclass(frozen=True)
@@ -338,87 +311,37 @@ def noise_of_repeats(linear: LinearSystem, resolution: float) -> Repeats:
     accounts for the errors that the description carries from one setting to another. With too few repeats,
     the scatter about the model is used instead. The noise is never below the rounding to `resolution`.
     """
-    parts = parts_of_repeats(linear)
-    floor = max(resolution / np.sqrt(12.0), 1e-11 * float(np.max(np.abs(linear.readings.signal))))
-    if parts.freedom < LEAST_FREEDOM:
-        return Repeats(max(_about_model(linear), floor), max(linear.settings - 4, 1))
-    return Repeats(max(likeliest(parts).sigma, floor), parts.freedom)
-
-
-@dataclass(frozen=True)
-class IndependentParts:
-    """Independent residuals of repeats: their `squares` (m,), and the setting error's share `along` (m,).
-
-    The residuals are scaled by the relative noise of the rows. `freedom` is in settings.
-    """
-
-    squares: Floats
-    along: Floats
-    freedom: int
-
-
-@dataclass(frozen=True)
-class Likeliest:
-    """Maximum likelihood noise `sigma`, its degrees of freedom, and the squares over their expectation.
-
-    The degrees of freedom are reduced by those that determine the setting error.
-    """
-
-    sigma: float
-    freedom: float
-    scaled: Floats
-
-
-def parts_of_repeats(linear: LinearSystem, chosen: Mask | None = None) -> IndependentParts:
-    """Return the residuals of repeats, of all readings or of the readings `chosen` (n,), which must be whole
-    mountings.
-    """
     oriented = linear.setting >= 0
-    readings = linear.readings
-    reading = linear.rows.reading[oriented][::3]
-    left = (linear.response / linear.relative)[oriented].reshape(-1, 3)
-    slope = (linear.slope / linear.relative)[oriented].reshape(-1, 3)
-    angle = np.round(np.degrees(readings.angle_rad[reading]) / 5.0).astype(int)
-    mount = np.array(_mounts(linear))
-    used = np.ones(len(mount), dtype=bool) if chosen is None else chosen[reading]
+    left, slope = (
+        of[oriented].reshape(-1, 3) for of in np.array([linear.response, linear.slope]) / linear.relative
+    )
+    passes = linear.readings.pass_number[linear.rows.reading[oriented][::3]]
+    mount, angle = _mounts_and_angles(linear)
     squares, along, freedom = [np.zeros(0)], [np.zeros(0)], 0
-    for label in dict.fromkeys(mount[used].tolist()):
-        own = mount == label
-        passes = readings.pass_number[reading]
-        free = _beyond(_saturated(angle[own], passes[own], readings.angle_rad[reading][own]))
-        part = _of_mount(free, left[own], slope[own])
-        squares.append(part[0])
-        along.append(part[1])
+    for one in np.unique(mount):
+        own = mount == one
+        free = null_space(_saturated(angle[own], passes[own]).T, rcond=1e-9)
+        turned = (free[:, :, None] * slope[own][:, None, :]).reshape(len(free), -1).T
+        vectors, size, _ = np.linalg.svd(turned)
+        squares.append((vectors.T @ (free.T @ left[own]).ravel()) ** 2)
+        along.append(np.pad(size**2, (0, len(vectors) - len(size))))
         freedom += free.shape[1]
-    return IndependentParts(np.concatenate(squares), np.concatenate(along), freedom)
+    floor = max(resolution / np.sqrt(12.0), 1e-11 * float(np.max(np.abs(linear.readings.signal))))
+    if freedom < LEAST_FREEDOM:
+        return Repeats(max(_about_model(linear), floor), max(linear.settings - 4, 1))
+    return Repeats(max(_likeliest(np.concatenate(squares), np.concatenate(along)), floor), freedom)
 
 
-def _of_mount(free: Floats, left: Floats, slope: Floats) -> tuple[Floats, Floats]:
-    """Return the squares (3k,) of independent parts of `left` (n, 3), and the setting error's share in each.
+def _likeliest(squares: Floats, along: Floats) -> float:
+    """Return the maximum likelihood noise of independent residuals with these squares (m,).
 
-    `free` (n, k) spans the complement of the saturated description. Units are the channels' relative noise.
+    The setting error's share is `along` (m,). Its variance, in units of that of the noise, is tried on a grid.
     """
-    turned = (free[:, :, None] * slope[:, None, :]).reshape(len(slope), -1).T
-    vectors, size, _ = np.linalg.svd(turned)
-    parts = vectors.T @ (free.T @ left).ravel()
-    along = np.zeros(len(parts))
-    along[: len(size)] = size**2
-    return parts**2, along
-
-
-def likeliest(parts: IndependentParts) -> Likeliest:
-    """Return the maximum likelihood noise of these residuals, estimated jointly with a setting error."""
-    squares, along = parts.squares, parts.along
-    ratio = RATIOS2 / max(float(along.max()), 1e-300)
+    ratio = np.append(0.0, np.geomspace(1e-2, 1e6, 81)) / max(float(along.max()), 1e-300)
     size = 1.0 + np.outer(ratio, along)
     noise2 = np.mean(squares / size, axis=1)
     misfit = len(squares) * np.log(np.maximum(noise2, 1e-300)) + np.sum(np.log(size), axis=1)
-    best = int(np.argmin(misfit))
-    # of the information on the noise the setting error takes what both have in common
-    shared = along / size[best]
-    taken = float(shared.sum()) ** 2 / max(float(shared @ shared), 1e-300)
-    expected = np.maximum(noise2[best], 1e-300) * size[best]
-    return Likeliest(float(np.sqrt(noise2[best])), len(squares) - taken, squares / expected)
+    return float(np.sqrt(noise2[np.argmin(misfit)]))
 
 
 def _about_model(linear: LinearSystem) -> float:
@@ -435,33 +358,29 @@ def _about_model(linear: LinearSystem) -> float:
     return float(np.sqrt(np.sum(across**2) / (2 * max(len(rest) - 4, 1)) / share))
 
 
-def cells_of(linear: LinearSystem) -> NDArray[np.int64]:
+def cells_of(linear: LinearSystem) -> Ints:
     """Return the cell number (n,) of each setting by mounting and angle, to 5 deg; a cell holds repeats."""
-    reading = linear.rows.reading[linear.setting >= 0][::3]
-    angle = np.round(np.degrees(linear.readings.angle_rad[reading]) / 5.0).astype(int)
-    keys = list(zip(_mounts(linear), angle.tolist(), strict=True))
-    number = {key: i for i, key in enumerate(dict.fromkeys(keys))}
-    return np.array([number[key] for key in keys], dtype=np.int64)
+    cells = np.column_stack([_mounts_and_angles(linear)[0], np.round(_mounts_and_angles(linear)[1] / 5.0)])
+    return np.unique(cells, axis=0, return_inverse=True)[1].ravel()
 
 
-def _mounts(linear: LinearSystem) -> list[str]:
+def _mounts_and_angles(linear: LinearSystem) -> tuple[Ints, Floats]:
+    """Return the number of the mounting (n,) and the angle (n,), deg, of each setting."""
     readings, reading = linear.readings, linear.rows.reading[linear.setting >= 0][::3]
-    return [f"{s}/{i}" for s, i in zip(readings.series[reading], readings.installation[reading], strict=True)]
+    labels = zip(readings.series[reading].tolist(), readings.installation[reading].tolist(), strict=True)
+    number: dict[object, int] = {}
+    mount = np.array([number.setdefault(label, len(number)) for label in labels], dtype=np.int64)
+    return mount, np.degrees(readings.angle_rad[reading])
 
 
-def _saturated(angle: Ints, passes: Ints, angle_rad: Floats) -> Floats:
+def _saturated(angle_deg: Floats, passes: Ints) -> Floats:
     """Return the columns of the saturated description of the settings of a mounting."""
-    cells = (angle[:, None] == np.unique(angle)).astype(np.float64)
+    near = np.round(angle_deg / 5.0)
+    cells = (near[:, None] == np.unique(near)).astype(np.float64)
     of_pass = (passes[:, None] == np.unique(passes)).astype(np.float64)
-    waves = [of_pass * np.cos(angle_rad)[:, None], of_pass * np.sin(angle_rad)[:, None]]
-    rank = np.arange(len(angle), dtype=np.float64)[:, None] / len(angle)
-    return np.column_stack([cells, of_pass, *waves, rank])
-
-
-def _beyond(columns: Floats) -> Floats:
-    """Return an orthonormal basis (n, k) of the complement of the columns (n, p)."""
-    u, size, _ = np.linalg.svd(columns)
-    return np.asarray(u[:, np.count_nonzero(size > 1e-9 * size[0]) :])
+    angle = np.radians(angle_deg)[:, None]
+    rank = np.arange(len(near), dtype=np.float64)[:, None] / len(near)
+    return np.column_stack([cells, of_pass, of_pass * np.cos(angle), of_pass * np.sin(angle), rank])
 
 
 HARDLY_ANY: Final = 0.1
@@ -521,49 +440,3 @@ def repeated(digit: float, sigma: float) -> float:
     s2 = max(sigma**2 / digit**2 - 1.0 / 12.0, 0.0)
     k2 = np.arange(1, TERMS + 1) ** 2
     return float(digit * np.sqrt(np.sum(np.exp(-4 * np.pi**2 * k2 * s2) / (2 * np.pi**2 * k2))))
-
-
-def with_sizes_of_runs(linear: LinearSystem, least: float) -> LinearSystem:
-    """Return the system with a noise size for each run, where the runs differ significantly.
-
-    `least` is the lower limit of the noise of a run in the unit of the signal, set by rounding. Where a run
-    has too few repeats to determine its noise, all runs count as alike.
-    """
-    by_run = _by_run(linear, least)
-    return linear if by_run is None else replace(linear, by_run=by_run)
-
-
-def _by_run(linear: LinearSystem, least: float) -> RunSizes | None:
-    readings = linear.readings
-    numbers = np.unique(readings.run)
-    if len(numbers) < 2:
-        return None
-    found: list[Likeliest] = []
-    for number in numbers:
-        parts = parts_of_repeats(linear, readings.run == number)
-        if parts.freedom < LEAST_FREEDOM:
-            return None
-        found.append(likeliest(parts))
-    freedom = np.array([one.freedom for one in found])
-    variance = np.maximum([one.sigma**2 for one in found], least**2)
-    if p_alike(variance, freedom, _kurtosis(found)) >= BY_CHANCE:
-        return None
-    rows = np.bincount(readings.run[linear.rows.reading], minlength=len(numbers))
-    return RunSizes(np.sqrt(variance / np.average(variance, weights=rows)), freedom)
-
-
-def p_alike(variance: Floats, freedom: Floats, kurtosis: float) -> float:
-    """Return the p-value of equal variances (runs,), each with its degrees of `freedom` (Bartlett's test).
-
-    `kurtosis` is the excess kurtosis of the residuals, for which the test statistic is corrected.
-    """
-    runs, whole = len(variance), float(freedom.sum())
-    apart = whole * np.log(np.average(variance, weights=freedom)) - float(freedom @ np.log(variance))
-    apart /= 1.0 + (float(np.sum(1.0 / freedom)) - 1.0 / whole) / (3.0 * (runs - 1))
-    return float(special.chdtrc(runs - 1, max(float(apart), 0.0) / (1.0 + max(kurtosis, 0.0) / 2.0)))
-
-
-def _kurtosis(found: list[Likeliest]) -> float:
-    """Return the excess kurtosis of the residuals of repeats, each run in units of its own noise."""
-    squares = np.concatenate([one.scaled for one in found])
-    return float(np.mean(squares**2) / np.mean(squares) ** 2 - 3.0)

@@ -1,4 +1,5 @@
-"""Hypotheses on the noise, compared by evidence: by channel, heavy-tailed, slow; and noise larger than stated.
+"""Hypotheses on the noise, compared by evidence: by channel, run or place, heavy-tailed, slow; and noise larger
+than stated.
 
 A hypothesis changes the covariance of the readings. So hypotheses on the noise and on missing effects explain the
 same numbers. For heavy tails each row has its own precision, with the prior that makes its noise t-distributed
@@ -10,8 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 from scipy import special
@@ -34,16 +34,12 @@ from bench.diagnosis.posterior import NoiseSize, posterior, whiten_rows
 from bench.readings.table import Readings
 from bench.stats.repeats_likelihood import believed_sizes
 
-LOG_PRIOR: Final = dict.fromkeys(("channels", "place", "tails", "slow"), math.log(0.1))
+LOG_PRIOR: Final = dict.fromkeys(("channels", "runs", "place", "tails", "slow"), math.log(0.1))
 """ln of the prior odds of each kind of noise against noise that is normal and of one size."""
 TAIL_DOF: Final = 4.0
 """Degrees of freedom of the t distribution of heavy tails."""
 ROUNDS: Final = 8
 """Rounds of the fit with heavy tails; the bound is at rest by then."""
-FREEST: Final = 0.05
-"""Lower limit of the part of a row that the fit leaves."""
-LIGHT: Final = 0.4
-"""A row counts as weighed down where its weight is below this part of the usual one."""
 WAVES: Final = 16
 """Half waves over a run that slow noise has at most."""
 SIZES: Final = tuple(np.geomspace(0.05, 20.0, 61))
@@ -55,7 +51,7 @@ class NoiseHypothesis:
     """A hypothesis on the kind of noise: the system with this noise, and ln of its prior odds, with the cost of its
     sizes.
 
-    `what` is "channels", "place", "tails" or "slow". `words` describe it for people.
+    `what` is a key of `LOG_PRIOR`. `words` describe it for people.
     """
 
     what: str
@@ -69,9 +65,14 @@ def noise_hypotheses(linear: LinearSystem, effects: Floats, noise: NoiseSize) ->
     m).
     """
     yield from _by_channel(linear, effects, noise)
-    yield from _by_place(linear, effects, noise)
-    yield from _with_tails(linear, effects, noise)
-    yield from _slow(linear, effects, noise)
+    if linear.by_run is None and linear.readings.run.any():
+        yield from _by_run(linear, effects, noise)
+    if linear.by_place is None:
+        yield from _by_place(linear, effects, noise)
+    if linear.by_row is None:
+        yield _with_tails(linear, effects, noise)
+    if not linear.slow_channels:
+        yield from _slow(linear, effects, noise)
 
 
 def log_null(grid: NoiseGrid) -> float:
@@ -81,30 +82,43 @@ def log_null(grid: NoiseGrid) -> float:
     return -grid.freedom * math.log(grid.sigma)
 
 
-# --- channels with noise of their own -------------------------------------------------------------
-
-
-def _by_channel(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Iterator[NoiseHypothesis]:
+def _fit(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> tuple[Floats, Floats]:
+    """Return the residuals (N,) beside effects' columns (N, m), and the part of each row that the fit leaves."""
     fitted = posterior(linear, effects, noise)
     design = linear.design(effects)
     white = whiten_rows(linear, noise, design)
     free = 1.0 - np.einsum("np,pq,nq->n", white, fitted.covariance, white, optimize=True)
-    oriented = linear.setting >= 0
-    other = linear.relative / linear.relative_of_channel
-    left = ((linear.response - design @ fitted.mean) / other)[oriented].reshape(-1, 3)
-    slope = (linear.slope / other)[oriented].reshape(-1, 3)
-    floor = 1e-11 * float(np.max(np.abs(linear.readings.signal)))
-    freedom = free[oriented].reshape(-1, 3).mean(axis=1)
-    sizes = sizes_by_channel(left, freedom, slope, cells_of(linear), floor)
-    if np.max(np.abs(np.log(sizes / linear.by_channel))) < SAME_SIZE:
-        return
-    cost = 0.0 if np.any(linear.by_channel != 1.0) else -math.log(max(float(freedom.sum()), 1.0))
-    prior = 0.0 if np.any(linear.by_channel != 1.0) else LOG_PRIOR["channels"]
-    yield NoiseHypothesis("channels", replace(linear, by_channel=sizes), prior + cost, "")
+    return linear.response - design @ fitted.mean, free
+
+
+def residuals(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Floats:
+    """Return the residuals (N,) after a fit of effects' columns (N, m), without the setting error, in signal units.
+
+    They are divided by the relative noise of their rows.
+    """
+    left = _fit(linear, effects, noise)[0]
+    return noise.reading * whiten_rows(linear, noise, left[:, None])[:, 0]
+
+
+# --- channels, runs and places with noise of their own -----------------------------------------------
 
 
 SAME_SIZE: Final = 0.1
 """Relative difference within which sizes of noise count as the same."""
+
+
+def _by_channel(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Iterator[NoiseHypothesis]:
+    residual, free = _fit(linear, effects, noise)
+    oriented = linear.setting >= 0
+    other = linear.relative / linear.relative_of_channel
+    left, slope, free = (of[oriented].reshape(-1, 3) for of in (residual / other, linear.slope / other, free))
+    floor = 1e-11 * float(np.max(np.abs(linear.readings.signal)))
+    sizes = sizes_by_channel(left, free.mean(axis=1), slope, cells_of(linear), floor)
+    if np.max(np.abs(np.log(sizes / linear.by_channel))) < SAME_SIZE:
+        return
+    known = bool(np.any(linear.by_channel != 1.0))
+    cost = 0.0 if known else LOG_PRIOR["channels"] - math.log(max(float(free.sum()) / 3.0, 1.0))
+    yield NoiseHypothesis("channels", replace(linear, by_channel=sizes), cost, "")
 
 
 def sizes_by_channel(left: Floats, freedom: Floats, slope: Floats, cells: Ints, floor: float) -> Floats:
@@ -116,32 +130,49 @@ def sizes_by_channel(left: Floats, freedom: Floats, slope: Floats, cells: Ints, 
     """
     count = int(cells.max()) + 1
     free = np.bincount(cells, freedom, count)
-    products = (left[:, :, None] * left[:, None, :]).reshape(-1, 9)
-    scatter = _by_cell(products, cells, count)
-    mean = _by_cell(slope, cells, count) / np.bincount(cells, minlength=count)[:, None]
+    scatter, mean = np.zeros((count, 3, 3)), np.zeros((count, 3))
+    np.add.at(scatter, cells, left[:, :, None] * left[:, None, :])
+    np.add.at(mean, cells, slope / np.bincount(cells)[cells, None])
     used = free > 1e-6
-    scatter, free = scatter[used].reshape(1, -1, 3, 3), free[used]
-    sizes = np.sqrt(believed_sizes(scatter, free, mean[used][None], floor).variances[0, :3])
+    sizes = np.sqrt(believed_sizes(scatter[used][None], free[used], mean[used][None], floor).variances[0, :3])
     return np.asarray(sizes / rms(sizes))
 
 
-def _by_cell(columns: Floats, cells: Ints, count: int) -> Floats:
-    sums = [np.bincount(cells, column, count) for column in columns.T]
-    return np.asarray(np.stack(sums, axis=1), dtype=np.float64)
+def _by_run(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Iterator[NoiseHypothesis]:
+    """Yield noise with a size for each run; a setting error is common to all."""
+    run = linear.readings.run[linear.rows.reading]
+    system, variance = linear, np.ones(int(run.max()) + 1)
+    sizes = variance
+    for _ in range(ROUNDS):
+        residual, free = _fit(system, effects, noise)
+        white = whiten_rows(system, noise, residual[:, None])[:, 0]
+        freedom = np.bincount(run, free).astype(np.float64)
+        variance = variance * np.maximum(np.bincount(run, white**2) / np.maximum(freedom, 1.0), 1e-6)
+        before, sizes = sizes, np.sqrt(variance / np.average(variance, weights=np.bincount(run)))
+        system = replace(linear, by_run=RunSizes(sizes, freedom))
+        if np.allclose(sizes, before, rtol=0.1 * SAME_SIZE):
+            break
+    if np.max(np.abs(np.log(sizes))) >= SAME_SIZE:
+        cost = 0.5 * (len(sizes) - 1) * math.log(max(float(freedom.sum()), 1.0))
+        yield NoiseHypothesis("runs", system, LOG_PRIOR["runs"] - cost, "")
 
 
 def _by_place(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Iterator[NoiseHypothesis]:
-    """Yield noise that is larger in one place: a channel in an installation, or in one of its passes."""
-    found = None
-    if linear.by_place is None:
-        found = relative_by_place(linear, residuals(linear, effects, noise))
+    """Yield noise that is larger in one place: a channel in an installation, or in one of its passes.
+
+    The cost counts the choice of one place among all, and one more size.
+    """
+    places = _larger(linear, residuals(linear, effects, noise))
+    found = min((one for one in places if one[0].where), key=lambda one: one[0].p, default=None)
     if found is None:
         return
-    place, relative, cost = found
+    place, rows = found
+    size = np.where(rows, place.sd / place.elsewhere, 1.0)
+    cost = np.log(len(list(_places(linear)))) + 0.5 * np.log(np.count_nonzero(rows))
     yield NoiseHypothesis(
         "place",
-        replace(linear, by_place=relative),
-        LOG_PRIOR["place"] + cost,
+        replace(linear, by_place=size / np.sqrt(np.mean(size**2))),
+        LOG_PRIOR["place"] - float(cost),
         message(
             f"channel {place.channel} in {place.where} scatters {place.sd / place.elsewhere:.1f} times as "
             f"much as the "
@@ -150,17 +181,12 @@ def _by_place(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Iterat
     )
 
 
-SCATTER_P: Final = 1e-3
-"""A place is named if its scatter has a probability by chance, corrected for all places, below this."""
-LEAST_ROWS: Final = 4
-EVERYWHERE: Final = "everywhere"
-MORE_SCATTER: Final = 1.5
-"""Least ratio of the scatter in a place to the scatter elsewhere for which the place is named."""
-
-
 @dataclass(frozen=True)
 class LocalScatter:
-    """A place where readings scatter more: the standard deviations there and elsewhere, unit of the signal."""
+    """A place where readings scatter more: the standard deviations there and elsewhere, unit of the signal.
+
+    `where` is empty for a channel in all installations. `p` is corrected for all places.
+    """
 
     channel: str
     where: str
@@ -171,38 +197,12 @@ class LocalScatter:
     @property
     def words(self) -> str:
         """The place in words."""
-        return f"channel {self.channel}, {self.where}"
-
-
-def residuals(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Floats:
-    """Return the residuals (N,) after a fit of effects' columns (N, m), without the setting error, in signal units.
-
-    They are divided by the relative noise of their rows.
-    """
-    fitted = posterior(linear, effects, noise)
-    left = linear.response - linear.design(effects) @ fitted.mean
-    return noise.reading * whiten_rows(linear, noise, left[:, None])[:, 0]
+        return f"channel {self.channel}, {self.where or 'everywhere'}"
 
 
 def larger_scatter(linear: LinearSystem, left: Floats) -> LocalScatter | None:
     """Return the place whose residuals `left` (N,) scatter most in excess of the others; None if there is none."""
-    return max(_larger(linear, left), key=lambda found: -found[0].p, default=(None, None))[0]
-
-
-def relative_by_place(linear: LinearSystem, left: Floats) -> tuple[LocalScatter, Floats, float] | None:
-    """Return the place in an installation that scatters most, the relative noise (N,) with it, and ln of its cost.
-
-    The mean square of the relative noise is 1. The cost counts the choice of one place among all, and one more
-    size. None if no place scatters significantly more.
-    """
-    places = (one for one in _larger(linear, left) if one[0].where != EVERYWHERE)
-    found = max(places, key=lambda one: -one[0].p, default=None)
-    if found is None:
-        return None
-    scatter, rows = found
-    size = np.where(rows, scatter.sd / scatter.elsewhere, 1.0)
-    cost = -np.log(len(list(_places(linear)))) - 0.5 * np.log(np.count_nonzero(rows))
-    return scatter, size / np.sqrt(np.mean(size**2)), float(cost)
+    return min((one for one, _ in _larger(linear, left)), key=lambda one: one.p, default=None)
 
 
 def _larger(linear: LinearSystem, left: Floats) -> Iterator[tuple[LocalScatter, Mask]]:
@@ -210,29 +210,21 @@ def _larger(linear: LinearSystem, left: Floats) -> Iterator[tuple[LocalScatter, 
     places = list(_places(linear))
     oriented = linear.setting >= 0
     for channel, where, rows in places:
-        others = oriented & ~rows
-        inside, outside = int(rows.sum()), int(others.sum())
-        if inside < LEAST_ROWS or outside < LEAST_ROWS:
-            continue
-        sd, elsewhere = (float(np.sqrt(np.mean(left[of] ** 2))) for of in (rows, others))
-        if sd <= MORE_SCATTER * elsewhere:
-            continue
-        p = float(special.fdtrc(inside, outside, (sd / elsewhere) ** 2)) * len(places)
-        if p < SCATTER_P:
+        inside, outside = left[rows], left[oriented & ~rows]
+        sd, elsewhere = rms(inside), rms(outside)
+        p = float(special.fdtrc(len(inside), len(outside), (sd / max(elsewhere, 1e-300)) ** 2)) * len(places)
+        if p < HARDLY_EVER:
             yield LocalScatter(channel, where, sd, elsewhere, p), rows
 
 
 def _places(linear: LinearSystem) -> Iterator[tuple[str, str, Mask]]:
     """Yield channel, words and rows (N,) of each place."""
-    rows, readings = linear.rows, linear.readings
-    oriented = linear.setting >= 0
-    label = readings.installation[rows.reading]
-    series = readings.series[rows.reading]
-    mounts = np.array([i if s == 1 else f"{i}/{s}" for s, i in zip(series, label, strict=True)])
-    passes = readings.pass_number[rows.reading]
+    reading, conditions = linear.rows.reading, linear.conditions
+    mounts = np.array([str(mount) for mount in conditions.mounts])[conditions.mount][reading]
+    passes = linear.readings.pass_number[reading]
     for c, channel in enumerate(CHANNELS):
-        own = oriented & (rows.channel == c)
-        yield channel, EVERYWHERE, own
+        own = (linear.setting >= 0) & (linear.rows.channel == c)
+        yield channel, "", own
         for mount in dict.fromkeys(mounts[own].tolist()):
             here = own & (mounts == mount)
             yield channel, f"installation {mount}", here
@@ -243,27 +235,24 @@ def _places(linear: LinearSystem) -> Iterator[tuple[str, str, Mask]]:
 # --- heavy tails ------------------------------------------------------------------------------------
 
 
-def _with_tails(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Iterator[NoiseHypothesis]:
-    """Yield noise with the tails of a t distribution, as a precision of each row (`by_row`)."""
-    if linear.by_row is not None:
-        return
-    random = np.concatenate([linear.random, effects * KNOWN_SIZE], axis=1)
+def _with_tails(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> NoiseHypothesis:
+    """Return noise with the tails of a t distribution, as a precision of each row (`by_row`)."""
+    beside = linear.with_random(effects * KNOWN_SIZE)
     relative2 = linear.relative**2
     weight: Floats = np.ones(len(linear))
     scale, of_mean, square = noise.reading, weight, weight
     for _ in range(ROUNDS):
-        rows = replace(linear, random=random, by_row=1.0 / np.sqrt(weight))
-        white = make_whitener(rows, scale, noise.setting_rad)
+        white = make_whitener(replace(beside, by_row=1.0 / np.sqrt(weight)), scale, noise.setting_rad)
         variance = relative2 / weight
         left = variance * white.weigh(linear.response)
-        free = np.clip(variance * white.diagonal, FREEST, 1.0)
+        free = np.clip(variance * white.diagonal, 0.0, 1.0)
         of_mean = left**2 / (relative2 * scale**2)
         square = of_mean + (1.0 - free) / weight
         scale *= math.sqrt(float(np.sum(weight * of_mean) / max(free.sum(), 1.0)))
         weight = (TAIL_DOF + 1.0) / (TAIL_DOF + square)
-    changed = weight < LIGHT * float(np.median(weight))
+    changed = weight < 0.5 * float(np.median(weight))
     readings = len(set(linear.rows.reading[changed].tolist()))
-    yield NoiseHypothesis(
+    return NoiseHypothesis(
         "tails",
         replace(linear, by_row=1.0 / np.sqrt(weight * float(np.mean(1.0 / weight)))),
         LOG_PRIOR["tails"] + _log_odds_of_weights(weight, of_mean, square),
@@ -294,8 +283,7 @@ def log_density(linear: LinearSystem, effects: Floats, like: NoiseGrid) -> float
 
     Their priors are those of the grid `like`.
     """
-    random = np.concatenate([linear.random, effects * KNOWN_SIZE], axis=1)
-    grid = make_noise_grid(replace(linear, random=random), like.sigma, 0.0)
+    grid = make_noise_grid(linear.with_random(effects * KNOWN_SIZE), like.sigma, 0.0)
     square = np.array([np.sum((white @ (linear.response / like.sigma)) ** 2) for white in grid.white])
     of_ratio = like.log_prior + grid.log_det + grid.log_likelihood(square)
     return float(special.logsumexp(of_ratio)) + log_null(grid)
@@ -321,8 +309,6 @@ class SlowNoise:
 
 
 def _slow(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Iterator[NoiseHypothesis]:
-    if linear.slow_channels:
-        return
     found = slow_noise(linear, effects, noise)
     if not found:
         return
@@ -348,8 +334,7 @@ def slow_noise(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> tuple
     It is empty if there is none. It has one size in all channels, or a size in each channel that has it, whichever
     has more evidence.
     """
-    random = np.concatenate([linear.random, effects * KNOWN_SIZE], axis=1)
-    white = make_whitener(replace(linear, random=random), noise.reading, noise.setting_rad)
+    white = make_whitener(linear.with_random(effects * KNOWN_SIZE), noise.reading, noise.setting_rad)
     left = white @ (linear.response / noise.reading)
     waves = [_waves(linear, channel) for channel in range(3)]
     sets = [(0, 1, 2), *((channel,) for channel in range(3))]
@@ -504,12 +489,6 @@ class NoiseFinding:
         )
 
 
-class _Stated(NamedTuple):
-    size: float
-    freedom: float
-    source: str
-
-
 def noise_findings(
     noise: NoiseSize,
     readings: Readings,
@@ -524,63 +503,49 @@ def noise_findings(
     the length of du/dphi, unit of the signal per rad. `digit` is the step of the signals' last digit. Runs with
     noise of their own, `by_run`, are each held against what is stated of them.
     """
-    of_readings = _of_readings if by_run is None else partial(_of_runs, by_run)
-    found = [*of_readings(noise, readings, stand_u, digit), *_of_settings(noise, stand_u, typical_slope)]
-    return tuple(one for one in found if one.factor > LARGER and one.p < HARDLY_EVER)
-
-
-def _of_readings(
-    noise: NoiseSize, readings: Readings, stand_u: Mapping[str, float], digit: float
-) -> Iterator[NoiseFinding]:
-    """Yield a finding where the noise of readings exceeds its stated value."""
-    stated = _stated(readings, stand_u, digit / np.sqrt(12.0))
-    if stated is not None:
-        factor = noise.reading / stated.size
-        p = float(special.fdtrc(noise.freedom, min(stated.freedom, 1e9), factor**2))
-        yield NoiseFinding("reading", noise.reading, stated.size, readings.unit, factor, p, stated.source)
-
-
-def _of_runs(
-    by_run: RunSizes, noise: NoiseSize, readings: Readings, stand_u: Mapping[str, float], digit: float
-) -> Iterator[NoiseFinding]:
-    """Yield the findings on the noise of readings for each run by itself."""
-    runs = len(by_run.sizes)
-    for number in range(runs):
-        own = readings.select(readings.run == number)
-        size = noise.reading * float(by_run.sizes[number])
-        of_run = replace(noise, reading=size, freedom=max(round(float(by_run.freedom[number])), 1))
-        series = tuple(int(one) for one in np.unique(own.series))
-        for found in _of_readings(of_run, own, stand_u, digit):
-            yield replace(found, p=min(runs * found.p, 1.0), series=series)
-
-
-def _of_settings(
-    noise: NoiseSize, stand_u: Mapping[str, float], typical_slope: float
-) -> Iterator[NoiseFinding]:
-    """Yield a finding where the setting error exceeds the value in the bench file."""
+    found = [*_of_readings(noise, readings, stand_u, digit, by_run)]
     setting = stand_u.get("setting_error", 0.0)
     if setting > 0.0:
         along = [noise.reading**2 + (size * typical_slope) ** 2 for size in (noise.setting_rad, setting)]
         freedom = noise.freedom / 3.0
         p = float(special.chdtrc(freedom, freedom * along[0] / along[1]))
-        found, limit = noise.setting_rad / ARCSEC, setting / ARCSEC
-        yield NoiseFinding("setting", found, limit, "arcsec", found / limit, p, BENCH_FILE)
+        size, limit = noise.setting_rad / ARCSEC, setting / ARCSEC
+        found.append(NoiseFinding("setting", size, limit, "arcsec", size / limit, p, BENCH_FILE))
+    return tuple(one for one in found if one.factor > LARGER and one.p < HARDLY_EVER)
 
 
-def _stated(readings: Readings, stand_u: Mapping[str, float], rounding: float) -> _Stated | None:
-    """Return the stated noise of a reading: the larger of that of its samples and that of the bench file.
+def _of_readings(
+    noise: NoiseSize, readings: Readings, stand_u: Mapping[str, float], digit: float, by_run: RunSizes | None
+) -> Iterator[NoiseFinding]:
+    """Yield the noise of readings beside its stated value, for each run where runs have sizes of their own."""
+    parts = [(readings, 1.0, float(noise.freedom))]
+    if by_run is not None:
+        runs = [readings.select(readings.run == number) for number in range(len(by_run.sizes))]
+        parts = list(zip(runs, by_run.sizes.tolist(), by_run.freedom.tolist(), strict=True))
+    for own, times, freedom in parts:
+        stated = max(_stated(own, stand_u, digit / np.sqrt(12.0)), default=None)
+        if stated is None:
+            continue
+        size, known, source = stated
+        factor = noise.reading * times / size
+        p = min(len(parts) * float(special.fdtrc(freedom, min(known, 1e9), factor**2)), 1.0)
+        series = () if by_run is None else tuple(np.unique(own.series).tolist())
+        yield NoiseFinding("reading", noise.reading * times, size, own.unit, factor, p, source, series)
+
+
+def _stated(
+    readings: Readings, stand_u: Mapping[str, float], rounding: float
+) -> Iterator[tuple[float, float, str]]:
+    """Yield the stated noise of a reading, by the bench file and by its samples: size, freedom and source.
 
     Either is without that of `rounding`. Samples do not show an error that they share; the bench file may state
     it.
     """
-    stated = []
     size = stand_u.get("voltmeter_error", 0.0)
     if size > 0.0 and readings.unit == "V":
-        stated.append(_Stated(float(np.hypot(size, rounding)), np.inf, BENCH_FILE))
+        yield float(np.hypot(size, rounding)), np.inf, BENCH_FILE
     count = readings.samples[:, None] * np.isfinite(readings.signal_sd) * (readings.signal_sd > 0.0)
     sampled = count > 1
     if np.any(sampled & readings.is_oriented[:, None]):
         of_mean = readings.signal_sd[sampled] / np.sqrt(count[sampled])
-        shown = float(np.hypot(rms(of_mean), rounding))
-        stated.append(_Stated(shown, float(np.sum(count[sampled] - 1)), OWN_SCATTER))
-    return max(stated, key=lambda each: each.size, default=None)
+        yield float(np.hypot(rms(of_mean), rounding)), float(np.sum(count[sampled] - 1)), OWN_SCATTER

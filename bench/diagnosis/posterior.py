@@ -14,15 +14,12 @@ from scipy import special
 from bench.base.arrays import CHANNELS, Floats, Mask
 from bench.diagnosis.candidates import Candidates, Column, Variant, plausible_columns
 from bench.diagnosis.evidence import KNOWN_SIZE, LOG_SIZE_WEIGHTS, SIZES, Data, Search, Whitened
-from bench.diagnosis.levels import NEGLIGIBLE, OFTEN
+from bench.diagnosis.levels import BY_CHANCE, HARDLY_EVER, NEGLIGIBLE, OFTEN, UNSEEN
 from bench.diagnosis.linear import LinearSystem
-from bench.diagnosis.naming import Naming, Scored
+from bench.diagnosis.naming import MOST_EFFECTS, Naming, Scored
 from bench.model.effects import CATALOGUE, AppliedEffect, Effect
 from bench.model.effects.base import InPart, in_part
 from bench.model.effects.voltmeter import NORMAL_V
-
-AVERAGED: Final = 5
-"""Largest number of finds averaged over their prior sizes. Of more finds, the least certain are averaged."""
 
 
 @dataclass(frozen=True)
@@ -78,9 +75,8 @@ def noise_size(whitened: Whitened, data: Data, known: tuple[int, ...]) -> NoiseS
     search = Search.beside(whitened, known)
     left = search.left_over(data)
     grid = whitened.grid
-    weight = grid.log_prior + grid.log_det + search.log_det + grid.log_likelihood(left.square[:, 0])
-    weight = np.exp(weight - weight.max())
-    weight /= weight.sum()
+    logs = grid.log_prior + grid.log_det + search.log_det + grid.log_likelihood(left.square[:, 0])
+    weight = special.softmax(logs)
     freedom = grid.freedom - len(known)
     sigma2 = left.square[:, 0] / freedom
     if grid.known:
@@ -97,7 +93,8 @@ def posterior(linear: LinearSystem, effects: Floats, noise: NoiseSize, rows: Mas
     """
     extra = effects.shape[1]
     normal, right = _normal(linear, effects, noise, rows)
-    covariance = _inverse(normal + np.diag(_at_the_end(np.full(extra, 1.0 / KNOWN_SIZE**2), len(normal))))
+    normal[np.arange(-extra, 0), np.arange(-extra, 0)] += 1.0 / KNOWN_SIZE**2
+    covariance = _inverse(normal)
     return Posterior(covariance @ right, covariance, extra)
 
 
@@ -144,17 +141,19 @@ def _of_any_size(precision: Floats, right: Floats, parts: Sequence[slice]) -> tu
         ),
         strict=True,
     )
-    weight = np.exp(np.array(log_weights) - max(log_weights))
-    weight /= weight.sum()
+    weight = special.softmax(log_weights)
     mean = weight @ np.array(means)
     apart = np.array(means) - mean
     return mean, np.einsum("s,sij->ij", weight, np.array(spreads)) + (apart.T * weight) @ apart
 
 
 def _plausible_sizes(precision: Floats, right: Floats, parts: Sequence[slice]) -> list[tuple[int, ...]]:
-    """Return the size indices to average for each part; the surest of many parts have the likeliest only."""
+    """Return the size indices to average for each part; of many parts the least sure `MOST_EFFECTS` have all.
+
+    The others have the likeliest alone.
+    """
     every = tuple(range(len(SIZES)))
-    if len(parts) <= AVERAGED:
+    if len(parts) <= MOST_EFFECTS:
         return [every] * len(parts)
     likeliest = [len(SIZES) - 1] * len(parts)
     surety = np.empty(len(parts))
@@ -163,7 +162,7 @@ def _plausible_sizes(precision: Floats, right: Floats, parts: Sequence[slice]) -
         logs = np.array([_of_sizes(precision, right, parts, (*before, k, *after))[0] for k in every])
         likeliest[number] = int(np.argmax(logs))
         surety[number] = 1.0 / np.sum(np.exp(logs - logs.max()))
-    open_parts = set(np.argsort(surety)[:AVERAGED].tolist())
+    open_parts = set(np.argsort(surety)[:MOST_EFFECTS].tolist())
     return [every if number in open_parts else (size,) for number, size in enumerate(likeliest)]
 
 
@@ -191,10 +190,6 @@ def _normal(
     first, random = linear.fixed.shape[1], linear.random.shape[1]
     normal[range(first, first + random), range(first, first + random)] += 1.0
     return normal, white[:, :-1].T @ white[:, -1]
-
-
-def _at_the_end(values: Floats, length: int) -> Floats:
-    return np.concatenate([np.zeros(length - len(values)), values])
 
 
 def _inverse(normal: Floats) -> Floats:
@@ -238,8 +233,6 @@ def predicted_error(
 
 ADDED: Final = ("warm_up", "bias_drift", "thermal_bias", "turn_on_shift")
 """Effects that add to the signals independently of the acceleration."""
-SEEN: Final = 4.0
-"""and each exceeds this many standard uncertainties, as three insignificant sizes are always equal."""
 
 
 def common_volts(naming: Naming, fitted: Posterior, linear: LinearSystem) -> Iterator[str]:
@@ -255,8 +248,9 @@ def common_volts(naming: Naming, fitted: Posterior, linear: LinearSystem) -> Ite
         covariance = fitted.amplitude_covariance[mine, mine] * np.outer(scale, scale)
         between = apart @ volts
         chi2 = float(between @ np.linalg.solve(apart @ covariance @ apart.T, between))
-        seen = np.all(np.abs(volts) > SEEN * np.sqrt(np.diag(covariance)))
-        if seen and special.chdtrc(2, chi2) > OFTEN:
+        # three insignificant sizes are always equal
+        each = special.chdtrc(1, volts**2 / np.diag(covariance))
+        if np.all(each < HARDLY_EVER) and special.chdtrc(2, chi2) > OFTEN:
             yield (
                 f"{variant.family} is the same voltage in all three channels within its u: that points at what "
                 "they share (the voltmeters' zero, the supply, the wiring), not at three accelerometers; a shorted "
@@ -289,14 +283,9 @@ def known_together(
     third mounting angle of both installations. Verification points determine the sum; nothing determines the
     difference, which is a rotation of the block's axes.
     """
-    return tuple(_pairs(candidates, variant, value, covariance))
-
-
-def _pairs(
-    candidates: Candidates, variant: Variant, value: Floats, covariance: Floats
-) -> Iterator[KnownTogether]:
     kinds = [candidates.kinds[column] for column in variant.columns]
     parameters = {parameter.name: parameter for parameter in CATALOGUE[variant.family].parameters}
+    found = []
     for i, j in itertools.combinations(range(len(kinds)), 2):
         if kinds[i].parameter != kinds[j].parameter:
             continue
@@ -306,14 +295,11 @@ def _pairs(
             continue
         parameter = parameters[kinds[i].parameter]
         size = candidates.scale[variant.columns[i]] / parameter.si_per_unit
-        yield KnownTogether(
-            parameter.name,
-            "sum" if sign > 0 else "difference",
-            (_place(kinds[i]), _place(kinds[j])),
-            float((value[i] + sign * value[j]) * size),
-            float(u * size),
-            parameter.unit,
-        )
+        places = (_place(kinds[i]), _place(kinds[j]))
+        what: Literal["sum", "difference"] = "sum" if sign > 0 else "difference"
+        both = float((value[i] + sign * value[j]) * size)
+        found.append(KnownTogether(parameter.name, what, places, both, float(u * size), parameter.unit))
+    return tuple(found)
 
 
 def _place(kind: Column) -> str:
@@ -363,8 +349,6 @@ BEYOND: Final = 2.0
 """Factor by which other shapes extend beyond the ends of a grid of time constants, lags or widths."""
 WIDE: Final = 1.5
 """Neighbours of a grid whose ratio exceeds this have another shape between them."""
-HARDLY: Final = 0.01
-"""A channel that has the effect with at most this probability is left out."""
 
 Shape = tuple[tuple[str, float], ...]
 
@@ -408,9 +392,8 @@ def channels_of(whitened: Whitened, data: Data, naming: Naming) -> dict[int, Flo
         scored = Scored.beside(whitened, data, others)
         members = whitened.candidates.of_family(one.variant.family)
         evidence = scored.scores.variants[members, 0]
-        weight = np.exp(evidence - evidence.max())
         has = np.array([[c in whitened.candidates.variants[m].channels for c in range(3)] for m in members])
-        plausible[number] = np.asarray(weight @ has / weight.sum())
+        plausible[number] = np.asarray(special.softmax(evidence) @ has)
     return plausible
 
 
@@ -446,7 +429,7 @@ def _in_other_channels(
     candidates: Candidates, variant: Variant, sizes: Floats, plausible: Floats
 ) -> Iterator[AppliedEffect]:
     """Yield the effect with the shape found in other channels, its u weighted by their probability."""
-    others = [c for c in range(3) if c not in variant.channels and plausible[c] > HARDLY]
+    others = [c for c in range(3) if c not in variant.channels and plausible[c] > BY_CHANCE]
     share = np.array([np.sqrt(plausible[c]) if c in others else 0.0 for c in range(3)])
     for one in applied_of(candidates, variant, 0.0 * sizes, sizes):
         u = {name: np.max(of) * share for name, of in one.u.items() if np.ndim(of)}
@@ -458,9 +441,7 @@ def _in_other_channels(
 def with_other_shapes(linear: LinearSystem, others: tuple[AppliedEffect, ...]) -> LinearSystem:
     """Return the system with the possible other shapes of the effects as further `random` columns."""
     columns = [piece.column for piece in pieces(linear, others)]
-    if not columns:
-        return linear
-    return replace(linear, random=np.column_stack([linear.random, *columns]))
+    return linear.with_random(*columns) if columns else linear
 
 
 class OpenSize(NamedTuple):
@@ -487,10 +468,6 @@ def pieces(linear: LinearSystem, others: tuple[AppliedEffect, ...]) -> Iterator[
                 size = float(u[() if channel is None else channel]) / parameter.plausible
                 if size > 0.0 and np.any(column):
                     yield OpenSize(applied, name, channel, column * size)
-
-
-SHOWS: Final = 0.3
-"""A direction that changes all readings together by less, in units of noise, is left out."""
 
 
 def left_open(
@@ -546,7 +523,7 @@ def _directions(covariance: Floats, shown: Floats) -> Floats:
     values, vectors = np.linalg.eigh(covariance)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
     _, sizes, turned = np.linalg.svd(shown @ root, full_matrices=False)
-    return np.asarray((root @ turned.T)[:, sizes > SHOWS])
+    return np.asarray((root @ turned.T)[:, sizes > UNSEEN])
 
 
 def _applied(rest: Sequence[OpenSize], sizes: Floats) -> Iterator[AppliedEffect]:

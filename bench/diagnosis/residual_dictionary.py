@@ -17,7 +17,6 @@ from bench.model.effects.formula import SUBSYSTEM_OF, FormulaEffect, names_in
 from bench.model.effects.voltmeter import LOW_RANGE_V
 
 SIZE_NAMES: Final = ("A", "B")
-ALL: Final = (0, 1, 2)
 FASTEST: Final = 6
 """Largest number of half waves over a run that describe a slow change in time."""
 MOST_WAVES: Final = 200
@@ -38,10 +37,6 @@ class TermUnit:
     plausible: float
     plausible_per_k: float = 0.0
 
-    def of(self, course: TimeCourse) -> TermUnit:
-        """Return the unit for a course: per kelvin where the course is of the temperature."""
-        return TermUnit(f"{self.text}/K", self.si, self.plausible_per_k) if course.of_temperature else self
-
 
 BIAS: Final = TermUnit("ug", 1e-6, 30e-6, 60e-6)
 SCALE: Final = TermUnit("ppm", 1e-6, 50e-6, 100e-6)
@@ -58,9 +53,9 @@ class TimeCourse:
     """A course over a run: plain numbers of order 1, one `expression` for each size that it needs.
 
     `constants` are shapes with one value. `of_temperature` says that the course is in kelvin. A `long` course
-    also acts in scale factor and voltage. A `local` course (one angle, one mounting, a step) and a `fast` one act
-    in bias and head angle alone. `of_angle` says that it is a function of the head's angle. `where` says at which
-    angle, time, pass or mounting it acts.
+    also acts in scale factor and voltage, and a course that is not `narrow` (one angle, one mounting, a step, a
+    fast wave) in the angles of the stand. `of_angle` says that it is a function of the head's angle. `where` says
+    at which angle, time, pass or mounting it acts.
     """
 
     words: str
@@ -68,8 +63,7 @@ class TimeCourse:
     constants: tuple[Parameter, ...] = ()
     of_temperature: bool = False
     long: bool = False
-    local: bool = False
-    fast: bool = False
+    narrow: bool = False
     of_angle: bool = False
     where: str = ""
 
@@ -78,7 +72,7 @@ class TimeCourse:
 class DictionaryTerm:
     """A term of the dictionary: a course or a product at a stage, with the unit of its sizes.
 
-    `course` are the expressions of its course, where it is one, `of_force` one that is a part of the force.
+    `course` is its course, where it is one, `of_force` one that is a part of the force.
     """
 
     family: str
@@ -87,9 +81,13 @@ class DictionaryTerm:
     unit: TermUnit
     adds_to: str = ""
     constants: tuple[Parameter, ...] = ()
-    course: tuple[str, ...] = ()
+    course: TimeCourse | None = None
     of_force: bool = False
-    where: str = ""
+
+    @property
+    def where(self) -> str:
+        """The angle, time, pass or mounting where it acts, in words; empty for everywhere."""
+        return self.course.where if self.course is not None else ""
 
     def effect(self, name: str, *, per_channel: bool) -> FormulaEffect:
         """Return the term as an effect of this name, with a size for each channel or one for all."""
@@ -124,43 +122,40 @@ TermColumns = tuple[DictionaryTerm, tuple[int, ...], list[tuple[str, int | None,
 
 def dictionary(linear: LinearSystem) -> Iterator[TermColumns]:
     """Yield the terms of the dictionary, for each channel and for all, with the plausible size of each column."""
-    of_courses: dict[tuple[object, ...], Floats] = {}
+    of_courses: dict[TimeCourse, list[Floats]] = {}
     for term in _terms(linear):
         sizes = SIZE_NAMES[: len(term.expressions)]
         each = dict(zip(sizes, _columns(linear, term, of_courses), strict=True))
         if not any(np.any(column) for column in each.values()):
             continue
-        if term.stage not in WITH_CHANNELS:
-            yield term, ALL, [(size, None, each[size][:, 0]) for size in sizes]
-            continue
-        for channel in ALL:
+        channels = range(3) if term.stage in WITH_CHANNELS else ()
+        for channel in channels:
             if any(np.any(each[size][:, channel]) for size in sizes):
                 yield term, (channel,), [(size, channel, each[size][:, channel]) for size in sizes]
-        yield term, ALL, [(size, None, each[size].sum(axis=1)) for size in sizes]
+        yield term, (0, 1, 2), [(size, None, each[size].sum(axis=1)) for size in sizes]
 
 
 WITH_CHANNELS: Final = (Stage.BLOCK_OUTPUT, Stage.VOLTMETER_READING)
 
 
 def _columns(
-    linear: LinearSystem, term: DictionaryTerm, of_courses: dict[tuple[object, ...], Floats]
+    linear: LinearSystem, term: DictionaryTerm, of_courses: dict[TimeCourse, list[Floats]]
 ) -> Iterator[Floats]:
     """Yield, for each size of a term, the change of the rows by a plausible size: (N, 3) by channel, or (N, 1).
 
     `of_courses` caches the courses, as each acts at many stages.
     """
-    if not term.course:
+    if term.course is None:
         effect = term.effect("term", per_channel=term.stage in WITH_CHANNELS)
         for size in SIZE_NAMES[: len(term.expressions)]:
             value = np.full(3 if term.stage in WITH_CHANNELS else (), term.unit.plausible)
-            yield linear.formula_columns(AppliedEffect(effect, {size: value}))
+            yield linear.stage_columns(AppliedEffect(effect, {size: value}), term.stage)
         return
-    for text in term.course:
-        key = (text, tuple((p.name, p.default) for p in term.constants))
-        if key not in of_courses:
-            of_courses[key] = _course(linear, text, term.constants)
-        course = term.unit.plausible * of_courses[key]
-        yield linear.course_columns(course, term.stage, term.adds_to, of_force=term.of_force)
+    if term.course not in of_courses:
+        of_courses[term.course] = [_course(linear, text, term.constants) for text in term.course.expressions]
+    for course in of_courses[term.course]:
+        added = term.unit.plausible * course
+        yield linear.stage_columns(added, term.stage, term.adds_to, of_force=term.of_force)
 
 
 def _course(linear: LinearSystem, text: str, constants: tuple[Parameter, ...]) -> Floats:
@@ -182,8 +177,10 @@ def _terms(linear: LinearSystem) -> Iterator[DictionaryTerm]:
         if course.long:
             yield _of_course(course, "the scale factor", Stage.BLOCK_OUTPUT, SCALE, of_force=True)
         yield _of_course(course, "the head's angle", Stage.HEAD_ANGLE, ANGLE)
-        for angle, what in _stand_angles(course):
-            yield _of_course(course, what, Stage.STAND, ANGLE, angle)
+        # a platform does not turn or roll with the head's angle
+        for angle, what in STAND_WORDS.items():
+            if not course.narrow and (angle == AXIS_TILT or not course.of_angle):
+                yield _of_course(course, what, Stage.STAND, ANGLE, angle)
     for words, expressions in FORCES.items():
         for text in expressions:
             yield DictionaryTerm(words, Stage.BLOCK_OUTPUT, (text,), SQUARE)
@@ -196,24 +193,18 @@ def _of_course(
 ) -> DictionaryTerm:
     """Return the term of a course at a stage; `place` says in words where it acts."""
     texts = course.expressions
+    if course.of_temperature:
+        unit = TermUnit(f"{unit.text}/K", unit.si, unit.plausible_per_k)
     return DictionaryTerm(
         f"{course.words}, in {place}",
         stage,
         tuple(f"a * ({text})" for text in texts) if of_force else texts,
-        unit.of(course),
+        unit,
         adds_to,
         course.constants,
-        texts,
+        course,
         of_force=of_force,
-        where=course.where,
     )
-
-
-def _stand_angles(course: TimeCourse) -> Sequence[tuple[str, str]]:
-    """Return the stand angles that may follow a course; a platform does not turn or roll with the head's angle."""
-    if course.local or course.fast:
-        return ()
-    return [(angle, what) for angle, what in STAND_WORDS.items() if angle == AXIS_TILT or not course.of_angle]
 
 
 AXIS_TILT: Final = "axis_tilt"
@@ -295,18 +286,18 @@ def _of_angle(conditions: Conditions) -> Iterator[TimeCourse]:
             yield TimeCourse(
                 f"a wave, {k:g} per turn, of one mounting",
                 tuple(f"{w} * {_in_visit(visit)}" for w in wave),
-                local=True,
+                narrow=True,
                 where=f"mounting {visit}",
             )
     yield TimeCourse("the angle of the head, unwound between passes", ("angle / (2 * pi)",))
     for degrees in sorted(set(np.round(np.degrees(angle), 1).tolist())):
         at = f"(abs(angle - {np.radians(degrees):.6g}) < 0.004)"
-        yield TimeCourse("one angle of the head", (at,), local=True, where=f"{degrees:g}°")
+        yield TimeCourse("one angle of the head", (at,), narrow=True, where=f"{degrees:g}°")
         for visit in visits:
             yield TimeCourse(
                 "one angle of the head, of one mounting",
                 (f"{at} * {_in_visit(visit)}",),
-                local=True,
+                narrow=True,
                 where=f"{degrees:g}°, mounting {visit}",
             )
 
@@ -344,14 +335,14 @@ def _of_time(conditions: Conditions) -> Iterator[TimeCourse]:
         yield TimeCourse("a slow wave in time", (f"cos({k:g} * pi * time / T)",), span)
     for k in _frequencies(time[np.isfinite(conditions.angle_rad)]):
         wave = (f"cos({k:g} * pi * time / T)", f"sin({k:g} * pi * time / T)")
-        yield TimeCourse("a wave in time", wave, span, fast=True)
+        yield TimeCourse("a wave in time", wave, span, narrow=True)
     for at in _between(time[np.isfinite(conditions.angle_rad)]):
         when = (_constant("t", "s", 1.0, float(f"{at:.7g}")),)
         yield TimeCourse(
             "a step in time",
             ("(time > t)",),
             when,
-            local=True,
+            narrow=True,
             where=f"from {at / MINUTE:.0f} min on",
         )
 

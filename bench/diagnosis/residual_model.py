@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import count
 from typing import Final
 
 import numpy as np
 from scipy import special
 
-from bench.base.arrays import CHANNELS, Floats
+from bench.base.arrays import CHANNELS
 from bench.diagnosis.candidates import Candidates
 from bench.diagnosis.gap import LEAST_CLOSED, Gap
 from bench.diagnosis.levels import OFTEN
 from bench.diagnosis.linear import LinearSystem
-from bench.diagnosis.naming import FoundEffect, Naming
+from bench.diagnosis.naming import Naming
 from bench.diagnosis.noise_grid import Repeats
 from bench.diagnosis.noise_kinds import LocalScatter, larger_scatter, residuals
 from bench.diagnosis.posterior import NoiseSize, Posterior, applied_of, posterior
@@ -22,10 +24,6 @@ from bench.model.effects.formula import FormulaEffect
 
 UNNAMED_FORM: Final = "unnamed_form"
 """What stands in `cannot_tell_from` of an effect that an unnamed form describes as well."""
-
-
-OF_SETTING: Final = 2
-"""Degrees of freedom of the noise in a repeat of a setting: those across the turn of the head."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +42,7 @@ class UnexplainedScatter:
     @classmethod
     def of(cls, noise: NoiseSize, repeats: Repeats) -> UnexplainedScatter:
         """Compare the noise beside all finds with the noise of the repeats (F test)."""
-        of_repeats = OF_SETTING * repeats.freedom
+        of_repeats = 2 * repeats.freedom  # of three channels, those across the turn of the head
         beyond = noise.freedom - of_repeats
         all2, repeats2 = noise.reading**2, repeats.sigma**2
         value = float(np.sqrt(max(all2 - repeats2, 0.0)))
@@ -143,42 +141,31 @@ def describe(
 ) -> FreeForm:
     """Return the form of the unnamed terms among the finds; `gap` and `noise` are those of the finds."""
     columns = candidates.columns[:, list(naming.columns)]
-    fitted = posterior(linear, columns, noise)
-    form = FreeForm(
-        terms=_terms(linear, candidates, naming, fitted),
-        gap=gap,
-        dark=UnexplainedScatter.of(noise, repeats),
-        scatter=None,
-        unit=linear.readings.unit,
-        instead_of=instead_of,
-    )
-    return replace(form, scatter=larger_scatter(linear, residuals(linear, columns, noise)))
+    scatter = larger_scatter(linear, residuals(linear, columns, noise))
+    terms = tuple(_terms(linear, candidates, naming, posterior(linear, columns, noise)))
+    dark = UnexplainedScatter.of(noise, repeats)
+    return FreeForm(terms, gap, dark, scatter, linear.readings.unit, instead_of)
 
 
 def _terms(
     linear: LinearSystem, candidates: Candidates, naming: Naming, fitted: Posterior
-) -> tuple[FormTerm, ...]:
+) -> Iterator[FormTerm]:
     taken = {applied.effect.name for applied in linear.model.effects}
-    names = (name for name in (f"{UNNAMED}{k}" for k in range(1, 1000)) if name not in taken)
+    names = (name for name in map(f"{UNNAMED}{{}}".format, count(1)) if name not in taken)
     u = np.sqrt(np.diag(fitted.amplitude_covariance))
-    terms = []
     for one, mine in naming.parts():
-        if one.variant.term is None:
+        variant = one.variant
+        if variant.term is None:
             continue
-        applied = _applied(candidates, one, next(names), fitted.amplitudes[mine], u[mine])
+        per_channel = candidates.kinds[variant.columns[0]].channel is not None
+        effect = variant.term.effect(next(names), per_channel=per_channel)
+        shape = tuple((p.name, p.default) for p in effect.parameters if p.is_shape)
+        (applied,) = applied_of(
+            candidates, replace(variant, shape=shape), fitted.amplitudes[mine], u[mine], effect=effect
+        )
         rho, p = fitted.significance(mine)
-        terms.append(FormTerm(applied, one.variant.family, one.ties[:MOST_ALIKE], rho, p))
-    return tuple(terms)
+        yield FormTerm(applied, variant.family, one.ties[:MOST_ALIKE], rho, p)
 
 
 MOST_ALIKE: Final = 4
 """Families listed of those that explain a term as well."""
-
-
-def _applied(candidates: Candidates, one: FoundEffect, name: str, value: Floats, u: Floats) -> AppliedEffect:
-    variant = one.variant
-    assert variant.term is not None  # noqa: S101 - only terms are applied so
-    per_channel = candidates.kinds[variant.columns[0]].channel is not None
-    effect = variant.term.effect(name, per_channel=per_channel)
-    shape = tuple((p.name, p.default) for p in effect.parameters if p.is_shape)
-    return applied_of(candidates, replace(variant, shape=shape), value, u, effect=effect)[0]

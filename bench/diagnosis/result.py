@@ -16,9 +16,9 @@ from bench.diagnosis import (
     candidates,
     evidence,
     gap,
+    levels,
     naming,
     noise_grid,
-    noise_kinds,
     visibility,
 )
 from bench.diagnosis.candidates import Candidates, in_volts
@@ -99,7 +99,7 @@ def register(linear: LinearSystem, limit: evidence.Threshold) -> Registration:
     }
     if evidence.formulas():
         hashed["formulas"] = evidence.formulas()
-    hashed["form"] = [gap.LEAST_CLOSED, noise_kinds.SCATTER_P, noise_kinds.MORE_SCATTER]
+    hashed["form"] = [gap.LEAST_CLOSED, levels.HARDLY_EVER]
     del hashed["sha256"]
     text = json.dumps(hashed, sort_keys=True)
     return replace(settled, sha256=hashlib.sha256(text.encode()).hexdigest())

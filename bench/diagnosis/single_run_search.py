@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from bench.diagnosis.candidates import (
     without_copies,
 )
 from bench.diagnosis.evidence import Data, Search, Threshold, ThresholdCache, Whitened
+from bench.diagnosis.levels import UNSEEN
 from bench.diagnosis.linear import LinearSystem, make_linear
 from bench.diagnosis.naming import MOST_EFFECTS, Naming, Scored, name
 from bench.diagnosis.noise_grid import (
@@ -73,11 +74,8 @@ class Prepared:
         return self.log_odds + total
 
 
-class Reconsider(Protocol):
-    """A function that prepares and searches the readings again with another noise."""
-
-    def __call__(self, prepared: Prepared, linear: LinearSystem, most: float) -> tuple[Prepared, Naming]:
-        """Search `linear`, whose noise is at `most` this, about the finds of `prepared`."""
+Reconsider = Callable[[Prepared, LinearSystem, float], tuple[Prepared, Naming]]
+"""Searches a system with another noise, at most so large, about the finds of what is prepared."""
 
 
 SURELY_LESS: Final = 6.0
@@ -144,8 +142,6 @@ def in_the_noise_of(prepared: LinearSystem, linear: LinearSystem) -> LinearSyste
     )
 
 
-BENT: Final = 0.3
-"""What an effect may change a reading beyond its columns, in units of noise, and count as linear."""
 STEPS: Final = 6
 """Most linearisations; the rest of the nonlinearity stays in the residuals."""
 
@@ -262,7 +258,7 @@ def _relinearised(task: SearchTask, prepared: Prepared, naming: Naming) -> Prepa
     sizes = np.concatenate([value for _, value in parts])
     moved = linear.rows_of(change)
     bend = moved - candidates.columns[:, columns] @ sizes - prepared.bend
-    if float(np.max(np.abs(bend))) < BENT * noise.reading:
+    if float(np.max(np.abs(bend))) < UNSEEN * noise.reading:
         return None
     readings = linear.readings
     try:

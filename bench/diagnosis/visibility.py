@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
@@ -12,8 +12,10 @@ import numpy as np
 from bench.base.arrays import Floats
 from bench.diagnosis.candidates import ROUND, Candidates, Variant, plausible_columns
 from bench.diagnosis.evidence import KNOWN_SIZE, Search, Threshold, Whitened
+from bench.diagnosis.levels import NEGLIGIBLE
 from bench.diagnosis.linear import LinearSystem
-from bench.diagnosis.posterior import NoiseSize, whiten_rows
+from bench.diagnosis.noise_grid import make_whitener
+from bench.diagnosis.posterior import NoiseSize
 from bench.model.effects import CATALOGUE, AppliedEffect, Parameter
 from bench.readings.table import VERIFICATION
 
@@ -27,14 +29,24 @@ def detectable(whitened: Whitened, threshold: Threshold, ratio: int) -> dict[str
     The size belongs to the form of the effect that shows best.
     """
     variants = whitened.candidates.variants
-    half = half_power(whitened, threshold)
-    best = dict.fromkeys(CATALOGUE, 0.0)
+    square = dict.fromkeys(CATALOGUE, 0.0)
     for group in Search.beside(whitened, ()).groups:
-        largest = np.sqrt(group.values[ratio].max(axis=1))
+        largest = group.values[ratio].max(axis=1)
         for number, seen in zip(group.members.tolist(), largest.tolist(), strict=True):
             if variants[number].named:
-                best[variants[number].family] = max(best[variants[number].family], seen)
-    return {name: half / seen if seen > NOTHING_SEEN else float("inf") for name, seen in best.items()}
+                square[variants[number].family] = max(square[variants[number].family], seen)
+    half = half_power(whitened, threshold)
+    return {name: half / seen**0.5 if seen > NEGLIGIBLE else float("inf") for name, seen in square.items()}
+
+
+def half_power(whitened: Whitened, threshold: Threshold) -> float:
+    """Return the size (rho, units of noise) at which half of all runs find an effect of one parameter.
+
+    At this size ln of the evidence, about rho^2/2 less a cost, equals the threshold. The cost follows from the
+    numbers of parameters, forms and families.
+    """
+    looks = np.log(len(whitened.candidates.families)) + 1.5
+    return float(np.sqrt(2.0 * max(threshold.value + looks + 2.0, 1.0)))
 
 
 @dataclass(frozen=True)
@@ -58,57 +70,38 @@ def smallest(whitened: Whitened, threshold: Threshold, ratio: int) -> dict[str, 
     as the phases of a wave), the one that shows worst.
     """
     half = half_power(whitened, threshold)
-    best: dict[tuple[str, str], Smallest] = {}
-    for variant in whitened.candidates.variants:
+    candidates = whitened.candidates
+    found: dict[str, dict[str, Smallest]] = {}
+    for variant in candidates.variants:
         sized = [p for p in CATALOGUE[variant.family].parameters if not p.is_shape] if variant.named else []
-        if len(sized) < 2:
-            continue
-        kinds = [(whitened.candidates.kinds[column], column) for column in variant.columns]
-        for unit in dict.fromkeys(p.unit for p in sized):
+        for unit in dict.fromkeys(p.unit for p in sized) if len(sized) > 1 else ():
             of = {p.name: p for p in sized if p.unit == unit}
-            for cell in {(kind.channel, kind.mounts) for kind, _ in kinds}:
-                own = {
-                    k.parameter: i for k, i in kinds if (k.channel, k.mounts) == cell and k.parameter in of
-                }
-                if len(own) < len(of):
-                    continue
-                gram = whitened.among(ratio, list(own.values()))
-                one = _smallest_of(gram, own, of, half)
-                known = best.get((variant.family, unit))
-                if one is not None and (known is None or (one.part, one.size) < (known.part, known.size)):
-                    best[variant.family, unit] = one
-    found: dict[str, tuple[Smallest, ...]] = {}
-    for (name, _), one in best.items():
-        found[name] = (*found.get(name, ()), one)
-    return found
+            cells: dict[object, dict[str, int]] = {}
+            for column in variant.columns:
+                kind = candidates.kinds[column]
+                if kind.parameter in of:
+                    cells.setdefault((kind.channel, kind.mounts), {})[kind.parameter] = column
+            known = found.setdefault(variant.family, {})
+            for own in (own for own in cells.values() if len(own) == len(of)):
+                one = _smallest_of(
+                    whitened.among(ratio, list(own.values())), [of[name] for name in own], half
+                )
+                best = known.get(unit)
+                if one is not None and (best is None or (one.part, one.size) < (best.part, best.size)):
+                    known[unit] = one
+    return {name: tuple(of_unit.values()) for name, of_unit in found.items() if of_unit}
 
 
-def _smallest_of(
-    gram: Floats, own: Collection[str], of: Mapping[str, Parameter], half: float
-) -> Smallest | None:
-    scale = np.array([of[name].plausible / of[name].si_per_unit for name in own])
+def _smallest_of(gram: Floats, own: Sequence[Parameter], half: float) -> Smallest | None:
+    scale = np.array([p.plausible / p.si_per_unit for p in own])
     shows, directions = np.linalg.eigh(gram / np.outer(scale, scale))
     # in plausible sizes, so that a direction beyond belief is one in every unit
     reach = half / np.sqrt(np.maximum(shows, 1e-300))
     beyond = reach * np.linalg.norm(directions / scale[:, None], axis=0) > BEYOND_BELIEF
     if np.all(beyond):
         return None
-    return Smallest(tuple(own), float(reach[~beyond].max()), next(iter(of.values())).unit, bool(beyond.any()))
-
-
-NOTHING_SEEN: Final = 1e-6
-"""In units of noise, for a plausible size: rounding, no signal."""
-
-
-def half_power(whitened: Whitened, threshold: Threshold) -> float:
-    """Return the size (rho, units of noise) at which half of all runs find an effect of one parameter.
-
-    At this size ln of the evidence, about rho^2/2 less a cost, equals the threshold. The cost follows from the
-    numbers of parameters, forms and families.
-    """
-    candidates = whitened.candidates
-    looks = np.log(len(candidates.families)) + 1.5
-    return float(np.sqrt(2.0 * max(threshold.value + looks + 2.0, 1.0)))
+    names = tuple(p.name for p in own)
+    return Smallest(names, float(reach[~beyond].max()), own[0].unit, bool(beyond.any()))
 
 
 def hidden(
@@ -119,31 +112,22 @@ def hidden(
     With each stand the parts of which that is true, none named where it is all of them: an effect whose wave
     they show in one phase and never in the other is among them. `sizes` come from `detectable`.
     """
-    parts = _hidden_parts(whitened, half_power(whitened, threshold), ratio)
-    unseen: dict[str, tuple[str, ...]] = {}
-    for name in CATALOGUE:
-        if sizes[name] > BEYOND_BELIEF:
-            unseen[name] = ()
-        elif any(parameter.endswith(ROUND) for parameter, _ in parts.get(name, ())):
-            unseen[name] = tuple(text for _, text in parts[name])
-    return unseen
-
-
-def _hidden_parts(whitened: Whitened, half: float, ratio: int) -> dict[str, list[tuple[str, str]]]:
     candidates = whitened.candidates
-    seen = np.sqrt(np.maximum(whitened.square[ratio], 0.0))
+    seen = np.sqrt(np.maximum(whitened.square[ratio], 0.0)) * BEYOND_BELIEF / half_power(whitened, threshold)
     best: dict[tuple[str, str, str], float] = {}
     for variant in candidates.variants:
-        if variant.named:
-            shape = ", ".join(f"{name} {value:g}" for name, value in variant.shape)
-            for column in variant.columns:
-                key = (variant.family, candidates.kinds[column].parameter, shape)
-                best[key] = max(best.get(key, 0.0), float(seen[column]))
-    parts: dict[str, list[tuple[str, str]]] = {}
-    for (family, parameter, shape), size in best.items():
-        if half > BEYOND_BELIEF * size:
-            parts.setdefault(family, []).append((parameter, f"{parameter} ({shape})" if shape else parameter))
-    return parts
+        shape = ", ".join(f"{name} {value:g}" for name, value in variant.shape)
+        for column in variant.columns if variant.named else ():
+            key = (variant.family, candidates.kinds[column].parameter, f" ({shape})" if shape else "")
+            best[key] = max(best.get(key, 0.0), float(seen[column]))
+    unseen: dict[str, tuple[str, ...]] = {}
+    for name in CATALOGUE:
+        parts = [(of, shape) for (family, of, shape), size in best.items() if family == name and size < 1.0]
+        if sizes[name] > BEYOND_BELIEF:
+            unseen[name] = ()
+        elif any(parameter.endswith(ROUND) for parameter, _ in parts):
+            unseen[name] = tuple(parameter + shape for parameter, shape in parts)
+    return unseen
 
 
 class EffectPart(NamedTuple):
@@ -197,9 +181,7 @@ class ReadingDesign:
         self.linear = linear
         self._noise = noise
         self._unseen: dict[EffectPart, Floats] = {}
-        self._seen: dict[EffectPart, Floats] = {}
-        known = [self._column(part) * KNOWN_SIZE for form in others for part in form]
-        self._make_free(known)
+        self._make_free([self._column(part) * KNOWN_SIZE for form in others for part in form])
 
     def remounted(self, families: Sequence[str], before: Sequence[str]) -> None:
         """Give each mounting that is not in `before` its own effects of single mountings, of plausible size.
@@ -221,21 +203,13 @@ class ReadingDesign:
     def _make_free(self, known: list[Floats]) -> None:
         """Project out the coefficients, and within their priors the stand's angles and the `known` columns."""
         self._known = known
-        self._seen.clear()
-        fixed, random = self.linear.fixed, self.linear.random
-        self._priors = random.shape[1] + len(known)
-        base = self._white(np.column_stack([fixed, random, *known]))
-        prior = np.concatenate([np.zeros((self._priors, fixed.shape[1])), np.eye(self._priors)], axis=1)
-        self._basis, _ = np.linalg.qr(np.concatenate([base, prior]))
-
-    def _white(self, columns: Floats) -> Floats:
-        return whiten_rows(self.linear, self._noise, columns)
+        self._seen: dict[EffectPart, Floats] = {}
+        rows = self.linear.with_random(*known)
+        self._white = make_whitener(rows, self._noise.reading, self._noise.setting_rad)
 
     def _left(self, columns: Floats) -> Floats:
         """Return the whitened columns (N, m) with the free columns projected out."""
-        white = np.concatenate([self._white(columns), np.zeros((self._priors, columns.shape[1]))])
-        left: Floats = white - self._basis @ (self._basis.T @ white)
-        return left
+        return self._white @ (columns / self._noise.reading)
 
     def _column(self, part: EffectPart) -> Floats:
         if part not in self._unseen:
@@ -271,19 +245,14 @@ class ReadingDesign:
 
     def visible(self, forms: Sequence[Form]) -> float:
         """Return the signal-to-noise rho of an effect of plausible size in its most visible form."""
-        return max((_largest(self.seen(form)) for form in forms), default=0.0)
+        return max((float(np.linalg.norm(self.seen(form), 2)) for form in forms), default=0.0)
 
     def cosine(self, one: Form, other: Form) -> float:
         """Return the cosine of the smallest angle between the visible parts of two forms; 0 if one has none."""
         first, second = _basis(self.seen(one)), _basis(self.seen(other))
         if not (first.shape[1] and second.shape[1]):
             return 0.0
-        return min(1.0, _largest(first.T @ second))
-
-
-def _largest(matrix: Floats) -> float:
-    """Return the largest singular value."""
-    return float(np.linalg.svd(matrix, compute_uv=False)[0])
+        return min(1.0, float(np.linalg.norm(first.T @ second, 2)))
 
 
 def _basis(columns: Floats) -> Floats:

@@ -245,7 +245,8 @@ class ControlChart:
 
     `shewhart` and `ewma` have a row for each later run. The EWMA skips a run that T² rejects; the row of such a run
     is NaN. `alone` (m,) is the p-value of each baseline run in comparison with the others, None for too few runs.
-    `verdicts` holds the verdict on each later run, in order.
+    `verdicts` holds the verdict on each later run, in order. `known` is the drift of the block since `begun` (POSIX
+    time, s), None if unknown.
     """
 
     design: ChartDesign
@@ -261,6 +262,31 @@ class ControlChart:
     alone: Floats | None
     verdicts: tuple[Verdict, ...]
     notes: tuple[str, ...]
+    begun: float = 0.0
+    known: KnownDrift | None = None
+
+    def expected(self, when: datetime) -> tuple[Floats, Floats]:
+        """Return the values (m,) of a further run at a time, and the covariance (m, m) of its difference from them.
+
+        The centre moves by the known drift since `begun`, and by what the runs show beyond it where that is
+        significant; u grows with the time by that of both.
+        """
+        years = (when.timestamp() - self.begun) / SECONDS_PER_YEAR
+        lines, value = _Lines(self.begun, self.known), self.centre.value
+        u = lines.u(len(value))
+        if self.known is not None:
+            value = value + years * self.known.per_year
+        if self.drift is not None:
+            shown = self.drift.p < ALIKE_P
+            value, u = (
+                value + years * np.where(shown, self.drift.per_year, 0.0),
+                np.where(shown, self.drift.u, u),
+            )
+        scale = np.asarray(self.centre.scale)
+        between = self.centre.scatter
+        if between is None:
+            between = scale * (*self.baseline, *self.later)[-1].covariance
+        return value, scale * self.centre.covariance + between + np.diag((years * u) ** 2)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -339,7 +365,7 @@ def control_chart(
     chart = ControlChart(
         design, baseline, reference, later, centre, shewhart, ewma, short,
         _components(baseline, pooled, lines), _drift(baseline, later, shewhart, centre, pooled, lines, design),
-        alone, (), (),
+        alone, (), (), float(begun), drift,
     )  # fmt: skip
     return _concluded(chart)
 

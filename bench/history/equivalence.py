@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
-from scipy import linalg, optimize, special
+from scipy import linalg, optimize, special, stats
 
 from bench.base.arrays import Floats, Ints, u_of
 from bench.calibration.conformity import COVERAGE_FACTOR
@@ -399,12 +399,56 @@ class LaboratoryJudged:
         return self.p_all_looks < APART_P
 
 
-def against_others(values: Floats, covariances: Floats) -> tuple[LaboratoryJudged, ...]:
+@dataclass(frozen=True)
+class Drift:
+    """The `change` (k,) of a travelling unit between two measurements with the same instruments, in k numbers.
+
+    Its `covariance` (k, k) has `dof` degrees of freedom, infinite if it is stated.
+    """
+
+    names: tuple[str, ...]
+    change: Floats
+    covariance: Floats
+    dof: float = np.inf
+
+    @property
+    def p(self) -> float:
+        """The p-value of the joint test that nothing changed: chi-square, or F if u is of few repeats."""
+        scaled = self.change / u_of(self.covariance)
+        scale = np.outer(u_of(self.covariance), u_of(self.covariance))
+        chi2, k = float(scaled @ np.linalg.solve(self.covariance / scale, scaled)), len(self.change)
+        return float(stats.chi2.sf(chi2, k) if np.isinf(self.dof) else stats.f.sf(chi2 / k, k, self.dof))
+
+
+def transport_dark(drifts: Sequence[Drift], names: Sequence[str]) -> Floats:
+    """Return the scatter (1 sigma) of a travelling unit's state from stop to stop, beyond u, by number (m,).
+
+    It is the Mandel-Paule solution for changes whose variance is u^2 + 2 dark^2; 0 where nothing exceeds u, and
+    everywhere unless a change is significant (Holm): the scatter of few returns would else widen u by chance.
+    """
+    found = np.zeros(len(names))
+    changed = any(holm(np.array([drift.p for drift in drifts])) < APART_P) if drifts else False
+    for k, name in enumerate(names if changed else ()):
+        of = [(d.names.index(name), d) for d in drifts if name in d.names]
+        if of:
+            y, halves = np.zeros(2 * len(of)), np.repeat([d.covariance[i, i] / 2.0 for i, d in of], 2)
+            y[1::2] = [d.change[i] for i, d in of]
+            both, each = np.repeat(np.arange(len(of)), 2), np.arange(len(y))
+            found[k] = mandel_paule(Participants(y, np.diag(halves), both, each))
+    return found
+
+
+def against_others(
+    values: Floats, covariances: Floats, transport: Floats | None = None
+) -> tuple[LaboratoryJudged, ...]:
     """Return each of n laboratories, `values` (n, m) with `covariances` (n, m, m), against the others.
 
+    `transport` (m,) is the scatter of the unit's state between laboratories (`transport_dark`), which widens u.
     Raises `CalibrationError` for fewer than three laboratories: of two, nobody can say which is off.
     """
     n, m = values.shape
+    if transport is not None:
+        covariances = covariances + np.diag(transport**2)
     if n < LEAST_LABORATORIES:
         raise CalibrationError(
             f"{n} laboratories; {LEAST_LABORATORIES} or more are needed to say which is off"

@@ -327,16 +327,20 @@ def start_run(wish: WishFolder, name: str, runs: RunsFolder) -> Run:
     return runs.run(name)
 
 
-def resume_run(run: Run) -> None:
-    """Resume a run, or make its missing results, in a separate process, and wait until it has begun.
+def resume_run(run: Run, by: str = "") -> None:
+    """Resume a run in the name of `by`, or make its missing results, in a separate process; wait until it begins.
 
     Raises `Refusal` if a program is carrying out the run, or if the process ends before it has begun.
     """
     if is_being_written(run.folder):
         raise Refusal(409, message("a program is carrying out this run now; follow it on the run's page"))
     started = start(
-        ["resume", str(run.folder.absolute()), f"--runs={_runs(run)}", f"--answers={ANSWERS}"], _output(run)
-    )
+        [
+            "resume", str(run.folder.absolute()), f"--runs={_runs(run)}", f"--answers={ANSWERS}",
+            *([f"--operator={by}"] if by else []),
+        ],
+        _output(run),
+    )  # fmt: skip
     wait_until(lambda: is_being_written(run.folder) or not run.results_missing, started)
 
 

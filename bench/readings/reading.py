@@ -10,7 +10,14 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from bench.base.arrays import CHANNELS, Floats
-from bench.readings.columns import SINCE_POWER_ON_S, Rail, columns_of, since_power_on_cells
+from bench.readings.columns import (
+    METER_C,
+    ROOM_C,
+    SINCE_POWER_ON_S,
+    Rail,
+    columns_of,
+    since_power_on_cells,
+)
 from bench.readings.table import (
     CHAMBER_C,
     REFERENCE_V,
@@ -52,6 +59,7 @@ class Reading:
     drift. With too few samples they are None. `scan_order` is the order in which the channels were read. `rails`
     holds the mean of two measurements of each supply rail, before and after the reading. With a separate
     thermometer at the block, `temperature_source` is its sensor and `chamber_c` the air temperature of the chamber.
+    `meter_temperature_c` and `room_c` are the temperatures of the voltmeters and of the room, °C.
     A default means "not recorded": old records lack `samples` and their statistics, the reference and the scan
     order.
     """
@@ -77,6 +85,8 @@ class Reading:
     scan_order: str = ""
     temperature_source: str = ""
     chamber_c: float | None = None
+    meter_temperature_c: float | None = None
+    room_c: float | None = None
     rails: Mapping[str, Rail] = field(default_factory=dict)
 
     @property
@@ -134,6 +144,8 @@ class Reading:
             self.temperature_c,
             self.reference_v,
             self.chamber_c,
+            self.meter_temperature_c,
+            self.room_c,
             *self.sd,
         )
         for number in (*self.mean, self.direction, *may_be):
@@ -143,8 +155,8 @@ class Reading:
             raise ValueError("give a reading the mean of each channel")
 
 
-_WHERE_KNOWN: Final = ("rails", "temperature_source", "chamber_c")
-"""Fields that are left out of the record if empty: they need a power supply or a thermometer at the block."""
+_WHERE_KNOWN: Final = ("rails", "temperature_source", "chamber_c", METER_C, ROOM_C)
+"""Fields that are left out of the record if empty: they need a power supply or a further thermometer."""
 
 _KEYS: Final = {"pass_number": "pass"}
 """Fields with a different name in the record."""
@@ -162,7 +174,7 @@ _NUMBERS: Final = frozenset({int, float})
 def readings_of(taken: Sequence[Reading], source: str, power: Sequence[tuple[float, str]] = ()) -> Readings:
     """Return the table of the readings `taken`, named `source`.
 
-    The scan order, the reference, the temperature source, the rails and the time since power-on become extra
+    The scan order, the reference, further temperatures, the rails and the time since power-on become extra
     columns if any reading has them. `power` lists the states of the supply, as for `since_power_on_cells`.
     """
 
@@ -172,9 +184,9 @@ def readings_of(taken: Sequence[Reading], source: str, power: Sequence[tuple[flo
 
     extra = {
         SCAN_ORDER: [reading.scan_order for reading in taken],
-        REFERENCE_V: ["" if reading.reference_v is None else str(reading.reference_v) for reading in taken],
+        REFERENCE_V: _cells(taken, REFERENCE_V),
         TEMPERATURE_SOURCE: [reading.temperature_source for reading in taken],
-        CHAMBER_C: ["" if reading.chamber_c is None else str(reading.chamber_c) for reading in taken],
+        **{name: _cells(taken, name) for name in (CHAMBER_C, METER_C, ROOM_C)},
         SINCE_POWER_ON_S: since_power_on_cells([reading.time_s for reading in taken], power),
         **columns_of([reading.rails for reading in taken]),
     }
@@ -196,3 +208,9 @@ def readings_of(taken: Sequence[Reading], source: str, power: Sequence[tuple[flo
     )
     given = {name: np.array(cells, dtype=np.str_) for name, cells in extra.items() if any(cells)}
     return replace(table, extra=given)
+
+
+def _cells(taken: Sequence[Reading], name: str) -> list[str]:
+    """Return a field of readings as cells of a text column, empty where it is None."""
+    values = [getattr(reading, name) for reading in taken]
+    return ["" if value is None else str(value) for value in values]

@@ -3,28 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
 from markupsafe import Markup
 from pydantic import Field
 from rich.console import Console
 
+from bench.base.arrays import u_of
 from bench.base.numbers import fixed, probability
 from bench.base.result_model import ResultModel
 from bench.base.tables import print_notes, table
 from bench.calibration.intrinsic import INTRINSIC
-from bench.history.equivalence import LaboratoryJudged
+from bench.history.equivalence import Drift, LaboratoryJudged
 from bench.results.compare import draw_degrees
 from bench.results.intrinsic import small_unit
 from bench.results.parts import ValuePart, by_name
 from bench.results.plots import svg_figure
 from bench.results.tables import Row, page
 from bench.results.tables import symbol as html_symbol
+from bench.stats import holm
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+CHANGED_P: Final = 0.05
 WORDS: Final = {True: "OFF", False: "agrees"}
 
 
@@ -46,6 +49,18 @@ class LaboratoryPart(ResultModel):
     differences: dict[str, DifferencePart]
 
 
+class DriftPart(ResultModel):
+    """The change of the block between two stops of the pilot, or between monitors at one stop."""
+
+    first: str = Field(description="code of the stop")
+    last: str
+    by: Literal["calibration", "monitor"]
+    changes: dict[str, ValuePart]
+    p: float
+    p_all_looks: float = Field(description="after Holm's correction over all changes")
+    changed: bool
+
+
 class KitResult(ResultModel):
     """An interlaboratory comparison in the nine numbers that do not depend on the mounting."""
 
@@ -57,6 +72,10 @@ class KitResult(ResultModel):
     laboratories: list[LaboratoryPart]
     transport_p: float | None = Field(
         description="p-value that the block was the same at each stop of the pilot; null without a return"
+    )
+    drifts: list[DriftPart] = Field(description="of the block, in the order of its route")
+    transport: dict[str, float] = Field(
+        description="scatter of the block's state between stops beyond u (1 sigma), within u of each difference"
     )
     off: list[str]
     accepted: bool = Field(description="no laboratory is off, and the block did not change")
@@ -71,6 +90,33 @@ def laboratories_of(codes: Sequence[str], judged: Sequence[LaboratoryJudged]) ->
         )
         for code, one in zip(codes, judged, strict=True)
     ]
+
+
+def drifts_of(seen: Sequence[tuple[str, str, Literal["calibration", "monitor"], Drift]]) -> list[DriftPart]:
+    """Return the part of each change, with the codes of its first and last stop and what measured it."""
+    p = [drift.p for *_, drift in seen]
+    looks = holm(np.array(p)).tolist() if p else []
+    return [
+        DriftPart(
+            first=first, last=last, by=by, p=alone, p_all_looks=all_looks, changed=all_looks < CHANGED_P,
+            changes={
+                name: ValuePart(value=float(v), u=float(u))
+                for name, v, u in zip(drift.names, drift.change, u_of(drift.covariance), strict=True)
+            },
+        )
+        for (first, last, by, drift), alone, all_looks in zip(seen, p, looks, strict=True)
+    ]  # fmt: skip
+
+
+def drift_words(drift: DriftPart, unit: str) -> str:
+    """Return a change in words: where, its largest number in units of u, and the p-value."""
+    name, worst = max(drift.changes.items(), key=lambda item: abs(item[1].value) / item[1].u)
+    size, small = small_unit(name, worst.u, unit)
+    where = f"at {drift.first}" if drift.first == drift.last else f"from {drift.first} to {drift.last}"
+    return (
+        f"{'CHANGED' if drift.changed else 'unchanged'} {where}, by {drift.by}: {name} by "
+        f"{worst.value / size:+.2g} ± {worst.u / size:.2g} {small} (u), {probability(drift.p_all_looks)}"
+    )
 
 
 def print_kit(result: KitResult, on: Console) -> None:
@@ -88,8 +134,20 @@ def print_kit(result: KitResult, on: Console) -> None:
         )
     on.print(shown)
     if result.transport_p is not None:
-        word = "did not change" if result.transport_p >= 0.05 else "CHANGED"
+        word = "did not change" if result.transport_p >= CHANGED_P else "CHANGED"
         on.print(f"the block {word} on its way, by the pilot's returns ({probability(result.transport_p)})")
+    for drift in result.drifts:
+        on.print(drift_words(drift, result.unit))
+    widened = [
+        f"{name} {dark / size:.2g} {unit}"
+        for name, dark in result.transport.items()
+        for size, unit in [small_unit(name, dark, result.unit)]
+        if dark > 0.0
+    ]
+    if widened:
+        on.print(
+            f"scatter of the block's state between stops, within u of each difference: {', '.join(widened)}"
+        )
     print_notes(on, result.notes)
 
 
@@ -116,11 +174,13 @@ def render_kit(result: KitResult) -> str:
             for one in result.laboratories
         ],
         consensus=[_consensus(result, name) for name in INTRINSIC],
+        drifts=[drift_words(drift, result.unit) for drift in result.drifts],
     )  # fmt: skip
 
 
 def _consensus(result: KitResult, name: str) -> Row:
     own = result.consensus[name]
     size, unit = small_unit(name, own.u, result.unit)
-    cells = (f"{own.value:.7g}", f"{own.u / size:.2g} {unit}", f"{result.dark[name] / size:.2g} {unit}")
+    beyond = (own.u, result.dark[name], result.transport[name])
+    cells = (f"{own.value:.7g}", *(f"{u / size:.2g} {unit}" for u in beyond))
     return Row(html_symbol(name), cells)

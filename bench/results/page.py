@@ -202,7 +202,7 @@ _MEASURED: Final = {
     "procedure": "Procedure",
 }
 """The entries of the provenance that are repeated near the top of the page, with their titles there."""
-_INSTRUMENTS = ("voltmeter", "head", "thermometer", "level", "power_supply")
+_INSTRUMENTS = ("voltmeter", "head", "thermometer", "meter_", "room_", "level", "power_supply")
 """Prefixes of the names of instruments that are listed near the top; a chamber is listed only at the end."""
 
 

@@ -209,6 +209,10 @@ class ReadingPart(ResultModel):
     temperature_c: float | None
     temperature_source: str = Field("", description="the sensor, where a thermometer is at the block")
     chamber_c: float | None = Field(None, description="the air of the chamber, where the block is measured")
+    meter_temperature_c: float | None = Field(
+        None, description="the voltmeters, where a thermometer is at them"
+    )
+    room_c: float | None = Field(None, description="the room, where a thermometer is in it")
     unit: str
     mean: list[float] = Three
     sd: list[float | None] = Three

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Literal
 
 from bench.base.languages import message
 from bench.base.text import listed
@@ -31,7 +32,8 @@ from drivers.person import Person, Prompt, PromptKind
 class Instruments:
     """The instruments of a bench as the runner uses them. Each of x, y, z is measured by exactly one voltmeter.
 
-    `opened` holds the names of the instruments opened so far; another program may be using the others.
+    `around` maps columns of the readings to the thermometer of the meters or the room, or to "chamber" for its
+    air. `opened` holds the names of the instruments opened so far; another program may be using the others.
     """
 
     voltmeters: Sequence[Voltmeter]
@@ -40,12 +42,17 @@ class Instruments:
     level: interfaces.Level | None = None
     thermometer: interfaces.Thermometer | None = None
     power_supply: PowerSupply | None = None
+    around: Mapping[str, interfaces.Thermometer | Literal["chamber"]] = field(default_factory=dict)
     opened: set[str] = field(default_factory=set)
 
     def all(self) -> list[Instrument]:
         """Return every instrument, in the order of opening."""
-        further = (self.chamber, self.level, self.thermometer, self.power_supply)
-        return [*self.voltmeters, self.head, *(one for one in further if one is not None)]
+        further = (self.chamber, self.level, self.thermometer, self.power_supply, *self.around.values())
+        return [
+            *self.voltmeters,
+            self.head,
+            *(one for one in further if one is not None and one != "chamber"),
+        ]
 
     def open(self) -> dict[str, Identity]:
         """Open all instruments; return their identities by name.
@@ -121,6 +128,24 @@ def told_at_reading(
     if chamber is not None and (known_c is None or by_controller):
         return chamber.temperature(key), None
     return known_c, None
+
+
+def told_around(
+    instruments: Instruments, known: Mapping[str, float], air_c: float | None, key: str
+) -> dict[str, float]:
+    """Return the temperatures of meters and room by column, °C; `air_c` is the air of the chamber, if known.
+
+    `known` are values of this mounting; they spare a person the question. Raises `BenchError`.
+    """
+    told = {
+        column: air_c
+        if by == "chamber"
+        else known[column]
+        if by.asks_person and column in known
+        else by.block_c(key)
+        for column, by in instruments.around.items()
+    }
+    return {column: shown_c for column, shown_c in told.items() if shown_c is not None}
 
 
 def leave_safe(

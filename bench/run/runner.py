@@ -66,6 +66,7 @@ class People:
     `decider` is asked how to continue after an early sign; by default it is `person`. `asker` is the living
     person behind either of them, who may answer in more than one place. `patience` is the clock used during a
     pause: real time, even if the bench is simulated. `hold_signals` keeps later signals from raising exceptions.
+    `resumed_by` is who resumed the run, if known.
     """
 
     person: Person
@@ -74,6 +75,7 @@ class People:
     controls: Controls = field(default_factory=NoControls)
     patience: Clock = field(default_factory=SystemClock)
     hold_signals: Callable[[], None] = lambda: None
+    resumed_by: WishAuthor = NOBODY_KNOWN
 
 
 @dataclass
@@ -173,7 +175,8 @@ class Runner:
         serials = {name: identity.serial for name, identity in opened.items()}
         known = {} if self.certificates is None else {"serials": serials}
         begun = EventType.RUN_RESUMED if resume else EventType.RUN_STARTED
-        self._emit(begun, step=start, instruments=identities, **known)
+        author = self.people.resumed_by.to_json() if resume else {}
+        self._emit(begun, step=start, instruments=identities, **known, **author)
         for words in same_serials(opened):
             self._emit(EventType.SAME_SERIAL, words=words)
         for words in self.certificates(serials) if self.certificates is not None else ():

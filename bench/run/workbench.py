@@ -6,7 +6,7 @@ import contextlib
 import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 import numpy as np
@@ -41,7 +41,7 @@ from bench.run.events import (
     TemperatureSet,
     Turned,
 )
-from bench.run.instruments import Instruments, told_at_mounting, told_at_reading
+from bench.run.instruments import Instruments, told_around, told_at_mounting, told_at_reading
 from bench.run.person import UNTOUCHED, ask, confirm, mount_prompt, untouched_prompt
 from bench.run.power import Feeding, UnitPower, warm_up
 from bench.run.samples import SLOW_AFTER_S, ChamberWatch, Criterion, Settling, describe, wait_until_settled
@@ -272,6 +272,7 @@ class Workbench:
     _settings: VoltmeterSettings | None = field(default=None, init=False)
     _level_zero: Inclination | None = field(default=None, init=False)
     _chamber_c: float | None = field(default=None, init=False)
+    _around_c: dict[str, float] = field(default_factory=dict, init=False)
     _before_glances: tuple[VoltmeterSettings | None] | None = field(default=None, init=False)
     _glancing: bool = field(default=False, init=False)
 
@@ -287,10 +288,12 @@ class Workbench:
         return brought
 
     def do_mount(self, step: Mount) -> Mounted:
-        """Ask the person to mount the block, and to enter its temperature if no instrument measures it."""
+        """Ask the person to mount the block, and to enter the temperatures that no instrument measures."""
         confirm(self.person, mount_prompt(step, chamber=self.instruments.chamber is not None))
         self._position = None
         self.temperature_c = told_at_mounting(self.instruments, step.key)
+        by_person = {c: by for c, by in self.instruments.around.items() if by != "chamber" and by.asks_person}
+        self._around_c = told_around(replace(self.instruments, around=by_person), {}, None, step.key)
         if self.power is not None and self.power.on and self.power.supply.asks_person:
             self.power.look(step.key)
         return Mounted(self.temperature_c)
@@ -492,6 +495,7 @@ class Workbench:
             if self.instruments.thermometer is None
             else self.instruments.thermometer.sensor,
             chamber_c=self._chamber_c,
+            **self._around_c,
             unit="V",
             mean=tuple(of.mean for of in statistics),
             sd=tuple(of.sd for of in statistics),
@@ -506,12 +510,14 @@ class Workbench:
         )
 
     def _take_temperature(self, key: str) -> None:
-        """Read the block's temperature from its thermometer or, without one, from the chamber.
+        """Read the temperatures around, and the block's from its thermometer or, without one, from the chamber.
 
         A person is asked only once after each mounting and each new set point. Raises `LimitExceeded` when the
         block is outside its permitted temperatures; this stops the run and makes the chamber safe.
         """
         self.temperature_c, self._chamber_c = told_at_reading(self.instruments, self.temperature_c, key)
+        air_c = self.temperature_c if self.instruments.thermometer is None else self._chamber_c
+        self._around_c = told_around(self.instruments, self._around_c, air_c, key)
         low_c, high_c = self.bench.block_limits_c
         if self.temperature_c is not None and not low_c <= self.temperature_c <= high_c:
             raise LimitExceeded(

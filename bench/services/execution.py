@@ -62,7 +62,7 @@ from bench.services.bench_selection import bench_for_record, bench_path, why_tak
 from bench.services.errors import Refused
 from bench.services.fitness import agree_to_expired, is_away, refuse_unfit
 from bench.services.own_effects import effects_for_record, knowing_effects_on_record, simulated_truth
-from bench.services.persons import acting_at, operator_of
+from bench.services.persons import acting_at, operator_of, resumer
 from bench.services.requests.measuring import ResumeRequest, RunRequest
 from bench.services.requests.shared import name_to_type, runs_folder
 from bench.services.traceability import remarks
@@ -256,6 +256,7 @@ def resumed(
     """
     away = is_away(request.answers, panel=request.panel)
     who = None if away else acting_at(TERMINAL, request.operator)
+    by = resumer("panel" if away else TERMINAL, request.operator)
     run = unfinished_run(request.name, runs_folder(request.runs), results_too=True)
     refuse_missing_devices(run)
     announce(run)
@@ -280,6 +281,7 @@ def resumed(
                     interrupts=interrupts,
                     wishes=wishes,
                     asker=asker,
+                    resumed_by=by,
                 )
         yield Run(run.folder), interrupts
 
@@ -308,11 +310,12 @@ def carry_out(
     interrupts: Interrupts | None = None,
     wishes: WishListener | None = None,
     asker: Asker | None = None,
+    resumed_by: WishAuthor = NOBODY_KNOWN,
 ) -> None:
     """Carry out a run to its end. If it stops early, raise `Refused` with the number of readings kept.
 
     A resumed run has a `history`. `interrupts` handles signals during the run, `wishes` reads the requests (pause,
-    skip, …) left in its folder, `asker` puts questions to a person.
+    skip, …) left in its folder, `asker` puts questions to a person. `resumed_by` is who resumed it, if known.
     """
     signals = interrupts or Interrupts()
     write_whole(run.folder / RESULTS, to_text({"made": None}))
@@ -337,7 +340,9 @@ def carry_out(
             bar.recall(history.progress.chosen if history else ())
             # a stopped dry run is resumed by a person, who can be asked
             decider = asker if history else None
-            people = People(assembly.person, decider, asker, wishes, hold_signals=signals.hold)
+            people = People(
+                assembly.person, decider, asker, wishes, hold_signals=signals.hold, resumed_by=resumed_by
+            )
             live = _live(run, bench, watcher, asker)
             recorder = Recorder(
                 record,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -45,16 +46,21 @@ def monitored(request: Monitor) -> Monitored:
     Raises `Refused` for a source without date, `CalibrationError` if runs are too few or unlike.
     """
     sources = tuple(load_sources(reading(request, *request.sources)))
-    return Monitored(monitor_chart([_run(source) for source in sources], request.baseline), sources)
+    return Monitored(monitor_chart([_dated(source) for source in sources], request.baseline), sources)
 
 
-def _run(source: Source) -> CheckRun:
-    when = date_of(source.made_at, source.name)
-    if when is None:
+def _dated(source: Source) -> CheckRun:
+    if source.made_at is None:
         raise Refused(f"{source.name}: has no date; use runs, or a file that 'bench export' wrote")
+    return check_run(source)
+
+
+def check_run(source: Source) -> CheckRun:
+    """Return the numbers of one monitor; its day is 1970-01-01 if unknown. Raises `CalibrationError`."""
     conditions = source.readings.conditions()
     stand = np.zeros((len(conditions.mounts), len(STAND_ANGLES)))
     force = source.model.specific_force(conditions, stand, Block(np.eye(3), np.zeros(3)))
+    when = date_of(source.made_at, source.name) or datetime(1970, 1, 1, tzinfo=UTC)
     return monitor_run(source.name, when, source.readings.signal, force)
 
 

@@ -71,15 +71,9 @@ def _course(file: BenchFile, path: Path, request: Check, *, simulated: bool) -> 
         )
     except (Refused, CalibrationError) as why:
         return replace(course, no_chart=str(why))
-    centre = chart.twelve.centre
-    # what a further run may differ by, beside the error of the centre
     runs = [*chart.twelve.baseline, *chart.twelve.later]
-    between = centre.scatter if centre.scatter is not None else np.asarray(centre.scale) * runs[-1].covariance
-    mean, covariance = np.zeros(STATE), np.zeros((STATE, STATE))
-    mean[:COEFFICIENT_COUNT] = centre.value
-    covariance[:COEFFICIENT_COUNT, :COEFFICIENT_COUNT] = (
-        np.asarray(centre.scale) * centre.covariance + between
-    )
+    mean, covariance, own = np.zeros(STATE), np.zeros((STATE, STATE)), slice(COEFFICIENT_COUNT)
+    mean[own], covariance[own, own] = chart.twelve.expected(utc_now())
     stand_u = {name: one.u for name, one in file.stand_distributions().items()}
     noise = NoiseSizes(max(run.s for run in runs), stand_u["setting_error"])
     model = ForwardModel(file.installation_models())

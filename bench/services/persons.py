@@ -21,7 +21,7 @@ from bench.base.languages import message
 from bench.base.text import visible
 from bench.results.persons import PersonChange, PersonPart, PersonsResult
 from bench.run.events import OperatorPerson, RecordError
-from bench.run.person import WishAuthor, at_the_shell
+from bench.run.person import NOBODY_KNOWN, WishAuthor, at_the_shell
 from bench.services.chain import LINES, Chain, Entry, civil_now, first_head, opened
 from bench.services.errors import Refused
 from bench.services.requests.documents import ChangePersons, PersonsCommand, Right
@@ -186,6 +186,12 @@ def acting_at(where: str, name: str, laboratory: Path | None = None) -> WishAuth
         return user
     role = user.role if person is None or Right.SUPERVISE in person["may"] else "operator"
     return WishAuthor(chosen, role, where)
+
+
+def resumer(where: str, name: str) -> WishAuthor:
+    """Return who resumes a run, for its record: nobody without a `name` and without a register of persons."""
+    by = acting_at(where, name)
+    return by if name or persons_of(laboratory_known(None)) is not None else NOBODY_KNOWN
 
 
 # --- changes ----------------------------------------------------------------------------------------

@@ -13,14 +13,14 @@ from bench.config.bench_file.file import BenchFile, load_bench
 from bench.config.formulas import load_effects
 from bench.config.shipped import find_bench
 from bench.diagnosis import Threshold, ThresholdCache, diagnose
-from bench.diagnosis.evidence import Whitened, channel_steps, size_steps
+from bench.diagnosis.evidence import Whitened
 from bench.diagnosis.free_positions import diagnose_free
 from bench.diagnosis.linear import LinearSystem
 from bench.diagnosis.posterior import posterior
 from bench.diagnosis.show import Simulation, show
 from bench.model import CATALOGUE, Effect, ForwardModel, Installation
 from bench.results.diagnosis import found_result
-from bench.results.free_diagnosis import free_result
+from bench.results.free_diagnosis import result_of
 from benchmarks.blind_trial.cases import Case
 from benchmarks.blind_trial.outside import FORMULAS
 
@@ -40,11 +40,10 @@ class _ByDesign(ThresholdCache):
 
     def threshold(self, linear: LinearSystem, whitened: Whitened, setting_rad: float) -> Threshold:
         """Return the threshold of the present key, made from the first case that has it."""
-        of_runs = () if linear.by_run is None else size_steps(linear.by_run.sizes)
         # readings that are rounded alike share random columns, and their noise is believed
         of_noise = (linear.random.shape[1], whitened.grid.known)
         size = (len(linear), linear.fixed.shape[1])
-        key = (*self.key, *size, *of_noise, *channel_steps(linear), *of_runs)
+        key = (*self.key, *size, *of_noise)
         if key not in self.known:
             self.known[key] = super().threshold(linear, whitened, setting_rad)
         return self.known[key]
@@ -74,7 +73,7 @@ def forget_thresholds() -> None:
 def diagnose_case(case: Case) -> dict[str, Any]:
     """Return the diagnosis of a case (see `_diagnosed`), with the formulas of the user's own where it has them."""
     if case.free:
-        return free_result(diagnose_free(case.free, one_sensor=True)).to_dict()
+        return result_of(diagnose_free(case.free, one_sensor=True)).to_dict()
     with CATALOGUE.also(_own() if case.own else ()):
         return _diagnosed(case)
 

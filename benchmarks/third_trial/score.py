@@ -9,9 +9,8 @@ from typing import Any, Final
 import numpy as np
 from scipy.stats import binom, binomtest
 
-from bench.readings.corrected import MistakeName
 from benchmarks.campaign import Share, markdown
-from benchmarks.third_trial.forms import NAMES, SCATTER
+from benchmarks.third_trial.forms import SCATTER
 
 Record = dict[str, Any]
 Marks = dict[str, bool | None]
@@ -21,6 +20,9 @@ APART: Final = 4.0
 """Units of noise that the nearest rival leaves where the data can tell; that a wrong name leaves."""
 CLOSED: Final = 0.8
 """Of what the true form closes."""
+UNNAMED: Final = "unnamed_form"
+PATTERNS: Final = ("unnamed", "free_by", "single_", "slow_in_time")
+"""How the names of forms begin that are no effects."""
 _NOTHING: Final = re.compile(r"(NOTHING FOUND: )?readings and model agree within the noise")
 _PLACE: Final = re.compile(r"\bV\b|verification|point|channel|outlier|tails|slow|nois|round|off\b|\b[xyz]\b")
 
@@ -41,14 +43,23 @@ def in_set(one: Record) -> set[str]:
     return {*one["names"], *(name for tie in one["ties"] for name in tie)}
 
 
-def holds(one: Record, names: Sequence[str]) -> bool:
-    """Whether names are what is there: none for nothing, an unnamed form or a look-alike for what has no name."""
-    if one["group"] == "catalogue":
-        return set(names) == {one["name"]}
-    if one["group"] == "null" or not names:
-        return one["group"] == "null" and not names
-    known = [name for name in names if name in NAMES or name in set(MistakeName)]
-    return all(one["leaves"].get(name, np.inf) < 1 for name in known)
+def true_name(one: Record) -> str:
+    """Return the name that is true of a find, `UNNAMED` for a form without a name, and nothing for a null.
+
+    Names in the place of one find exclude each other, so that one of them is true at most. A form outside has the
+    first name where this leaves less than a unit of noise; a name that this trial does not know is judged by what
+    it closes.
+    """
+    if one["group"] != "outside":
+        return str(one["name"])
+    first = one["names"][0]
+    left = one["leaves"].get(first)
+    named = not first.startswith(PATTERNS) and (_closes(one) if left is None else left < 1)
+    return first if named else UNNAMED
+
+
+def _closes(one: Record) -> bool:
+    return (one.get("closed") or 0.0) >= CLOSED
 
 
 def marks_of(one: Record) -> Marks:
@@ -57,7 +68,7 @@ def marks_of(one: Record) -> Marks:
     if one["group"] == "null":
         return failed | {"null agrees": one["verdict"] == "agrees"}
     lone, first, large = alone(one), [*one["names"], ""][0], one["rho"] >= LARGE
-    closed, left = (one.get("closed") or 0.0) >= CLOSED, one.get("left")
+    closed, left = _closes(one), one.get("left")
     # a name that this trial does not know is judged by what it closes
     wrong = lone and first != one["name"] and (not closed if left is None else left >= APART)
     marks = failed | {"lone names that leave 4": wrong if lone else None}
@@ -184,10 +195,18 @@ def _coefficients(found: Sequence[Record]) -> list[str]:
 
 
 def _posteriors(found: Sequence[Record]) -> list[str]:
-    """Hold stated probabilities against how often they are right, in five bins with 99 % binomial limits."""
-    stated = [
-        (odd["probability"], holds(one, odd["names"])) for one in found for odd in one.get("odds") or ()
-    ]
+    """Hold stated probabilities against how often they are right, in five bins with 99 % binomial limits.
+
+    All forms without a name count as one.
+    """
+    stated: list[tuple[float, bool]] = []
+    for one in (one for one in found if one.get("odds")):
+        odds: dict[str, float] = {}
+        for odd in one["odds"]:
+            name = next(iter(odd["names"]), "")
+            name = UNNAMED if name.startswith(PATTERNS) else name
+            odds[name] = odds.get(name, 0.0) + odd["probability"]
+        stated += [(probability, name == true_name(one)) for name, probability in odds.items()]
     if not stated:
         return ["posterior probabilities: not stated"]
     p, true = np.array(stated, dtype=float).T

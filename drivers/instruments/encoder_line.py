@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-import re
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
-from drivers.facts import encoder_line as facts
-from drivers.interfaces import BadReading, Identity, InstrumentRefused
+from drivers.facts import text_line as facts
+from drivers.interfaces import Identity
 from drivers.readout import Approach, ReadOutHead, ScaleOfEncoder
+from drivers.text_line import TextLine
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from drivers.clock import Clock
     from drivers.person import Person
     from drivers.wire.visa import MessageSession
-
-_NUMBER: Final = re.compile(r"[+-]? *\d+(?:\.\d*)?|[+-]? *\.\d+")
 
 
 class EncoderLine(ReadOutHead):
@@ -52,9 +50,8 @@ class EncoderLine(ReadOutHead):
             identity=Identity(model, facts.MODEL),
             tells_reference=False,
         )
-        self._request = request
-        self._pattern = re.compile(pattern)
-        self._errors = errors
+        again = "clear that fault, cross the encoder's reference mark again, then redo this point"
+        self._line = TextLine(name, request, pattern, facts.ANGLE, errors, again)
         self._rad = math.tau / per_turn
 
     def _prove(self) -> None:
@@ -66,20 +63,4 @@ class EncoderLine(ReadOutHead):
 
         Raises `InstrumentRefused` for an error of the bench file, `BadReading` for any other reply.
         """
-        known = "|".join([f"(?:{self._pattern.pattern})", *map(re.escape, self._errors)])
-        said = self._session.ask(self._request, known, "a line of the form in the bench file")
-        if (meaning := self._errors.get(said)) is not None:
-            raise InstrumentRefused(
-                self.name,
-                f"its counter says {said!r} instead of an angle: {meaning}",
-                "clear that fault, cross the encoder's reference mark again, then redo this point",
-            )
-        match = self._pattern.fullmatch(said)
-        number = match[facts.ANGLE] if match else ""
-        if _NUMBER.fullmatch(number) is None:
-            raise BadReading(
-                self.name,
-                f"the angle in {said!r} is {number!r}, which is not a number",
-                "correct the pattern in the bench file",
-            )
-        return float(number.replace(" ", "")) * self._rad
+        return self._line.number(self._session) * self._rad

@@ -231,9 +231,9 @@ class _Probe(ScpiVoltmeter):
 class Keysight34970AThermometer:
     """A `Thermometer`: a sensor named as in `SENSORS` on a multiplexer channel such as 104.
 
-    If the voltmeter of the signals is the same instrument, pass it as `meter` and its session as `session`: it is
-    then configured again after each temperature. Raises `LimitExceeded` for a channel that no card has, or that
-    cannot measure with four wires.
+    If the voltmeter of the signals or another thermometer is the same instrument, pass it as `meter` and its
+    session as `session`: the voltmeter is then configured again after each temperature. Raises `LimitExceeded` for
+    a channel that no card has, or that cannot measure with four wires.
     """
 
     asks_person = False
@@ -248,7 +248,7 @@ class Keysight34970AThermometer:
         sensor: str = "pt100",
         interface: Interface = "lan",
         line_hz: float = 50.0,
-        meter: Keysight34970A | None = None,
+        meter: Keysight34970A | Keysight34970AThermometer | None = None,
     ) -> None:
         probe = SENSORS[sensor]
         known = PAIRED if probe.pair else facts.CARD_CHANNELS
@@ -290,7 +290,7 @@ class Keysight34970AThermometer:
             self._probe.start()
             shown_c = self._probe.fetch()["x"][0]
         finally:
-            if self._meter is not None:
+            if isinstance(self._meter, Keysight34970A):
                 self._meter.disturbed()
         low_c, high_c = self._range_c
         if not low_c <= shown_c <= high_c:

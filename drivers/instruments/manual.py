@@ -199,12 +199,18 @@ class ManualLevel(ByHand):
 
 
 def ask_temperature(
-    person: Person, key: str, text: str, low_c: float, high_c: float, outside: Callable[[float], str]
+    person: Person,
+    key: str,
+    text: str,
+    low_c: float,
+    high_c: float,
+    outside: Callable[[float], str],
+    of: str = "block",
 ) -> float | None:
     """Ask for a temperature from `low_c` to `high_c`, °C; return None if no attempt gives one.
 
     `key` names the question, `text` says what to do. `outside` returns the complaint about a value out of range.
-    Raises `NoAnswer` if nobody can answer.
+    `of` is "meter" or "room" for a temperature other than the block's. Raises `NoAnswer` if nobody can answer.
     """
     task = message(f"{text} and type the temperature in °C.")
 
@@ -216,7 +222,7 @@ def ask_temperature(
             unit="°C",
             minimum=low_c,
             maximum=high_c,
-            action={"do": "read_temperature"},
+            action={"do": "read_temperature"} if of == "block" else {"do": "read_temperature", "of": of},
         )
 
     def read(typed: str) -> float:
@@ -327,32 +333,50 @@ class ManualChamber(ByHand):
         return text or prompt.default or ""
 
 
+_PLACES: Final = {
+    "block": message("Read the thermometer at the block"),
+    "meter": message("Read the thermometer at the voltmeters"),
+    "room": message("Read the thermometer in the room"),
+}
+
+
 class ManualThermometer(ByHand):
-    """A `Thermometer` that a person reads, from `minimum_c` to `maximum_c`, °C."""
+    """A `Thermometer` that a person reads, from `minimum_c` to `maximum_c`, °C; `of` is a key of `_PLACES`."""
 
     model = "thermometer"
     asks_person = True
 
-    def __init__(self, name: str, person: Person, *, minimum_c: float, maximum_c: float, sensor: str) -> None:
+    def __init__(
+        self,
+        name: str,
+        person: Person,
+        *,
+        minimum_c: float,
+        maximum_c: float,
+        sensor: str,
+        of: str = "block",
+    ) -> None:
         super().__init__(name, person)
         self.sensor = sensor
+        self._of = of
         self._minimum_c = minimum_c
         self._maximum_c = maximum_c
 
     def block_c(self, key: str) -> float:
-        """Ask for the temperature at the block, °C; repeat the question if it is out of range.
+        """Ask for the temperature, °C; repeat the question if it is out of range.
 
         Raises `BadReading` after the last attempt, `NoAnswer` if nobody can answer.
         """
         found_c = ask_temperature(
             self._person,
-            f"{key}/thermometer",
-            message("Read the thermometer at the block"),
+            f"{key}/thermometer" if self._of == "block" else f"{key}/{self._of}_thermometer",
+            _PLACES[self._of],
             self._minimum_c,
             self._maximum_c,
             lambda typed_c: message(
                 f"{typed_c:g} °C is outside the thermometer's {self._minimum_c:g} to {self._maximum_c:g} °C."
             ),
+            self._of,
         )
         if found_c is not None:
             return found_c

@@ -104,7 +104,9 @@ class ScriptedOperator:
             text = _confirmation(prompt)
         elif action["do"] == "read_temperature":
             self._pass_time(self._settings.task_time_s)
-            text = f"{self._world.block_c:.2f}"
+            world = self._world
+            shown = {"meter": world.meters_c, "room": world.room_c}.get(action.get("of", ""))
+            text = f"{world.block_c if shown is None else shown():.2f}"
         elif action["do"] == "select_input":
             self._pass_time(self._settings.task_time_s)
             self._world.select_input(action["source"], action.get("reference_v"))

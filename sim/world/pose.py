@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from bench.base.arrays import Floats
-from bench.model.conditions import Conditions
+from bench.model.conditions import METER_REFERENCE_C, Conditions
 from bench.model.effects.base import Stage
 from bench.model.forward import ForwardModel
 from bench.model.geometry import INSTALLATION_1, Block
@@ -47,7 +47,7 @@ class Visit(NamedTuple):
     `scan` lists the channels 0, 1, 2 in the order in which the meters were triggered. `on_s` is the time since the
     block got power, None if unknown; `supply_v` the voltage of each rail minus its nominal voltage, V. `series_on`
     counts the power cycles since the block was mounted and first read; it adds to the mounting's series, so that
-    effects treat a power cycle like a remount.
+    effects treat a power cycle like a remount. `meters_c` is the temperature of the voltmeters, °C.
     """
 
     pose: Pose
@@ -58,6 +58,7 @@ class Visit(NamedTuple):
     on_s: float | None = None
     supply_v: tuple[float, ...] = ()
     series_on: int = 0
+    meters_c: float = METER_REFERENCE_C
 
 
 def switched_on_since(
@@ -91,6 +92,7 @@ def readings_of(visits: Sequence[Visit], model: ForwardModel, block: Block) -> F
         scan_order=[visit.scan for visit in visits],
         on_s=on_s if any(visit.on_s is not None for visit in visits) else None,
         supply_v=_supply_v(visits),
+        meter_c=np.array([visit.meters_c for visit in visits]),
     )
     first = [int(np.argmax(conditions.mount == mount)) for mount in range(len(conditions.mounts))]
     stand_rad = np.stack([poses[row].stand_rad for row in first])

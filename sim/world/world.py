@@ -151,8 +151,8 @@ class Terminals:
 
     @property
     def temperature_c(self) -> float:
-        """The temperature of the room, °C."""
-        return self._world.settings.ambient_c
+        """The temperature of the meter, °C."""
+        return self._world.meters_c()
 
     def signal_v(self, time_s: float | None = None) -> float:
         """Return the voltage at the terminals now, or at `time_s` of the clock, V."""
@@ -185,7 +185,8 @@ class WorldSettings:
 
     `stand` maps names in `STAND_NAMES` to the distributions of the stand errors: the stand angles (rad, drawn at
     each mounting), "setting_error" alpha4 (rad, drawn at each turn of the head) and "voltmeter_error" (V, drawn
-    for each reading of each channel); an omitted error is zero. `ambient_c` is the room temperature;
+    for each reading of each channel); an omitted error is zero. The room swings about
+    `ambient_c` by `room_swing` (K, period in s), and the meters follow it with `meter_lag_s`.
     `block_time_constant_s` is the lag of the block behind the chamber air. A controlled chamber ramps its demand
     at `chamber_rate_c_s`, and its air follows with the lag `chamber_lag_s`; with a period `chamber_ringing_s` it
     overshoots and rings. Switched off, it relaxes to the room temperature with `chamber_off_lag_s`. The platform
@@ -198,6 +199,8 @@ class WorldSettings:
     stand: Mapping[str, Distribution]
     seed: int
     ambient_c: float = 23.0
+    room_swing: tuple[float, float] = (0.0, 86400.0)
+    meter_lag_s: float = 0.0
     block_time_constant_s: float = 750.0
     chamber_rate_c_s: float = 4.0 / 60.0
     chamber_lag_s: float = 120.0
@@ -437,7 +440,8 @@ class World(KeyedNumbers):
                 stand_rad = self._stand_rad(installation, series)
                 pose = Pose(time_s, installation, series, stand_rad, at_rest, 0.0, direction, scale_angle_rad)
             known_c = self.block_c_at(time_s) if block_c is None else block_c
-            self._read.append(Visit(replace(pose, input_v=input_v), time_s, elapsed_s, known_c, scan))
+            visit = Visit(replace(pose, input_v=input_v), time_s, elapsed_s, known_c, scan)
+            self._read.append(visit._replace(meters_c=self.meters_c(time_s)))
 
     # --- true state ---------------------------------------------------------------------------------
 
@@ -497,7 +501,23 @@ class World(KeyedNumbers):
         """Return the temperature of the block at a time of the clock, °C (first-order lag, closed form)."""
         with self._lock:
             in_air_c = self._heat.block_c(time_s)
-        return in_air_c + self.settings.room_share * (self.settings.ambient_c - in_air_c)
+        return in_air_c + self.settings.room_share * (self.room_c(time_s) - in_air_c)
+
+    def room_c(self, time_s: float | None = None) -> float:
+        """Return the temperature of the room now, or at a time of the clock, °C."""
+        return self._swung_c(time_s, 0.0)
+
+    def meters_c(self, time_s: float | None = None) -> float:
+        """Return the temperature of the voltmeters now, or at a time of the clock, °C."""
+        return self._swung_c(time_s, self.settings.meter_lag_s)
+
+    def _swung_c(self, time_s: float | None, lag_s: float) -> float:
+        """Return the temperature of what follows the room with a first-order lag, after the first swings."""
+        elapsed_s = (self.clock.now_s() if time_s is None else time_s) - self.began_s
+        size_c, period_s = self.settings.room_swing
+        rate = math.tau / period_s
+        behind = math.sin(rate * elapsed_s - math.atan(rate * lag_s)) / math.hypot(1.0, rate * lag_s)
+        return self.settings.ambient_c + size_c * behind
 
     def level_shows_rad(self, axis: LevelAxis) -> float:
         """Return the present reading of the level on the platform, rad, with its zero error and new noise."""
@@ -551,6 +571,7 @@ class World(KeyedNumbers):
             None if on_since_s is None else time_s - on_since_s,
             self.power.above_nominal_v(self._past_s(time_s)),
             switched_on_since(pose, self._read, self.power.switchings, time_s),
+            self.meters_c(time_s),
         )
 
     def _past_s(self, time_s: float) -> float:

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,6 +16,8 @@ from bench.catalogue.store import open_catalogue
 from bench.catalogue.sync import sync
 from bench.model.geometry import COEFFICIENTS
 from bench.services.errors import Refused
+from tests.support.commands import printed
+from tests.support.known_inputs import twin
 from tests.support.many_runs import edited, runs_in
 
 OVER = ["runs/*"]
@@ -360,7 +363,7 @@ def test_a_mistake_of_the_program_is_a_sentence_too(run, monkeypatch):
     def broken(*_, **__):
         raise ZeroDivisionError("lost")
 
-    monkeypatch.setattr("bench.batch.work.calibration_of", broken)
+    monkeypatch.setattr("bench.batch.work.calibrated", broken)
     assert worked(Job(CALIBRATE), str(run))["failed"] == (
         "stopped by an error of the program (ZeroDivisionError: lost)"
     )
@@ -379,3 +382,20 @@ def test_a_diagnosis_is_held_against_the_stored_one(run, monkeypatch):
     assert (row["names_stored"], row["names"]) == ("", "scale_of_x or scale_of_y, cable_torque")
     assert json.loads(row["result"])["gap"]["before"] == row["gap_before"] == 4.0
     assert row.keys() <= COLUMNS[DIAGNOSE].keys()
+
+
+@pytest.mark.slow
+def test_a_record_at_a_known_input_has_gain_and_offset_and_their_change(bench, empty_folder, tmp_path):
+    """The twin of a meter at 1 V: at one level the offset is hidden, and the gain holds what the record tells."""
+    printed(bench("import", str(twin(tmp_path, 3)), "--name", "record"))
+    printed(bench("calibrate", "record", "--json", "runs/record/calibrate.json"))
+    row = worked(Job(CALIBRATE), str(Path("runs/record").absolute()))
+    assert "failed" not in row
+    assert set(row) <= set(COLUMNS[CALIBRATE])
+    assert row["gain_x"] == pytest.approx(1.0, abs=1e-4)
+    assert row["gain_x"] == row["gain_x_stored"]
+    assert (row["largest_change_in_u"], "offset_v_x" in row) == (0.0, False)
+    refused = worked(Job(CALIBRATE, join_verification=True), row["run"])
+    assert "do not apply to a record at a known input" in refused["failed"]
+    found = worked(Job(DIAGNOSE), row["run"])
+    assert "voltmeter_thermal" in found["names"]

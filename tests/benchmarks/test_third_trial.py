@@ -71,6 +71,18 @@ def test_scoring_of_a_null_of_a_tie_and_against_another_run():
     )
 
 
+def test_of_the_names_in_the_place_of_a_find_one_is_true():
+    """A form outside is its first name where this closes it, and else one without a name."""
+    creep = {"group": "outside", "name": "creep", "names": ["mounting_creep"], "leaves": {}, "closed": 0.97}
+    assert score.true_name(creep) == "mounting_creep"
+    assert score.true_name(creep | {"closed": 0.3}) == score.UNNAMED
+    looks_alike = creep | {"names": ["warm_up"], "leaves": {"warm_up": 0.4}}
+    assert score.true_name(looks_alike) == "warm_up"
+    assert score.true_name(looks_alike | {"leaves": {"warm_up": 6.0}}) == score.UNNAMED
+    assert score.true_name(creep | {"names": ["free_by_angle"]}) == score.UNNAMED
+    assert score.true_name(creep | {"group": "catalogue"}) == "creep"
+
+
 @pytest.mark.slow
 def test_the_program_finds_what_is_hidden_and_its_model_closes_the_gap():
     case = next(case for number in range(60) if (case := main_case(2, number)).name == "bias_drift")

@@ -12,7 +12,7 @@ from bench.calibration.intrinsic import INTRINSIC, intrinsic, intrinsic_of, join
 from bench.model import ForwardModel
 from bench.model.geometry import Block
 from bench.services.face import load_bench
-from benchmarks.intrinsic_campaign import run
+from benchmarks.intrinsic_campaign import pairs, run
 from tests.support.paper_bench import ARCSEC, STAND_U, U0, K, specific_force
 from tests.support.results import calibration_json
 from tests.support.whole_truth import simulate_whole, turned
@@ -150,3 +150,12 @@ def test_turned_blocks_and_drawn_stands_scatter_as_stated():
         assert np.mean((error / u) ** 2) == pytest.approx(1.0, abs=4 * np.sqrt(2 / 36))
         assert np.all(joint < 1.8)
         assert bool(np.max(np.abs(moved)) > 1e-3) is turned_too
+
+
+@pytest.mark.slow
+def test_a_change_of_any_of_the_nine_is_found_and_none_is_not():
+    """Seed 1, 2 pairs of `python -m benchmarks.intrinsic_campaign --pairs 300`, which finds 98 % or more."""
+    found = pairs(1, range(2))
+    assert found.shape == (2, 10, 3)
+    assert found[:, :9, 0].mean() > 0.9
+    assert not found[:, 9].any()

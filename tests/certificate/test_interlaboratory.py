@@ -6,9 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.certificate.interlaboratory import load_kit, plan_kit
+from bench.certificate.interlaboratory import kit_evaluate, kit_seal, load_kit, plan_kit
 from bench.history.equivalence import against_others
 from bench.model.geometry import COEFFICIENTS
+from bench.results.interlaboratory import render_kit
 from bench.services.errors import Refused
 from benchmarks import interlaboratory_campaign
 from tests.certificate.dcc.test_reading import HEAD, real_list
@@ -83,6 +84,61 @@ def test_a_result_opens_only_when_all_are_sealed_and_is_the_one_that_was_sealed(
     Path(file).write_text(Path(file).read_text(encoding="utf-8") + " ", encoding="utf-8")
     refused(bench("kit", "evaluate", "kit.yaml", *results), f"{code}: {file} is not the file that was sealed")
     refused(bench("kit", "seal", "kit.yaml", results[2]), f"{code}: is sealed already")
+
+
+def test_a_block_that_changes_on_its_way_is_told_and_widens_u(planned):
+    """From Python: bx steps by 30 u after the third stop, which the pilot's return shows, and u of everybody."""
+    rng, step = np.random.default_rng(7), np.eye(12)[9] * 3e-4
+    results = [
+        f"{stop.code}={result(rng, f'{stop.code}.json', step * (number > 2))}"
+        for number, stop in enumerate(planned.stops)
+    ]
+    left = kit_seal("kit.yaml", results)
+    assert all(stop.seal for stop in left.stops)
+    found = kit_evaluate("kit.yaml", results)
+    pilots = [stop.code for stop in planned.stops if stop.pilot]
+    assert [(one.first, one.last, one.changed) for one in found.drifts] == [
+        (*pilots[:2], True),
+        (*pilots[1:], False),
+    ]
+    assert found.drifts[0].changes["bx"].value == pytest.approx(step[9] / abs(TRUTH[0]), rel=0.3)
+    assert found.transport["bx"] > 5e-5
+    assert found.transport["by"] < 2e-5
+    assert (found.off, found.accepted) == ([], False)
+    assert "CHANGED from" in render_kit(found)
+
+
+def test_monitors_at_a_stop_show_what_the_block_did_there(planned, tmp_path):
+    """A monitor repeats to 5 µV; between arrival and departure at Brno bx moves by 2 mV, at Lviv by nothing."""
+    rng = np.random.default_rng(8)
+    results = measured(planned, None, 0.0)
+    kit_seal("kit.yaml", results)
+    codes = {stop.laboratory: stop.code for stop in planned.stops}
+    checks = []
+    for name, step in (("Brno", 2e-3), ("Lviv", 0.0)):
+        for day, off in enumerate((0.0, step)):
+            checks.append(f"{codes[name]}={monitor_file(rng, tmp_path / f'{name}{day}.csv', off)}")
+    found = kit_evaluate("kit.yaml", results, check=checks)
+    by_monitor = {one.first: one for one in found.drifts if one.by == "monitor"}
+    assert {code: one.changed for code, one in by_monitor.items()} == {
+        codes["Brno"]: True,
+        codes["Lviv"]: False,
+    }
+    assert by_monitor[codes["Brno"]].changes["bx"].value == pytest.approx(2e-3 / 2.0, rel=0.02)
+    assert found.transport["bx"] > 3e-4
+    with pytest.raises(Refused, match="give each file as CODE=FILE"):
+        kit_evaluate("kit.yaml", results, check=["brno.csv"])
+
+
+def monitor_file(rng, path, off):
+    """Four positions about the shaft, twice: 2 V/g along x and y, a bias of x, and noise of 5 µV."""
+    rows = ["installation,pass,point,angle_deg,ux_v,uy_v,uz_v"]
+    for number, angle in enumerate([0, 90, 180, 270] * 2):
+        force = np.array([np.cos(np.radians(angle)), np.sin(np.radians(angle)), 0.0])
+        signal = 2.0 * force + [off, 0.0, 0.0] + rng.normal(0.0, 5e-6, 3)
+        rows.append(f"1,{number // 4 + 1},{number % 4 + 1},{angle},{','.join(map(str, signal))}")
+    path.write_text("\n".join(rows) + "\n", encoding="utf-8")
+    return path
 
 
 def test_the_plan_visits_everybody_once_and_the_pilot_between():

@@ -267,8 +267,7 @@ def files(empty_folder):
     return names
 
 
-@pytest.mark.parametrize("command", ["calibrate", "verify", "diagnose"])
-@pytest.mark.slow
+@pytest.mark.parametrize("command", ["calibrate", "verify"])
 def test_the_others_are_done_in_their_order(bench, files, command):
     status, _, err = bench(command, *files, "none.csv", "--json", "all.json")
     assert status == 2

@@ -17,8 +17,8 @@ from bench.readings.csv import write_csv
 from bench.services.bodies import body_of
 from bench.services.diagnosis import MistakesResult
 from bench.services.source import Request, load_sources
+from tests.support import diagnosis_bench
 from tests.support.commands import printed, refused
-from tests.support.diagnosis_bench import paper_run
 from tests.support.schemas import keeps_to
 
 BOTH_WAYS = (1, -1, 1)
@@ -32,7 +32,9 @@ effects:
 
 def measured(name, seed, **hidden):
     """Write a readings file of the independent simulation in support/paper_bench.py."""
-    write_csv(paper_run(np.random.default_rng(seed), directions=BOTH_WAYS, **hidden), Path(name))
+    write_csv(
+        diagnosis_bench.paper_run(np.random.default_rng(seed), directions=BOTH_WAYS, **hidden), Path(name)
+    )
     return name
 
 
@@ -49,8 +51,8 @@ def test_an_effect_hidden_in_a_dry_run_is_named_added_and_the_gap_shrinks(bench)
     Path("hidden.yaml").write_text(HIDDEN, encoding="utf-8")
     run = bench("run", "calibration", "--dry-run", "--model", "hidden.yaml", "--name", "a", "--seed", 5)
     assert run[0] == 1
-    status, out, err = bench("diagnose", "a", "--json", "a.json")
-    assert (status, err) == (0, "")
+    status, out, err = bench("diagnose", "a", "--strict", "--json", "a.json")
+    assert (status, err) == (1, "")
     found = result_of("a.json")
     assert found["verdict"] == "named"
     (effect,) = found["effects"]
@@ -85,8 +87,13 @@ def test_an_effect_hidden_in_a_dry_run_is_named_added_and_the_gap_shrinks(bench)
 @pytest.mark.slow
 def test_readings_without_an_effect_agree_and_strict_accepts_them(bench):
     # JSON alone goes to standard output, what a person reads beside it
-    status, out, told = bench("diagnose", measured("null.csv", 3), "--strict", "--no-report", "--json", "-")
+    lines = Path(measured("null.csv", 3)).read_text(encoding="utf-8").splitlines(keepends=True)
+    lines[5] = lines[5].replace("1,1,5", "1,1,nan", 1)
+    Path("null.csv").write_text("".join(lines), encoding="utf-8")
+    asked = ("diagnose", "null.csv", "--skip-bad-rows", "--strict", "--no-report", "--json", "-")
+    status, out, told = bench(*asked)
     found = json.loads(out, parse_constant=refuse)
+    assert "left out: null.csv, line 6, column point" in " ".join(told.split())
     assert (status, found["verdict"], found["effects"], found["model"]) == (0, "agrees", [], None)
     assert "NOTHING FOUND" in told
     assert "quadratic_nonlinearity" in told  # the smallest size that would have shown
@@ -96,25 +103,25 @@ def test_readings_without_an_effect_agree_and_strict_accepts_them(bench):
 
 @pytest.fixture(scope="module")
 def day_before(tmp_path_factory):
-    """A folder with readings of a block with a K2, and what was found in them."""
+    """A folder with readings of a block with a K2, and what was found in them, with a model file of it."""
     folder = tmp_path_factory.mktemp("first")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         patch.delenv("BENCH_FILE", raising=False)
-        program.diagnose(measured("first.csv", 4, K2=(0, 100e-6, 0)), write=True, report=False)
-    return folder
+        found = program.diagnose(measured("first.csv", 4, K2=(0, 100e-6, 0)), write=True, report=False)
+    return folder, found
 
 
 @pytest.fixture
 def first(bench, day_before):
-    shutil.copytree(day_before, ".", dirs_exist_ok=True)
+    shutil.copytree(day_before[0], ".", dirs_exist_ok=True)
     return "first.csv"
 
 
 @pytest.mark.slow
-def test_a_model_of_one_day_serves_on_another_and_is_never_overwritten(bench, first):
+def test_a_model_of_one_day_serves_on_another_and_is_never_overwritten(bench, first, day_before):
     written = Path("diagnose/first-model.yaml").read_bytes()
-    assert bench("diagnose", first, "--no-report", "--strict")[0] == 1
+    assert day_before[1].written(report=False).files.model == Path("diagnose/first-model-2.yaml")
     assert Path("diagnose/first-model.yaml").read_bytes() == written
     written = sorted(path.name for path in Path("diagnose").glob("*-model*.yaml"))
     assert written == ["first-model-2.yaml", "first-model.yaml"]
@@ -154,46 +161,15 @@ def test_a_child_has_the_effects_of_its_parent_and_what_was_found_beside_them(be
 def test_what_the_data_cannot_tell_is_added_only_when_asked(bench):
     # no input was shorted: the zero of the voltmeters drifts, or the biases of all three channels alike
     measured("tie.csv", 7, drift_v_per_h=(1e-4, 1e-4, 1e-4))
-    assert bench("diagnose", "tie.csv", "--no-report", "--json", "d.json")[0] == 0
-    found = result_of("d.json")
+    result = program.diagnose("tie.csv", write=True, report=False)
+    found = result.to_dict()
     assert found["verdict"] == "confounded"
     (effect,) = found["effects"]
     assert {effect["name"], *effect["cannot_tell_from"]} >= {"voltmeter_drift", "bias_drift"}
     assert found["model"] is None
-    assert bench("diagnose", "tie.csv", "--no-report", "--accept-first", "--json", "d.json")[0] == 0
-    model = load_model(Path(result_of("d.json")["model"]))
+    model = load_model(result.written(accept_first=True, report=False).files.model)
     assert [e.name for e in model.effects] == [effect["name"]]
     assert "cannot tell" in " ".join(model.evidence.values())
-
-
-class InThisProcess:
-    """Carries out here what a pool of processes would: that it is one, `test_one_of_several` shows."""
-
-    def __init__(self, *workers, **how):
-        self.map = map
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *error, **how):
-        pass
-
-    shutdown = __exit__
-
-
-@pytest.mark.slow
-def test_several_sources_keep_their_order_and_rows_that_were_left_out_are_named_for_each(bench, monkeypatch):
-    monkeypatch.setattr("bench.services.diagnosis.ProcessPoolExecutor", InThisProcess)
-    names = [measured("b.csv", 3), measured("a.csv", 5, K2=(0, 100e-6, 0))]
-    lines = Path("b.csv").read_text(encoding="utf-8").splitlines(keepends=True)
-    lines[5] = lines[5].replace("1,1,5", "1,1,nan", 1)
-    Path("b.csv").write_text("".join(lines), encoding="utf-8")
-    out = printed(bench("diagnose", *names, "--skip-bad-rows", "--json", "all.json"))
-    assert "left out: b.csv, line 6, column point" in " ".join(out.split())
-    found = result_of("all.json")
-    assert [f["source"] for f in found] == names
-    assert [f["verdict"] for f in found] == ["agrees", "named"]
-    assert [f["report"] for f in found] == [None] * 2
 
 
 @pytest.mark.slow
@@ -213,7 +189,7 @@ def test_together_they_are_one_body_of_data(bench):
 
 @pytest.mark.slow
 def test_a_mistake_is_put_right_in_a_copy_alone(bench):
-    right = paper_run(np.random.default_rng(3), directions=BOTH_WAYS)
+    right = diagnosis_bench.paper_run(np.random.default_rng(3), directions=BOTH_WAYS)
     write_csv(replace(right, signal=right.signal[:, [1, 0, 2]]), Path("swapped.csv"))
     before = Path("swapped.csv").read_bytes()
     status, out, _ = bench("diagnose", "swapped.csv", "--strict", "--no-report", "--json", "d.json")
@@ -228,7 +204,7 @@ def test_a_mistake_is_put_right_in_a_copy_alone(bench):
 
 @pytest.mark.slow
 def test_the_search_goes_on_in_the_copy_and_its_model_says_on_which_correction_it_rests(bench):
-    right = paper_run(np.random.default_rng(4), directions=BOTH_WAYS, K2=(0, 150e-6, 0))
+    right = diagnosis_bench.paper_run(np.random.default_rng(4), directions=BOTH_WAYS, K2=(0, 150e-6, 0))
     signal = right.signal.copy()
     signal[20, 0] += 2e-3
     write_csv(replace(right, signal=signal), Path("both.csv"))
@@ -249,19 +225,15 @@ def test_the_search_goes_on_in_the_copy_and_its_model_says_on_which_correction_i
 
 
 @pytest.mark.slow
-def test_the_copy_of_a_run_tells_where_it_comes_from(bench):
-    assert bench("run", "calibration", "--dry-run", "--name", "a", "--seed", 5)[0] == 0
-    assert bench("export", "a", "--csv", "a.csv")[0] == 0
-    text = Path("a.csv").read_text(encoding="utf-8").splitlines()
-    cells = text[21].split(",")
-    ux = text[0].split(",").index("ux_v")
-    cells[ux] = str(float(cells[ux]) + 2e-3)
-    Path("a.csv").write_text("\n".join([*text[:21], ",".join(cells), *text[22:]]), encoding="utf-8")
-    assert bench("import", "a.csv", "--name", "b")[0] == 0
-    assert bench("diagnose", "b", "--no-report", "--json", "d.json")[0] == 0
-    copy = result_of("d.json")["corrected"]["readings"]
-    assert copy == str(Path("runs/b/diagnose-corrected.csv"))
-    printed(bench("calibrate", copy, "--json", "c.json"), "with corrected mistakes: installation")
+def test_the_copy_of_a_run_stands_in_its_folder_and_tells_where_it_comes_from(bench, paper_run):
+    """As a diagnosis writes it that left out one reading of the run."""
+    (source,) = load_sources(Request(["run"], Path("runs")))
+    mistake = Mistake("outlier", ("x",), ("1",), None, None, "one reading is off", 1e-9, ())
+    left = source.readings.select(np.arange(len(source.readings)) != 20)
+    found = MistakesAlone("run", True, (mistake,), left, "it ends here")
+    copy = MistakesResult(body_of([source]), found).written().to_dict()["corrected"]["readings"]
+    assert copy == str(Path("runs/run/diagnose-corrected.csv"))
+    printed(bench("calibrate", copy, "--json", "c.json"), "with corrected mistakes: one reading is off")
 
 
 @pytest.mark.parametrize(
@@ -284,21 +256,10 @@ def test_what_cannot_be_done_is_told_in_one_line(bench, arguments, message):
 
 
 @pytest.mark.slow
-def test_a_folder_that_cannot_be_made_costs_the_files_and_not_the_result(bench):
-    Path("diagnose").write_text("a file where the folder would be", encoding="utf-8")
-    name = measured("k2.csv", 4, K2=(0, 100e-6, 0))
-    status, _, err = bench("diagnose", name, "--no-report", "--json", "d.json")
-    found = result_of("d.json")
-    assert (status, found["verdict"], found["model"]) == (0, "named", None)
-    assert "use --out DIR" in err
-    refused(bench("diagnose", name, "--no-report", "--out", "diagnose"), "diagnose")
-
-
-@pytest.mark.slow
 def test_of_several_blocks_all_are_told(bench):
     """Scale factors 1 % apart: coefficients of both stand in the terminal and on the page, each its own."""
-    write_csv(paper_run(np.random.default_rng(21)), Path("first.csv"))
-    other = paper_run(np.random.default_rng(22))
+    write_csv(diagnosis_bench.paper_run(np.random.default_rng(21)), Path("first.csv"))
+    other = diagnosis_bench.paper_run(np.random.default_rng(22))
     write_csv(replace(other, signal=other.signal * 1.01), Path("second.csv"))
     out = printed(bench("diagnose", "first.csv", "second.csv", "--together", "--json", "d.json"))
     found = result_of("d.json")
@@ -310,8 +271,6 @@ def test_of_several_blocks_all_are_told(bench):
         assert f"Block {number}: mountings" in page
     of_each = [block["coefficients"]["Kxx"]["after"] for block in found["blocks"]]
     assert of_each[1] / of_each[0] == pytest.approx(1.01, abs=1e-4)
-    both = program.diagnose(["first.csv", "second.csv"], one_block=False)
-    assert [block["coefficients"]["Kxx"]["after"] for block in both.to_dict()["blocks"]] == of_each
 
 
 def test_what_too_little_is_left_of_is_written_as_a_copy(bench):
@@ -331,7 +290,7 @@ def test_what_too_little_is_left_of_is_written_as_a_copy(bench):
 
 
 def test_a_block_that_was_not_remounted_is_named_though_the_rest_determines_too_little(bench):
-    taken, again = (paper_run(np.random.default_rng(seed)) for seed in (24, 25))
+    taken, again = (diagnosis_bench.paper_run(np.random.default_rng(seed)) for seed in (24, 25))
     signal = taken.signal.copy()
     signal[taken.installation == "2"] = again.signal[again.installation == "1"]
     write_csv(replace(taken, signal=signal), Path("r.csv"))

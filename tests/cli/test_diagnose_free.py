@@ -90,6 +90,41 @@ def test_the_copy_without_what_stands_apart_is_searched_to_the_same_end(bench):
 
 
 @pytest.mark.slow
+def test_several_sources_keep_their_order_and_say_what_was_left_out_and_which_failed(bench, monkeypatch):
+    """In a process of its own, as on a machine with one core; two of the four cannot be read."""
+    monkeypatch.setattr("os.cpu_count", lambda: 1)
+    names = [measured("b.csv", 3), "none.csv", measured("bad.csv", 3), measured("a.csv", 1, warm_g=6e-3)]
+    lines = Path("b.csv").read_text(encoding="utf-8").splitlines(keepends=True)
+    lines[5] = lines[5].replace("F,1,5", "F,1,nan", 1)
+    Path("b.csv").write_text("".join(lines), encoding="utf-8")
+    Path("bad.csv").write_text("".join(lines).replace("installation,", "mounting,", 1), encoding="utf-8")
+    status, out, err = bench("diagnose", *names, "--skip-bad-rows", "--json", "all.json")
+    assert status == 2
+    assert "47 free positions" in out
+    first, none, bad, last = json.loads(Path("all.json").read_text(encoding="utf-8"))
+    assert [f["source"] for f in (first, last)] == ["b.csv", "a.csv"]
+    assert [f["verdict"] for f in (first, last)] == ["agrees", "confounded"]
+    assert [f["report"] for f in (first, last)] == [None] * 2
+    for one in (none, bad):
+        keeps_to("source-failed", one)
+    for one in (first, last):
+        keeps_to("diagnose-free", one)
+    assert none["problem"] == "none.csv: no such readings file; check the name"
+    assert "bad.csv, line 1: column installation is missing" in err
+    assert err.splitlines()[-1] == "bench: 2 of 4 sources could not be evaluated"
+
+
+def test_a_folder_that_cannot_be_made_costs_the_files_and_not_the_result(bench):
+    Path("diagnose").write_text("a file where the folder would be", encoding="utf-8")
+    name = measured("warm.csv", 1, warm_g=6e-3)
+    status, _, err = bench("diagnose", name, "--no-report", "--accept-first", "--json", "d.json")
+    found = json.loads(Path("d.json").read_text(encoding="utf-8"))
+    assert (status, found["verdict"], found["model"]) == (0, "confounded", None)
+    assert "use --out DIR" in err
+    refused(bench("diagnose", name, "--no-report", "--out", "diagnose"), "diagnose")
+
+
+@pytest.mark.slow
 def test_files_of_several_records_stand_beside_the_first_of_them(bench):
     Path("one").mkdir()
     Path("two").mkdir()
@@ -112,5 +147,7 @@ def test_from_python_it_is_the_same(bench, named):
     assert [path.name for path in result.write_model("mine.yaml", accept_first=True)] == ["mine.yaml"]
     with pytest.raises(program.Refused, match="no model file was written"):
         program.diagnose(measured("cold.csv", 3)).write_model("none.yaml")
-    both = program.diagnose(["warm.csv", measured("more.csv", 8, warm_g=6e-3)], one_block=True)
-    assert (both.found.rows.sensors, both.found.records) == (1, 2)
+    pair = ["warm.csv", measured("more.csv", 8, warm_g=6e-3)]
+    for one_block, sensors, records in ((True, 1, 2), (False, 2, 1)):
+        both = program.diagnose(pair, one_block=one_block)
+        assert (both.found.rows.sensors, both.found.records) == (sensors, records)

@@ -19,6 +19,7 @@ from bench.run.interrupts import Interrupts
 from bench.services.errors import Refused
 from tests.support.commands import printed, refused
 from tests.support.pages import ROOT
+from tests.support.scripted_session import Clock
 
 
 @pytest.fixture
@@ -195,21 +196,8 @@ def test_quiet_leaves_results_and_takes_notes_away(bench, where):
     assert quiet.get() is False
 
 
-class StoppedClock:
-    """A clock that is set."""
-
-    def __init__(self):
-        self.time_s = 0.0
-
-    def now_s(self):
-        return self.time_s
-
-    def sleep(self, duration_s):
-        self.time_s += duration_s
-
-
 def test_progress_says_how_much_time_is_left():
-    clock, console = StoppedClock(), Console(file=io.StringIO(), force_terminal=True, width=100)
+    clock, console = Clock(), Console(file=io.StringIO(), force_terminal=True, width=100)
     with printing.progress(console, clock):
         for _ in tracked(range(10), "ten parts"):
             clock.sleep(60.0)
@@ -224,7 +212,7 @@ def test_progress_is_silent_without_a_terminal_and_when_quiet_is_asked_for():
         console = Console(file=io.StringIO(), force_terminal=terminal)
         before = quiet.set(hushed)
         try:
-            with printing.progress(console, StoppedClock()):
+            with printing.progress(console, Clock()):
                 assert list(tracked("abc", "letters")) == ["a", "b", "c"]
         finally:
             quiet.reset(before)

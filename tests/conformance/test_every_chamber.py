@@ -115,13 +115,17 @@ def test_one_that_was_switched_off_is_set_anew(device, tmp_path):
 
 @thermometers
 def test_a_sensor_that_came_off_tells_nothing(device, tmp_path):
+    came_off = False
+
     class Open(Between):
         def handle(self, message, interrupted):
             reply = super().handle(message, interrupted)
-            return b"+9.90000000E+37" if message.upper().startswith(b"FETC") else reply
+            asked = message.upper().startswith((b"FETC", b"TEMP?"))
+            return b"+9.90000000E+37" if came_off and asked else reply
 
     with standing(device, tmp_path, Open) as stand:
         stand.driver.open()
+        came_off = True
         with pytest.raises(BenchError) as refusal:
             stand.driver.block_c("1/read")
         assert refusal.value.remedy

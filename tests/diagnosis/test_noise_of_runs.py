@@ -1,16 +1,14 @@
-"""Runs with noise of different sizes: each weighs by its own, found from its repeats alone."""
+"""Runs with noise of different sizes: each weighs by its own, chosen by evidence."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.stats import binom
 
 from bench.diagnosis import diagnose
 from bench.diagnosis.linear import RunSizes
 from bench.diagnosis.multi_run_system import make_system
-from bench.diagnosis.noise_grid import p_alike, with_sizes_of_runs
-from bench.diagnosis.noise_kinds import noise_findings
+from bench.diagnosis.noise_kinds import noise_findings, noise_hypotheses
 from bench.diagnosis.posterior import NoiseSize, posterior
 from bench.diagnosis.single_run_search import in_the_noise_of
 from bench.readings.table import JoinedPart, together
@@ -26,44 +24,28 @@ def runs(*sizes, seed=SEED, blocks=False, **what):
     return together([JoinedPart(table, block=i if blocks else 0) for i, table in enumerate(tables)])
 
 
-def test_chance_alone_says_seldom_that_runs_are_not_alike():
-    """Bartlett's test of 20 runs of 40 degrees, at 1 %: 2,000 draws of a normal noise."""
-    rng = np.random.default_rng(SEED)
-    freedom = np.full(20, 40.0)
-    draws = rng.chisquare(40.0, (2000, 20)) / 40.0
-    many = sum(p_alike(one, freedom, 0.0) < 0.01 for one in draws)
-    assert binom.ppf(1e-4, 2000, 0.01) <= many <= binom.ppf(1 - 1e-4, 2000, 0.01)
-
-
-def test_heavy_tails_are_no_runs_that_differ():
-    """t with 6 degrees of freedom, excess kurtosis 3: sizes scatter more, and the test knows it."""
-    rng = np.random.default_rng(SEED)
-    draws = rng.standard_t(6, (1000, 4, 60)) / np.sqrt(1.5)
-    freedom = np.full(4, 60.0)
-    sizes = np.mean(draws**2, axis=2)
-    kurtosis = np.mean(draws**4, axis=(1, 2)) / np.mean(draws**2, axis=(1, 2)) ** 2 - 3.0
-    as_normal = sum(p_alike(one, freedom, 0.0) < 0.01 for one in sizes)
-    told = sum(p_alike(one, freedom, k) < 0.01 for one, k in zip(sizes, kurtosis, strict=True))
-    assert told <= binom.ppf(1 - 1e-4, 1000, 0.02) < as_normal
+def offered(system):
+    """The hypothesis of runs with noise of their own, where it is offered."""
+    noise = NoiseSize(NOISE_V * np.sqrt(5.0), STAND["setting_error"], 300)
+    every = noise_hypotheses(system, np.zeros((len(system), 0)), noise)
+    return [one for one in every if one.what == "runs"]
 
 
 @pytest.mark.parametrize("blocks", [False, True])
-def test_sizes_of_runs_are_found_from_their_repeats(blocks):
-    system = with_sizes_of_runs(make_system(runs(1, 3, blocks=blocks), MODEL, STAND_U), 0.0)
-    found = system.by_run
-    assert np.all(found.freedom > 30)
+def test_sizes_of_runs_are_found_from_their_residuals(blocks):
+    (one,) = offered(make_system(runs(1, 3, blocks=blocks), MODEL, STAND_U))
+    system, found = one.linear, one.linear.by_run
+    assert np.all(found.freedom > 100)
     u = np.sqrt(np.sum(0.5 / found.freedom))
     assert abs(np.log(found.sizes[1] / found.sizes[0] / 3.0)) < 3.5 * u
     rows = system.readings.run[system.rows.reading]
     np.testing.assert_allclose(system.relative, found.sizes[rows])
     assert np.mean(system.relative**2) == pytest.approx(1.0)
+    assert offered(system) == []
 
 
-def test_runs_that_are_alike_have_one_size_and_so_have_those_that_cannot_tell():
-    alike = make_system(runs(1, 1), MODEL, STAND_U)
-    assert with_sizes_of_runs(alike, 0.0) is alike
-    once = make_system(runs(1, 3, directions=(1,)), MODEL, STAND_U)
-    assert with_sizes_of_runs(once, 0.0) is once
+def test_a_single_run_has_no_runs_that_differ():
+    assert offered(make_system(paper_run(np.random.default_rng(SEED)), MODEL, STAND_U)) == []
 
 
 def test_a_channel_of_several_blocks_weighs_at_their_moduli_as_each_block_shows_it():

@@ -12,6 +12,7 @@ from benchmarks.messages import ELLIPSIS, PACKAGES, in_code, in_script, in_templ
 from tests.support.commands import refused
 from tests.support.pages import DOCS, ROOT
 
+pytestmark = pytest.mark.slow  # to list all messages takes seconds
 PAGE = DOCS / "troubleshooting.md"
 QUOTED = [
     line[1:-1] for line, after in pairwise(PAGE.read_text(encoding="utf-8").splitlines())

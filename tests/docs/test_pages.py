@@ -55,6 +55,8 @@ SLOWLY = (
     "batches",
     "check-block",
     "real-records",
+    "learning",
+    "run-until",
 )
 SLOW = {f"{name}.md" for name in SLOWLY}
 SHELL = {"ls", "cp", "rm", "sed"}

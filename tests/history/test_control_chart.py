@@ -174,3 +174,32 @@ def test_short_term_standard_deviations_are_pooled_by_their_freedom():
 def test_nothing_to_begin_with_is_refused():
     with pytest.raises(CalibrationError, match="measure the check block first"):
         control_chart([], [], ChartDesign())
+
+
+def test_what_is_expected_of_a_later_day_follows_the_drift_and_is_less_sure_of_it():
+    """Known: Kxx drifts by 100 u in a year, known to 20 u. The centre is that of the baseline's mean day, 4.5."""
+    per_year, u_drift = shifted(0, 100.0) * U, shifted(0, 20.0) * U
+    drifting = [
+        replace(run, value=run.value + per_year * (run.when - BEGUN).days / 365.25) for run in runs(10)
+    ]
+    chart = control_chart(drifting, [], ChartDesign(), drift=KnownDrift(per_year, u_drift))
+    plain = control_chart(runs(10), [], ChartDesign())
+    for days in (4.5, 369.75):
+        years = (days - 4.5) / 365.25
+        value, covariance = chart.expected(BEGUN + timedelta(days=days))
+        still, alike = plain.expected(BEGUN + timedelta(days=days))
+        assert value - still == pytest.approx(per_year * (days / 365.25), abs=1e-3 * U[0])
+        assert np.diag(covariance - alike) == pytest.approx((years * u_drift) ** 2, abs=1e-15)
+
+
+def test_a_drift_that_the_runs_show_is_expected_to_continue():
+    slope = shifted(5, 400.0) * U
+    drifting = [
+        replace(run, value=run.value + slope * (run.when - BEGUN).days / 365.25)
+        for run in [check_run(30.0 * k, 0.3 * np.random.default_rng(k).normal(size=12)) for k in range(14)]
+    ]
+    chart = control_chart(drifting, [], ChartDesign())
+    value, covariance = chart.expected(BEGUN + timedelta(days=730.5))
+    assert value[5] - 2.0 == pytest.approx(2 * slope[5], rel=0.02)
+    assert abs(value[4] - 2.0) < 3 * U[4]
+    assert covariance[5, 5] > chart.expected(BEGUN + timedelta(days=400))[1][5, 5]

@@ -143,13 +143,13 @@ def test_a_run_is_given_up_for_good_by_who_is_in_control(anna, runs, one):
 
 def test_resuming_takes_control_where_nobody_has_it(anna, runs, one, monkeypatch):
     started = []
-    monkeypatch.setattr("bench.panel.pages.run.resume_run", lambda run: started.append(run.name))
+    monkeypatch.setattr("bench.panel.pages.run.resume_run", lambda run, by: started.append((run.name, by)))
     ben = Browser(runs, "ben")
     assert anna.post("/runs/one/resume").headers["location"] == "/runs/one/"
     assert read_holding(one).holder == "anna"
     assert ben.ask("/runs/one/resume")[0] == 403
     assert Browser(runs, "eve", Role.VIEWER).ask("/runs/one/resume")[0] == 403
-    assert started == ["one"]
+    assert started == [("one", "anna")]
 
 
 def test_taking_over_asks_and_is_answered(anna, runs, one):

@@ -18,26 +18,29 @@ from tests.support.pages import ROOT
 from tests.support.panel_client import Browser, stranger
 from tests.support.plotted_runs import make_plotted
 
+pytestmark = pytest.mark.slow
 NAMES = ("residuals", "delta-g", "diagnosis", "diagnosis-delta-g", "held-out", "ranking")
 
 
 @pytest.fixture(scope="module")
 def plotted(tmp_path_factory):
+    """Runs that many tests look at."""
     return make_plotted(tmp_path_factory.mktemp("plotted"))
 
 
 @pytest.fixture
 def runs(plotted, tmp_path):
+    """A copy of them, to be written to."""
     shutil.copytree(plotted, tmp_path / "runs")
     return tmp_path / "runs"
 
 
-@pytest.fixture
-def anna(runs):
-    return Browser(runs, "anna")
+@pytest.fixture(scope="module")
+def anna(plotted):
+    return Browser(plotted, "anna")
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def told(anna):
     return anna.get("/runs/later/plots/data").json()
 
@@ -47,9 +50,8 @@ def rows_of(reply):
     return list(csv.DictReader(io.StringIO("\n".join(lines))))
 
 
-@pytest.mark.slow
-def test_the_residuals_are_those_of_the_calibration(told, runs):
-    (source,) = load_sources(Request([str(runs / "later")], runs))
+def test_the_residuals_are_those_of_the_calibration(told, plotted):
+    (source,) = load_sources(Request([str(plotted / "later")], plotted))
     found = calibration_of(source).calibration
     points = told["residuals"]["points"]
     assert np.allclose([p["residual"] for p in points], found.residuals, rtol=1e-5, atol=0)
@@ -59,9 +61,9 @@ def test_the_residuals_are_those_of_the_calibration(told, runs):
     assert told["trouble"] == []
 
 
-def test_delta_g_and_the_previous_run_are_those_of_their_results(told, runs):
+def test_delta_g_and_the_previous_run_are_those_of_their_results(told, plotted):
     for part, run in ((told, "later"), (told["previous"], "earlier")):
-        verify = json.loads((runs / run / "verify.json").read_text())
+        verify = json.loads((plotted / run / "verify.json").read_text())
         assert part["delta_g"]["limit_g"] == verify["limit_g"]
         for mine, its in zip(part["delta_g"]["points"], verify["points"], strict=True):
             assert all(mine[name] == its[name] for name in ("delta_g", "u", "U", "angle_deg", "passed"))
@@ -70,8 +72,8 @@ def test_delta_g_and_the_previous_run_are_those_of_their_results(told, runs):
     assert len(told["previous"]["residuals"]["points"]) == len(told["residuals"]["points"])
 
 
-def test_what_the_diagnosis_draws_is_in_its_result_and_plotted_from_there(told, runs):
-    result = json.loads((runs / "later" / "diagnose.json").read_text())
+def test_what_the_diagnosis_draws_is_in_its_result_and_plotted_from_there(told, plotted):
+    result = json.loads((plotted / "later" / "diagnose.json").read_text())
     diagnosis = told["diagnosis"]
     assert diagnosis["residuals"] == result["residuals"]
     assert diagnosis["held_out"][0]["before"] == result["gap"]["held_out"][0]["before"]
@@ -116,7 +118,6 @@ def test_a_table_reads_back_to_the_numbers_of_the_json(anna, told, name):
     assert sheet.oddHeader.center.text == "SIMULATED"
 
 
-@pytest.mark.slow
 def test_the_live_plot_has_its_table_and_the_previous_runs_points(anna):
     rows = rows_of(anna.get("/runs/later/plots/live.csv"))
     assert len(rows) == 58
@@ -127,8 +128,8 @@ def test_the_live_plot_has_its_table_and_the_previous_runs_points(anna):
 
 
 @pytest.mark.parametrize("path", ["plots", "plots/data", "plots/previous", "plots/residuals.csv"])
-def test_only_who_is_signed_in_sees_numbers(runs, path):
-    reply = stranger(runs).get(f"/runs/later/{path}", headers={"accept": "application/json"})
+def test_only_who_is_signed_in_sees_numbers(plotted, path):
+    reply = stranger(plotted).get(f"/runs/later/{path}", headers={"accept": "application/json"})
     assert reply.status_code == 401
     assert "residual" not in reply.text
 
@@ -138,14 +139,14 @@ def test_a_table_that_is_not_there_is_not_found(anna, path):
     assert anna.get(f"/runs/earlier/plots/{path}").status_code == 404
 
 
-@pytest.mark.slow
-def test_pages_lead_to_the_plots_and_a_run_without_results_says_so(anna, runs):
-    assert 'href="/runs/later/plots"' in anna.get("/runs/later/verdict").text
-    assert 'href="/runs/later/plots">Plots</a>' in anna.get("/runs/later/").text
-    assert "being computed" in anna.get("/runs/later/plots").text
+def test_pages_lead_to_the_plots_and_a_run_without_results_says_so(runs):
+    bert = Browser(runs, "bert")
+    assert 'href="/runs/later/plots"' in bert.get("/runs/later/verdict").text
+    assert 'href="/runs/later/plots">Plots</a>' in bert.get("/runs/later/").text
+    assert "being computed" in bert.get("/runs/later/plots").text
     shutil.copytree(ROOT / "tests" / "data" / "records" / "finished", runs / "none")
-    assert "no results to plot yet" in anna.get("/runs/none/plots").text
-    told = anna.get("/runs/none/plots/data").json()
+    assert "no results to plot yet" in bert.get("/runs/none/plots").text
+    told = bert.get("/runs/none/plots/data").json()
     assert told["residuals"] is told["delta_g"] is told["diagnosis"] is told["previous"] is None
     assert told["trouble"] == ["none has no calibration yet."]
 

@@ -1,6 +1,7 @@
 """Starting a run: only what may be chosen, check and dry run before, and what is started is what was checked."""
 
 import json
+import os
 from dataclasses import replace
 from html import unescape
 from pathlib import Path
@@ -23,6 +24,7 @@ from bench.panel.launching import (
 )
 from bench.panel.pages.start import FORM, form_field
 from bench.panel.shared import Panel
+from tests.support.commands import without_figures
 from tests.support.panel_client import Browser
 
 CHOSEN = {"procedure": "quick", "bench": "paper-stand"}
@@ -189,7 +191,9 @@ def test_no_more_than_two_are_tried_at_once(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_wish_is_checked_and_tried_by_a_process_of_its_own(runs):
+def test_a_wish_is_checked_and_tried_by_a_process_of_its_own(runs, monkeypatch):
+    monkeypatch.setenv("PYTHONPATH", str(runs.parent), prepend=os.pathsep)
+    without_figures(runs.parent)
     wish = Wishes(runs.parent / "wishes").new(
         WantedRun(
             {

@@ -29,19 +29,9 @@ from bench.run.terminal import TerminalPerson
 from drivers.person import Answer, AnsweredByInstrument, Prompt, PromptKind, watching
 from sim.world.operator import ScriptedOperator
 from tests.support.instrument_stand import standing
+from tests.support.scripted_session import Clock
 
 TURN = Prompt("1/turn#1", PromptKind.CONFIRM, "Turn.", default="yes")
-
-
-class Clock:
-    def __init__(self):
-        self.time_s = 0.0
-
-    def now_s(self):
-        return self.time_s
-
-    def sleep(self, duration_s):
-        self.time_s += duration_s
 
 
 class Record:

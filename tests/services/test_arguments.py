@@ -45,7 +45,8 @@ def test_what_no_parameter_takes_is_refused_in_a_sentence(function, parameter):
 
 
 KINDS_OF_GOOD = {"source": "none.csv", "sources": ["none.csv"], "model": "none.yaml", "procedure": "none",
-                 "bench": "none", "readings": "none.csv", "record": "none.csv"}  # fmt: skip
+                 "bench": "none", "readings": "none.csv", "record": "none.csv", "plan": "none.yaml",
+                 "results": ["Q7FA=none.json"], "laboratory": ["Kyiv", "Graz", "Brno"]}  # fmt: skip
 
 
 @pytest.mark.parametrize(

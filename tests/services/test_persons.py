@@ -1,6 +1,7 @@
 """The register of persons: one identity for runs, certificates, validations, failures and the panel."""
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -8,6 +9,7 @@ import pytest
 from bench.certificate.laboratory import load_laboratory
 from bench.panel.access import STATE, Access, Role
 from bench.run.events import RecordError
+from bench.run.folder import Run
 from bench.services.chain import LINES
 from bench.services.errors import Refused
 from bench.services.persons import FOLDER, KEY, TOKEN, persons, persons_of
@@ -15,6 +17,8 @@ from bench.services.requests.documents import ChangePersons, PersonsCommand, Rig
 from tests.support.certificates import write_files
 from tests.support.commands import printed, refused
 from tests.support.schemas import keeps_to
+
+RECORDS = Path(__file__).parents[1] / "data" / "records"
 
 
 @pytest.fixture
@@ -139,6 +143,31 @@ def test_an_operator_is_picked_and_the_record_keeps_what_was_known(bench, labora
     }
     said = refused(bench("run", "quick", "--bench", "bench-lan", *more))
     assert "say --operator NAME, one of: A. Example" in said
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("named", "register", "by"),
+    [
+        ("", False, None),
+        ("Anna", False, "Anna"),
+        ("A. Example", True, "A. Example"),
+        ("Anna", True, "refused"),
+    ],
+)
+def test_who_resumes_a_run_is_in_its_record(bench, laboratory, monkeypatch, named, register, by):
+    shutil.copytree(RECORDS / "interrupted", "runs/one")
+    if register:
+        monkeypatch.setenv("BENCH_LABORATORY", str(laboratory))
+    answer = bench("resume", "one", *(["--operator", named] if named else []))
+    if by == "refused":
+        assert "no such person" in refused(answer)
+        return
+    assert answer[0] == 0
+    history = Run(Path("runs/one")).history
+    (event,) = (one for one in history.events if one.type == "run_resumed")
+    assert (event.data.get("by"), history.problems) == (by, ())
+    assert {"by", "role", "where"}.isdisjoint(event.data) == (by is None)
 
 
 def test_the_command_lists_and_changes(bench, laboratory):

@@ -10,7 +10,7 @@ import pytest
 from sim.acutrol import AcutrolTable
 from sim.agilent_34401a import Agilent34401A
 from sim.chambers import EspecP300, Thermotron8800, WatlowF4T
-from sim.counters import EncoderLine, HeidenhainNd28x, MitutoyoMux10
+from sim.counters import EncoderLine, HeidenhainNd28x, LineThermometer, MitutoyoMux10
 from sim.keithley_2000 import Keithley2000
 from sim.newport_esp301 import Esp301
 from sim.scpi import never
@@ -45,6 +45,12 @@ KINDS: dict[str, tuple[Callable[[World], Dialect], str]] = {
             example="+1",
             per_turn=4096.0,
             ends=("\r", "\n"),
+        ),
+        COUNTERS,
+    ),
+    "line thermometer": (
+        lambda world: LineThermometer(
+            world, request="2", pattern=r"(?P<temperature>\d+)", example="1", ends=("\r", "\n")
         ),
         COUNTERS,
     ),

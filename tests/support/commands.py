@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 Answer = tuple[int | str | None, str, str]
 """Exit status, standard output, standard error."""
 
@@ -25,3 +27,12 @@ def printed(answer: Answer, *words: str, status: int = 0) -> str:
     assert found == status, err
     assert [one for one in words if one not in out] == [], out
     return out
+
+
+def without_figures(folder: Path) -> None:
+    """Let programs with this folder on `PYTHONPATH` leave figures empty, as tests do: drawing takes seconds."""
+    (folder / "sitecustomize.py").write_text(
+        "from bench.results import plots\n"
+        "plots._written = lambda name, inches, draw: '<svg viewBox=\"0 0 1 1\"></svg>'\n",
+        encoding="utf-8",
+    )

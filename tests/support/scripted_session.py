@@ -12,6 +12,8 @@ Pairs = Sequence[tuple[str, str | BaseException | None]]
 
 
 class Clock:
+    """A clock that a test sets; to sleep is to move it on."""
+
     def __init__(self) -> None:
         self.time_s = 0.0
 

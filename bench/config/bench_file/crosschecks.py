@@ -12,7 +12,7 @@ from pydantic import ValidationError
 from bench.base.arrays import CHANNELS
 from bench.base.units import CURRENT, DURATION, SCALE_FACTOR, VOLTAGE, QuantityKind, parse_quantity
 from bench.base.yaml_files import Place, part, unknown_word
-from bench.config.bench_file.sections import InstrumentsSection
+from bench.config.bench_file.sections import SURROUNDINGS, InstrumentsSection
 from bench.config.devices.device import Role, bus_place
 from bench.config.devices.registry import devices
 from bench.config.devices.sections import CERTIFICATE, SupplyForm, VoltmeterForm, written_channels
@@ -26,7 +26,8 @@ _LACKS: Final = {"sensor_noise": "a sensor without noise"}
 
 
 FURTHER: Final[tuple[Role, ...]] = ("head", "chamber", "level", "thermometer", "power_supply")
-"""The roles that at most one instrument of a bench has."""
+"""The roles that at most one instrument of a bench has, thermometers away from the block apart."""
+_THERMOMETERS: Final = ("thermometer", *SURROUNDINGS)
 
 
 def mistakes_between_parts(data: Any) -> Iterable[tuple[Place, str]]:
@@ -41,6 +42,7 @@ def mistakes_between_parts(data: Any) -> Iterable[tuple[Place, str]]:
     yield from _signal_mistakes(data)
     yield from _label_mistakes(part(data, "installations"))
     yield from _name_mistakes(data)
+    yield from _surrounding_mistakes(data)
     yield from _simulation_mistakes(data)
     yield from supply_mistakes(data)
 
@@ -78,10 +80,10 @@ def _one_range_mistakes(voltmeters: Any) -> Iterator[tuple[Place, str]]:
 
 
 def _resource_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
-    """Check that no two instruments share a resource, except a thermometer and signals on one multiplexer."""
+    """Check that no two instruments share a resource, except thermometers and signals on one multiplexer."""
     meters = enumerate(_items(part(data, "instruments", "voltmeters")))
     places: list[tuple[str, Place]] = [(f"voltmeter {i + 1}", ("voltmeters", i)) for i, _ in meters]
-    places += [(f"the {role.replace('_', ' ')}", (role,)) for role in FURTHER]
+    places += [(f"the {role.replace('_', ' ')}", (role,)) for role in (*FURTHER, *SURROUNDINGS)]
     known: dict[object, str] = {}
     for called, inside in places:
         place: Place = ("instruments", *inside, "resource")
@@ -89,23 +91,47 @@ def _resource_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
         if not isinstance(resource, str):
             continue
         where = bus_place(resource) or resource
-        if where in known and not (inside == ("thermometer",) and _is_beside_signals(data, resource)):
+        if where in known and not (inside[0] in _THERMOMETERS and _is_on_a_free_channel(data, inside[0])):
             yield place, f"'{resource}' is {known[where]} already"
         known.setdefault(where, called)
 
 
-def _is_beside_signals(data: Any, resource: str) -> bool:
-    """Whether the thermometer is on a free channel of the multiplexer with this address."""
-    section = part(data, "instruments", "thermometer")
+def _is_on_a_free_channel(data: Any, key: str) -> bool:
+    """Whether the thermometer of this key is on a channel of a multiplexer that nothing stated before it has."""
+    section = part(data, "instruments", key)
+    resource = part(section, "resource")
     meters = [m for m in _items(part(data, "instruments", "voltmeters")) if part(m, "resource") == resource]
-    taken = [str(part(meter, "inputs", channel)) for meter in meters for channel in CHANNELS]
-    own = str(part(section, "channel"))
+    before = [part(data, "instruments", other) for other in _THERMOMETERS[: _THERMOMETERS.index(key)]]
+    sensors = [other for other in before if part(other, "resource") == resource]
+    taken = {str(part(meter, "inputs", channel)) for meter in meters for channel in CHANNELS}
     return (
-        part(section, "driver") == "keysight-34970a-thermometer"
+        all(part(one, "driver") == "keysight-34970a-thermometer" for one in (section, *sensors))
         and all(part(meter, "driver") == "keysight-34970a" for meter in meters)
-        and bool(meters)
-        and not {own, str(int(own) + 10) if own.isdecimal() else own} & set(taken)
+        and bool(meters or sensors)
+        and not _with_pair(section) & taken.union(*map(_with_pair, sensors))
     )
+
+
+def _with_pair(sensor: Any) -> set[str]:
+    """Return the channel of a sensor and the one ten higher, which its sense wires may have."""
+    own = str(part(sensor, "channel"))
+    return {own, str(int(own) + 10)} if own.isdecimal() else {own}
+
+
+def _surrounding_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
+    """Check the thermometers of meters and room: nothing is corrected by them, and `chamber` needs a chamber."""
+    for key in SURROUNDINGS:
+        stated = part(data, "instruments", key)
+        chamber = part(data, "instruments", "chamber")
+        if stated == "chamber" and chamber is None:
+            yield ("instruments", key), "this bench has no chamber whose air it could be; state a thermometer"
+        elif stated == "chamber" and part(chamber, "driver") == "manual-chamber":
+            text = "a person reads this chamber once per mounting only; state a thermometer"
+            yield ("instruments", key), text
+        for unused in ("certificate", "gradient"):
+            if part(stated, unused) is not None:
+                text = f"only differences of this temperature count, and no '{unused}'; leave it out"
+                yield ("instruments", key, unused), text
 
 
 def _signal_mistakes(data: Any) -> Iterator[tuple[Place, str]]:

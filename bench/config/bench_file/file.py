@@ -27,6 +27,7 @@ from bench.base.yaml_files import (
 )
 from bench.config.bench_file.crosschecks import FURTHER, mistakes_between_parts
 from bench.config.bench_file.sections import (
+    SURROUNDINGS,
     CheckBlockSection,
     InstrumentForm,
     InstrumentsSection,
@@ -244,7 +245,7 @@ def foreign_drivers(bench: BenchFile) -> dict[str, str]:
 
 def _sections_of(data: Any) -> list[Any]:
     meters = part(data, "instruments", "voltmeters")
-    sections = [part(data, "instruments", role) for role in FURTHER]
+    sections = [part(data, "instruments", role) for role in (*FURTHER, *SURROUNDINGS)]
     return [*(meters if isinstance(meters, list) else []), *sections]
 
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from itertools import takewhile
 from typing import Annotated, Any, Final, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from bench.base.arrays import ARCSEC, CHANNELS
 from bench.base.units import (
@@ -17,6 +18,7 @@ from bench.base.units import (
     SpanS,
     TemperatureC,
     VoltageV,
+    above_zero,
     parse_quantity,
 )
 from bench.base.yaml_files import FileModel
@@ -29,6 +31,7 @@ from bench.config.devices.sections import (
     HeadTruth,
     LevelForm,
     LevelTruth,
+    SizeK,
     SupplyForm,
     SupplyTruth,
     ThermometerForm,
@@ -39,12 +42,24 @@ from bench.config.devices.sections import (
 from bench.config.formulas import FormulaEntry
 from bench.config.model_file import EffectEntry, OpenShape, WithEffects
 from bench.model.geometry import COEFFICIENTS
+from bench.readings.columns import METER_C, ROOM_C
 
 InstrumentForm = VoltmeterForm | HeadForm | ChamberForm | LevelForm | ThermometerForm | SupplyForm
 
+SURROUNDINGS: Final = {"meter_thermometer": METER_C, "room_thermometer": ROOM_C}
+"""The column of the readings that each thermometer away from the block fills, by its key."""
+
+
+def _around(key: str, *, recorded: bool = False) -> BeforeValidator:
+    return chosen_by_driver("thermometer", name=key, recorded=recorded)
+
 
 class InstrumentsSection(FileModel):
-    """The instruments of a bench; the `driver` of each determines the other keys of its section."""
+    """The instruments of a bench; the `driver` of each determines the other keys of its section.
+
+    `thermometer` is at the block. `meter_thermometer` and `room_thermometer` record the temperatures of voltmeters
+    and room with each reading; the word `chamber` takes the air of the chamber, for meters that stand in it.
+    """
 
     voltmeters: Annotated[
         tuple[Annotated[VoltmeterForm, chosen_by_driver("voltmeter")], ...],
@@ -55,20 +70,39 @@ class InstrumentsSection(FileModel):
     level: Annotated[LevelForm | None, chosen_by_driver("level")] = None
     thermometer: Annotated[ThermometerForm | None, chosen_by_driver("thermometer")] = None
     power_supply: Annotated[SupplyForm | None, chosen_by_driver("power_supply")] = None
+    meter_thermometer: Annotated[
+        ThermometerForm | Literal["chamber"] | None, _around("meter_thermometer")
+    ] = None
+    room_thermometer: Annotated[ThermometerForm | Literal["chamber"] | None, _around("room_thermometer")] = (
+        None
+    )
 
     def all(self) -> Iterator[InstrumentForm]:
         """Yield the section of every instrument: voltmeters, head, then the optional ones."""
         yield from self.voltmeters
         yield self.head
-        for further in (self.chamber, self.level, self.thermometer, self.power_supply):
+        for further in (self.chamber, self.level, self.thermometer, self.power_supply, *self.around.values()):
             if further is not None:
                 yield further
 
     @property
-    def meter_of_thermometer(self) -> VoltmeterForm | None:
-        """The voltmeter whose resource the thermometer shares; None if it shares none."""
-        resource = getattr(self.thermometer, "resource", None)
-        return next((meter for meter in self.voltmeters if resource and meter.resource == resource), None)
+    def around(self) -> dict[str, ThermometerForm]:
+        """The thermometers away from the block, by their keys."""
+        stated = {key: getattr(self, key) for key in SURROUNDINGS}
+        return {key: section for key, section in stated.items() if isinstance(section, ThermometerForm)}
+
+    @property
+    def thermometers(self) -> tuple[ThermometerForm, ...]:
+        """Every thermometer, that at the block first."""
+        at_block = () if self.thermometer is None else (self.thermometer,)
+        return (*at_block, *self.around.values())
+
+    def beside(self, thermometer: ThermometerForm) -> VoltmeterForm | ThermometerForm | None:
+        """The first voltmeter or thermometer whose resource a thermometer shares; None if it shares none."""
+        resource = getattr(thermometer, "resource", None)
+        listed: tuple[VoltmeterForm | ThermometerForm, ...] = (*self.voltmeters, *self.thermometers)
+        before = takewhile(lambda one: one is not thermometer, listed)
+        return next((one for one in before if resource and getattr(one, "resource", "") == resource), None)
 
     @property
     def adapters(self) -> dict[str, str]:
@@ -98,7 +132,15 @@ class RecordedInstruments(InstrumentsSection):
     level: Annotated[LevelForm | None, chosen_by_driver("level", recorded=True)] = None
     thermometer: Annotated[ThermometerForm | None, chosen_by_driver("thermometer", recorded=True)] = None
     power_supply: Annotated[SupplyForm | None, chosen_by_driver("power_supply", recorded=True)] = None
+    meter_thermometer: Annotated[
+        ThermometerForm | Literal["chamber"] | None, _around("meter_thermometer", recorded=True)
+    ] = None
+    room_thermometer: Annotated[
+        ThermometerForm | Literal["chamber"] | None, _around("room_thermometer", recorded=True)
+    ] = None
 
+
+DAY_S: Final = 86400.0
 
 Row = Annotated[tuple[ScaleFactor, ...], Field(min_length=3, max_length=3)]
 
@@ -182,6 +224,14 @@ class FaultSection(FileModel):
         return self.model_dump(exclude_none=True)
 
 
+class RoomTruth(FileModel):
+    """The simulated room: the swing of its temperature about `ambient_temperature`, and the lag of the meters."""
+
+    swing: SizeK = 0.0
+    period: Annotated[SpanS, above_zero("state a period above 0, such as '24 h'")] = DAY_S
+    meter_lag: SpanS = 0.0
+
+
 class AdapterTruth(FileModel):
     """The simulated GPIB adapter: the version that it answers, and whether it sends a NUL after each reply."""
 
@@ -206,13 +256,13 @@ class SimulationSection(WithEffects):
     thermometer: ThermometerTruth = ThermometerTruth()
     power_supply: SupplyTruth = SupplyTruth()
     ambient_temperature: TemperatureC = 23.0
+    room: RoomTruth = RoomTruth()
     faults: tuple[FaultSection, ...] = ()
     formulas: tuple[FormulaEntry, ...] = ()
     effects: tuple[EffectEntry, ...] = ()
     left_open: tuple[OpenShape, ...] = ()
 
 
-DAY_S: Final = 86400.0
 LEAST_SMOOTHING: Final = 0.03
 """The smallest smoothing constant in the published tables of run lengths."""
 LEAST_ARL: Final = 20.0

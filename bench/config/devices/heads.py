@@ -6,7 +6,6 @@ Heads: ACUTROL, Newport ESP301, Zaber. Encoders: Heidenhain ND 28x, MUX-10, a li
 from __future__ import annotations
 
 import math
-import re
 from typing import Annotated, Any, ClassVar, Final, Literal
 
 from pydantic import AfterValidator, Field, field_validator, model_validator
@@ -16,12 +15,12 @@ from bench.base.units import DurationS
 from bench.config.devices.device import (
     Device,
     IdentityPattern,
-    Port,
+    LineForm,
     PortSection,
+    Printable,
     WiredForm,
     any_resource,
     as_stated,
-    is_serial,
     resource_on,
 )
 from bench.config.devices.sections import (
@@ -32,7 +31,7 @@ from bench.config.devices.sections import (
     ReadOutHeadForm,
     SpeedRadS,
 )
-from drivers.facts import acutrol, encoder_line, mitutoyo_mux10, zaber
+from drivers.facts import acutrol, mitutoyo_mux10, text_line, zaber
 from drivers.facts import heidenhain_nd28x as nd
 from drivers.facts import leica_nivel as nivel
 from drivers.facts import newport_esp301 as newport
@@ -338,69 +337,23 @@ class MitutoyoMux10Section(ReadOutHeadForm):
         return super().simulation_options(truth) | {"channel": self.channel}
 
 
-End = Literal["CR", "LF", "CR LF"]
+class EncoderLineSection(ReadOutHeadForm, LineForm):
+    """A counter that answers `request` with one line of text, which holds the angle in the `unit`.
 
-
-def _plain(text: str) -> str:
-    if re.fullmatch(r"[\x20-\x7e]+", text) is None:
-        raise ValueError("expected printable ASCII characters; line ends are stated by 'ends'")
-    return text
-
-
-Printable = Annotated[str, AfterValidator(_plain)]
-
-
-class EncoderLineSection(ReadOutHeadForm):
-    """A counter that answers `request` with one line of text.
-
-    The whole line must match `pattern`, a regular expression; its group `angle`, as in `(?P<angle>...)`, is the
-    number in the `unit`. `counts_per_turn` is required if the unit is counts, and else refused. `example` is a line
-    as the counter sends it. `errors` maps each line that the counter sends instead of an angle to its meaning.
-    `model` names the counter in the record.
+    `counts_per_turn` is required if the unit is counts, and else refused.
     """
 
-    facts: ClassVar = encoder_line
+    facts: ClassVar = text_line
+    group: ClassVar = text_line.ANGLE
 
     driver: Literal["encoder-line"]
     resource: Wire
     model: Printable = "encoder"
-    request: Printable
-    request_end: End = "CR LF"
-    reply_end: End = "CR LF"
-    pattern: IdentityPattern
-    example: Printable
     unit: Literal["degrees", "arcsec", "counts"] = "degrees"
     counts_per_turn: Annotated[float, Field(gt=0.0)] | None = None
-    errors: Annotated[dict[Printable, str], Field(default_factory=dict)]
-    serial: PortSection = PortSection.of(encoder_line)
-
-    @field_validator("pattern")
-    @classmethod
-    def _has_an_angle(cls, pattern: str) -> str:
-        if list(re.compile(pattern).groupindex) != [encoder_line.ANGLE]:
-            raise ValueError(
-                rf"expected one named group, such as in 'POS=(?P<angle>[+-]\d+\.\d+)', got '{pattern}'"
-            )
-        return pattern
 
     @model_validator(mode="after")
-    def _fits(self) -> EncoderLineSection:
-        match = re.fullmatch(self.pattern, self.example)
-        if match is None:
-            raise ValueError(
-                f"the pattern '{self.pattern}' does not match the example; correct one of "
-                f"them: '{self.example}'"
-            )
-        if re.fullmatch(r"[+-]? *\d+(?:\.\d+)?", match[encoder_line.ANGLE] or "") is None:
-            raise ValueError(
-                "correct the pattern: the angle in the example is not a number, but "
-                f"'{match[encoder_line.ANGLE]}'"
-            )
-        for error in self.errors:
-            if re.fullmatch(self.pattern, error) is not None:
-                raise ValueError(
-                    f"the pattern matches the error '{error}': exclude it, or it is read as an angle"
-                )
+    def _has_counts(self) -> EncoderLineSection:
         if (self.unit == "counts") != (self.counts_per_turn is not None):
             raise ValueError("state 'counts_per_turn' if, and only if, the unit is counts")
         return self
@@ -408,29 +361,15 @@ class EncoderLineSection(ReadOutHeadForm):
     @property
     def per_turn(self) -> float:
         """The number of units in a turn."""
-        return self.counts_per_turn or encoder_line.PER_TURN[self.unit]
-
-    def port(self) -> Port:
-        """Return the setup of its wire, with the line ends of the section."""
-        ends = encoder_line.ENDS
-        serial = {**encoder_line.SERIAL, **self.serial.settings()} if is_serial(self.resource) else None
-        return Port(ends[self.reply_end], ends[self.request_end], serial)
+        return self.counts_per_turn or text_line.PER_TURN[self.unit]
 
     def driver_options(self) -> dict[str, Any]:
-        """Return the driver's options: `model`, `request`, `pattern`, `errors` and `per_turn`."""
-        own = self.model_dump(include={"model", "request", "pattern", "errors"})
-        return own | {"per_turn": self.per_turn}
+        """Return the options of every line of text, and `per_turn`."""
+        return LineForm.driver_options(self) | {"per_turn": self.per_turn}
 
     def simulation_options(self, truth: HeadTruth) -> dict[str, Any]:
         """Return the options of every simulated counter, the request, and the form of the reply with an example."""
-        ends = encoder_line.ENDS
-        return {
-            **super().simulation_options(truth),
-            **self.model_dump(include={"request", "pattern", "example"}),
-            "per_turn": self.per_turn,
-            "ends": (ends[self.request_end], ends[self.reply_end]),
-            "errors": tuple(self.errors),
-        }
+        return super().simulation_options(truth) | self.line_options() | {"per_turn": self.per_turn}
 
 
 _OWN: Final = {"tolerance": "30 arcsec"}

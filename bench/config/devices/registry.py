@@ -227,15 +227,19 @@ def _union(sections: tuple[type[DeviceSection], ...]) -> Any:
     return Annotated[Union[sections], Field(discriminator="driver")]  # noqa: UP007 - of as many as there are
 
 
-def chosen_by_driver(role: Role, *, recorded: bool = False) -> BeforeValidator:
+def chosen_by_driver(role: Role, *, name: str = "", recorded: bool = False) -> BeforeValidator:
     """Return a validator that turns a section as written into the section class of its `driver`.
+
+    `name` is the default name of the instrument, if it is not that of the role.
 
     For an unknown driver the only error is one about the driver: with similar names, or the reason why the driver
     could not be loaded. If the bench file was `recorded` with a run, such a section is instead kept as written.
     """
 
     def choose(written: object) -> object:
-        return _validated(written, role, recorded) if isinstance(written, dict) else written
+        if not isinstance(written, dict):
+            return written
+        return _validated({"name": name, **written} if name else written, role, recorded)
 
     return BeforeValidator(choose)
 

@@ -1,4 +1,4 @@
-"""Voltmeters of Agilent and Keysight (34401A, Truevolt, 34970A) and of Keithley (2000)."""
+"""Voltmeters of Agilent and Keysight (34401A, Truevolt, 34970A) and Keithley (2000); thermometers with a wire."""
 
 from __future__ import annotations
 
@@ -10,8 +10,10 @@ from bench.base.arrays import CHANNELS
 from bench.base.units import DurationS
 from bench.config.devices.device import (
     Device,
+    LineForm,
     Port,
     PortSection,
+    Printable,
     Timeout,
     WiredForm,
     any_resource,
@@ -21,6 +23,8 @@ from bench.config.devices.device import (
 from bench.config.devices.sections import (
     OneChannelForm,
     SerialPortForm,
+    SizeK,
+    TemperatureRange,
     ThermometerForm,
     ThermometerTruth,
     VoltmeterTruth,
@@ -29,6 +33,7 @@ from drivers.facts import agilent_34401a as agilent
 from drivers.facts import keithley_2000 as keithley
 from drivers.facts import keysight_34461a as truevolt
 from drivers.facts import keysight_34970a as multiplexer
+from drivers.facts import text_line
 from drivers.facts.keysight_34970a import PAIRED, SENSORS
 from drivers.interfaces import Channel
 
@@ -281,4 +286,51 @@ _KEYSIGHT_34970A = (
     ),
 )
 
-DEVICE = (_AGILENT_34401A, _KEYSIGHT_34461A, _KEITHLEY_2000, *_KEYSIGHT_34970A)
+
+class LineThermometerSection(TemperatureRange, ThermometerForm, LineForm):
+    """A thermometer that answers `request` with one line of text, which holds the temperature in °C.
+
+    A value below `minimum` or above `maximum` is refused; `tolerance` is its error limit.
+    """
+
+    facts: ClassVar = text_line
+    group: ClassVar = text_line.TEMPERATURE
+
+    driver: Literal["line-thermometer"]
+    resource: Annotated[str, AfterValidator(any_resource)]
+    model: Printable = "thermometer"
+    tolerance: SizeK = 0.5
+
+    @property
+    def tolerance_k(self) -> float:
+        """The stated tolerance, K."""
+        return self.tolerance
+
+    def driver_options(self) -> dict[str, Any]:
+        """Return the options of every line of text, and the temperature range, °C."""
+        return super().driver_options() | {"minimum_c": self.minimum, "maximum_c": self.maximum}
+
+    def simulation_options(self, truth: ThermometerTruth) -> dict[str, Any]:
+        """Return the options of every simulated line of text, and the error of the thermometer, K."""
+        return self.line_options() | {"error_c": truth.error}
+
+
+_LINE_THERMOMETER = Device(
+    "line-thermometer",
+    LineThermometerSection,
+    driver="drivers.instruments.line_thermometer:LineThermometer",
+    simulation="sim.counters:LineThermometer",
+    example={
+        "resource": "ASRL/dev/ttyUSB1::INSTR",
+        "request": "TEMP?",
+        "pattern": r"T=(?P<temperature>[+-]\d+\.\d+) C",
+        "example": "T=+23.00 C",
+        "errors": {"T=OPEN": "the sensor came off"},
+        "minimum": "-40 degC",
+        "maximum": "125 degC",
+    },
+    simulated=("error",),
+    place=2,
+)
+
+DEVICE = (_AGILENT_34401A, _KEYSIGHT_34461A, _KEITHLEY_2000, *_KEYSIGHT_34970A, _LINE_THERMOMETER)

@@ -230,20 +230,21 @@ def prompts_without_default(plan: Plan) -> Iterator[str]:
 def operator_actions(plan: Plan, bench: BenchFile) -> int:
     """Return the number of actions of the operator on this bench; motorised actions do not count.
 
-    A thermometer that a person reads is read once more at each mounting.
+    Each thermometer that a person reads is read once more at each mounting.
     """
     chamber = bench.instruments.chamber
     turned = bench.instruments.head.turned_by_hand
     heated = chamber is not None and chamber.by_hand
     thermometer = bench.instruments.thermometer
-    told = heated if thermometer is None else thermometer.by_hand
+    told = [heated if thermometer is None else thermometer.by_hand]
+    told += [around.by_hand for around in bench.instruments.around.values()]
     level = bench.instruments.level
     by_bubble = level is not None and level.by_hand
     actions = 0
     for step in plan.steps:
         match step:
             case Mount():
-                actions += 2 if told else 1
+                actions += 1 + sum(told)
             case Turn():
                 actions += turned
             case SetTemperature():

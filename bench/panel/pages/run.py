@@ -210,7 +210,7 @@ async def resume(request: Request) -> Response:
     person, _ = await acting(request, Role.OPERATOR)
     run = panel_of(request).runs.run(request.path_params["name"])
     await _doing(_hold, run, person)
-    await _doing(resume_run, run)
+    await _doing(resume_run, run, person.name)
     return _done(request, run, message("it continues"))
 
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 from bench.config.bench_file.file import BenchFile
-from bench.config.bench_file.sections import InstrumentForm, InstrumentsSection
+from bench.config.bench_file.sections import SURROUNDINGS, InstrumentForm, InstrumentsSection
 from bench.config.devices.device import WiredForm, is_serial
+from bench.config.devices.manual import ManualThermometerSection
 from bench.config.devices.registry import devices
 from bench.config.devices.sections import (
     ControlledChamberForm,
@@ -24,13 +25,14 @@ from bench.model.forward import ForwardModel
 from bench.run.instruments import Instruments
 from drivers.chambers import ChamberLimits
 from drivers.clock import Clock, Haste
+from drivers.facts.keysight_34970a import CARD
 from drivers.interfaces import BenchError, Voltmeter
 from drivers.motion import Travel
 from drivers.person import Person
 from drivers.readout import Approach, ScaleOfEncoder
 from drivers.wire.resources import Holding
 from drivers.wire.visa import MessageSession, SerialSettings, Wire
-from sim.bench import SimulatedMeter
+from sim.bench import Elsewhere, SimulatedMeter
 from sim.keysight_34970a import Probe
 from sim.wires.faults import Fault
 from sim.wires.session import Dialect
@@ -83,13 +85,19 @@ def instruments_of(bench: BenchFile, given: Surroundings) -> Instruments:
     """
     sections = bench.instruments
     meters = [_driver(meter, given) for meter in sections.voltmeters]
+    thermometers = _thermometers(sections, meters, given)
+    around = {SURROUNDINGS[key]: thermometers[section.name] for key, section in sections.around.items()}
+    in_chamber = {
+        column: "chamber" for key, column in SURROUNDINGS.items() if getattr(sections, key) == "chamber"
+    }
     return Instruments(
         meters,
         _driver(sections.head, given),
         None if sections.chamber is None else _driver(sections.chamber, given),
         None if sections.level is None else _driver(sections.level, given),
-        _thermometer(sections, meters, given),
+        None if sections.thermometer is None else thermometers[sections.thermometer.name],
         None if sections.power_supply is None else _driver(sections.power_supply, given),
+        around | in_chamber,
     )
 
 
@@ -113,20 +121,24 @@ def loaded_class(section: InstrumentForm, which: Literal["driver", "simulation"]
         raise BenchError(section.name, cause, "correct it, then start again") from error
 
 
-def _thermometer(sections: InstrumentsSection, meters: Sequence[Any], given: Surroundings) -> Any:
-    """Return the driver of the thermometer, or None; a sensor at a voltmeter's input shares its session."""
-    section = sections.thermometer
-    if section is None:
-        return None
-    driver, options = loaded_class(section, "driver"), section.driver_options()
-    if not isinstance(section, WiredForm):
-        return driver(section.name, given.person, **options)
-    options["line_hz"] = given.line_hz
-    beside = sections.meter_of_thermometer
-    if beside is None:
-        return driver(section.name, given.session(section.name, section), given.clock, **options)
-    options |= {"interface": beside.interface, "meter": meters[sections.voltmeters.index(beside)]}
-    return driver(section.name, given.sessions[beside.name], given.clock, **options)
+def _thermometers(sections: InstrumentsSection, meters: Sequence[Any], given: Surroundings) -> dict[str, Any]:
+    """Return the drivers of the thermometers by name; a sensor at another instrument's input shares its session."""
+    made: dict[str, Any] = {meter.name: meter for meter in meters}
+    of = {section.name: key.partition("_")[0] for key, section in sections.around.items()}
+    for section in sections.thermometers:
+        driver, options = loaded_class(section, "driver"), section.driver_options()
+        if not isinstance(section, WiredForm):
+            if isinstance(section, ManualThermometerSection) and section.name in of:
+                options["of"] = of[section.name]
+            made[section.name] = driver(section.name, given.person, **options)
+            continue
+        options["line_hz"] = given.line_hz
+        beside = sections.beside(section)
+        if beside is not None:
+            options |= {"interface": getattr(beside, "interface", "lan"), "meter": made[beside.name]}
+        session = given.session(section.name, section) if beside is None else given.sessions[beside.name]
+        made[section.name] = driver(section.name, session, given.clock, **options)
+    return made
 
 
 def _driver(section: InstrumentForm, given: Surroundings) -> Any:
@@ -159,6 +171,8 @@ def world_of(bench: BenchFile, model: ForwardModel, seed: int, clock: Clock) -> 
         stand=bench.stand_distributions(),
         seed=seed,
         ambient_c=truth.ambient_temperature,
+        room_swing=(truth.room.swing, truth.room.period),
+        meter_lag_s=truth.room.meter_lag,
         chamber_rate_c_s=truth.chamber.rate,
         chamber_lag_s=truth.chamber.lag,
         chamber_off_lag_s=truth.chamber.off_lag,
@@ -225,29 +239,40 @@ def simulated_instruments(bench: BenchFile, world: World) -> dict[str, Dialect |
     Raises `BenchError` for a simulation that cannot be loaded.
     """
     simulated: dict[str, Dialect | SimulatedMeter] = {}
-    beside = bench.instruments.meter_of_thermometer
-    for section in bench.instruments.all():
-        if section.by_hand or (isinstance(section, ThermometerForm) and beside is not None):
+    given = bench.instruments
+    for section in given.all():
+        if section.by_hand or (isinstance(section, ThermometerForm) and given.beside(section) is not None):
             continue
         make: Any = loaded_class(section, "simulation")
         options = section.simulation_options(getattr(bench.simulation, section.role))
+        if probes := _probes(bench, world, section):
+            options["cards"] = options["cards"] | {100 * (number // 100): CARD for number in probes}
         if isinstance(section, VoltmeterForm):
             options["line_hz"] = bench.line_frequency
-            probes = {} if section is not beside else _probes(bench, world)
             simulated[section.name] = SimulatedMeter(make, section.inputs_used, options, probes)
-        else:
-            simulated[section.name] = make(world, **options)
+            continue
+        options |= {"probes": probes} if probes else {}
+        simulated[section.name] = make(_seen_by(section, given, world), **options)
     return simulated
 
 
-def _probes(bench: BenchFile, world: World) -> dict[int, Probe]:
-    """Return the simulated sensor wired to a voltmeter, by channel number; empty if there is none."""
-    section = bench.instruments.thermometer
-    truth = bench.simulation.thermometer
-    if not isinstance(section, Keysight34970AThermometerSection):
-        return {}
-    own = {"error_c": truth.error, "noise_c": truth.noise, "air_share": truth.air_share}
-    return {section.channel: Probe(world, section.sensor, **own)}
+def _probes(bench: BenchFile, world: World, host: InstrumentForm) -> dict[int, Probe]:
+    """Return the simulated sensors wired to an instrument of the bench, by channel number."""
+    given, truth = bench.instruments, bench.simulation.thermometer
+    errors = {"error_c": truth.error, "noise_c": truth.noise, "air_share": truth.air_share}
+    return {
+        section.channel: Probe(_seen_by(section, given, world), section.sensor, **errors)
+        for section in given.thermometers
+        if isinstance(section, Keysight34970AThermometerSection)
+        and host is (given.beside(section) or section)
+    }
+
+
+def _seen_by(section: InstrumentForm, given: InstrumentsSection, world: World) -> World:
+    """Return the world of an instrument: to a thermometer away from the block, with what it is at for the block."""
+    at = {"meter_thermometer": world.meters_c, "room_thermometer": world.room_c}
+    key = next((key for key, around in given.around.items() if around is section), None)
+    return world if key is None else cast(World, Elsewhere(world, at[key]))
 
 
 def buses_of(bench: BenchFile) -> dict[str, dict[str, int]]:

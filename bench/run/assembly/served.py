@@ -306,7 +306,8 @@ def _simulated(
             faults=faults_of(bench),
         )
     except ValueError as error:
-        raise BenchError("simulation", str(error), "correct the faults in the bench file") from error
+        cause, _, remedy = str(error).partition("; ")
+        raise BenchError("simulation", cause, remedy or "correct the faults in the bench file") from error
 
 
 TASK_TIME_S = 30.0

@@ -47,8 +47,8 @@ def cables(evening: CommissioningSession) -> Iterator[Cable]:
     by_adapter: dict[str, list[Instrument]] = {}
     for instrument in evening.instruments.all():
         section = evening.section(instrument.name)
-        if isinstance(section, ThermometerForm) and evening.file.instruments.meter_of_thermometer is not None:
-            continue  # connected through the voltmeter's cable
+        if isinstance(section, ThermometerForm) and evening.file.instruments.beside(section) is not None:
+            continue  # connected through the cable of that instrument
         place = section.place if isinstance(section, WiredForm) else None
         if place is not None:
             by_adapter.setdefault(place.adapter, []).append(instrument)
@@ -231,9 +231,9 @@ PARTS: Final = (
     ),
     Part(
         "thermometer",
-        "The thermometer at the block is read.",
+        "The thermometers are read.",
         devices.check_thermometer,
-        applies=lambda evening: evening.instruments.thermometer is not None,
+        applies=lambda evening: bool(evening.file.instruments.thermometers),
     ),
     Part(
         "cables",

@@ -365,6 +365,8 @@ def _standby(evening: CommissioningSession, chamber: ThermalChamber, by_hand: bo
 
 REVERSED: Final = "half a turn"
 BLOCK: Final = "temperature of the block"
+METERS: Final = "temperature of the voltmeters"
+ROOM: Final = "temperature of the room"
 
 
 def check_level(evening: CommissioningSession) -> None:
@@ -405,16 +407,19 @@ def _read_platform(evening: CommissioningSession, level: Level, *, turned: bool)
 
 
 def check_thermometer(evening: CommissioningSession) -> None:
-    """Read the thermometer at the block."""
-    thermometer = evening.instruments.thermometer
-    if thermometer is not None:
-        evening.carry_out(BLOCK, thermometer, partial(_temperature, thermometer))
+    """Read the thermometers at the block, at the voltmeters and in the room."""
+    around = {"meter_temperature_c": METERS, "room_c": ROOM}
+    at = {BLOCK: evening.instruments.thermometer}
+    at |= {around[c]: by for c, by in evening.instruments.around.items() if by != "chamber"}
+    for place, thermometer in at.items():
+        if thermometer is not None:
+            evening.carry_out(place, thermometer, partial(_temperature, place, thermometer))
 
 
-def _temperature(thermometer: Thermometer) -> Finding:
+def _temperature(place: str, thermometer: Thermometer) -> Finding:
     shown_c = thermometer.block_c("commission/temperature")
     figures = (Figure("temperature", shown_c, "°C"),)
-    return Finding(BLOCK, thermometer.name, State.WORKS, f"shows it ({thermometer.sensor})", figures)
+    return Finding(place, thermometer.name, State.WORKS, f"shows it ({thermometer.sensor})", figures)
 
 
 OUTPUTS: Final = "outputs"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -267,10 +268,11 @@ class VerifyCertificate:
 class PlanKit:
     """The plan of an interlaboratory comparison."""
 
-    plan: Annotated[Path, Option("Plan to write (YAML).", argument=True)]
+    plan: Annotated[str | Path, Option("Plan to write (YAML).", argument=True, typed=Path)]
     _: KW_ONLY
     laboratory: Annotated[
-        list[str], Option("A laboratory, the pilot first (repeatable).", metavar="NAME", common=True)
+        Sequence[str],
+        Option("A laboratory, the pilot first (repeatable).", metavar="NAME", common=True, typed=list[str]),
     ]
     block: str = option("block", "Type and serial number of the block.", metavar="TEXT", common=True)
     seed: int = option(1, "Draws the order and the blind codes.", least=0, common=True)
@@ -280,9 +282,10 @@ class PlanKit:
 class SealKit:
     """Seals of results, before any is opened."""
 
-    plan: Annotated[Path, Option("Plan of the comparison.", argument=True)]
+    plan: Annotated[str | Path, Option("Plan of the comparison.", argument=True, typed=Path)]
     results: Annotated[
-        list[str], Option("Code and result file, or its SHA-256.", metavar="CODE=FILE…", argument=True)
+        Sequence[str],
+        Option("Code and result file, or its SHA-256.", metavar="CODE=FILE…", argument=True, typed=list[str]),
     ]
 
 
@@ -291,6 +294,13 @@ class EvaluateKit(SealKit):
     """The evaluation of all sealed results."""
 
     _: KW_ONLY
+    check: Sequence[str] = option(
+        (),
+        "Readings of a transport check of a stop: a monitor on arrival, then before departure (repeatable).",
+        metavar="CODE=FILE",
+        common=True,
+        typed=list[str],
+    )
     g: float | None = option(
         None, "Local gravity of the stated K, for a foreign certificate.", metavar="M/S2"
     )

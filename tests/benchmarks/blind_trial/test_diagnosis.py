@@ -8,6 +8,7 @@ import pytest
 
 from bench.base.files import cache_folder
 from bench.model import CATALOGUE
+from bench.readings.corrected import MistakeName
 from benchmarks.blind_trial import adapter
 from benchmarks.blind_trial.adapter import diagnose_case
 from benchmarks.blind_trial.cases import Row, make_case
@@ -37,18 +38,18 @@ def test_nothing_is_found_where_nothing_is(row):
 
 @pytest.mark.slow
 def test_an_effect_of_20_is_found_and_the_truth_is_in_the_set():
-    for index in range(0, 30, 10):
-        answer, diagnosis, marks = judged(Row("single", rho=20), index)
-        assert marks["detected"]
-        assert any(answer.names[0] in names for names in sets_given(diagnosis)), answer.names
-        gap = diagnosis["gap"]
-        # what is constant in a mounting is in the other passes, too: nothing held out shows it
-        assert answer.names == ("mounting_error",) if gap["before"] is None else gap["after"] < gap["before"]
+    answer, diagnosis, marks = judged(Row("single", rho=20), 0)
+    assert marks["detected"]
+    assert any(answer.names[0] in names for names in sets_given(diagnosis)), answer.names
+    gap = diagnosis["gap"]
+    # what is constant in a mounting is in the other passes, too: nothing held out shows it
+    assert answer.names == ("mounting_error",) if gap["before"] is None else gap["after"] < gap["before"]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", sorted(MISTAKES))
-def test_every_mistake_is_found_by_its_name(kind):
+@pytest.mark.parametrize("kind", ["swapped_installations", "wrong_setting"])
+def test_a_mistake_of_many_rows_and_of_one_is_found_by_its_name(kind):
+    """Every kind is found in readings of another independent simulation by `tests/diagnosis/mistakes`."""
     marks = judged(Row(f"mistake:{kind}"), 0)[2]
     assert marks["mistake found"]
     assert marks["in the set"]
@@ -63,10 +64,9 @@ def test_equal_quadratic_terms_are_not_given_a_name_alone():
 
 @pytest.mark.slow
 def test_what_nothing_can_show_is_listed():
-    for index in range(2):
-        marks = judged(Row("hidden"), index)[2]
-        assert marks["agrees"]
-        assert marks.get("hidden listed", True)
+    marks = judged(Row("hidden"), 0)[2]
+    assert marks["agrees"]
+    assert marks["hidden listed"]
 
 
 def test_the_trial_hides_what_the_catalogue_names():
@@ -74,3 +74,4 @@ def test_the_trial_hides_what_the_catalogue_names():
     from benchmarks.blind_trial.effects import CATALOGUE as HIDDEN
 
     assert set(HIDDEN) <= set(CATALOGUE)
+    assert set(MISTAKES) <= {kind.value for kind in MistakeName}

@@ -24,6 +24,7 @@ from sim.world.clock import VirtualClock
 from sim.world.power import PowerSettings, Rail
 from sim.world.world import World, WorldSettings
 from tests.support.patience import PATIENCE_S
+from tests.support.scripted_session import Clock
 from tests.support.simulated_stand import BLOCK, a_34401a, a_world
 
 IDENTITY = b"HEWLETT-PACKARD,34401A,0,11-5-2\n"
@@ -34,21 +35,8 @@ def a_meter(interface: str = "lan") -> Agilent34401A:
     return meter.on(a_world())
 
 
-class SteppedClock:
-    """A clock that a test sets."""
-
-    def __init__(self) -> None:
-        self.time_s = 0.0
-
-    def now_s(self) -> float:
-        return self.time_s
-
-    def sleep(self, duration_s: float) -> None:
-        self.time_s += duration_s
-
-
 def faulty(*data: dict[str, object], interface: str = "lan", seed: int = 5) -> FaultyInstrument:
-    return FaultyInstrument(a_meter(interface), "v", seed, [Fault.parse(d) for d in data], SteppedClock())
+    return FaultyInstrument(a_meter(interface), "v", seed, [Fault.parse(d) for d in data], Clock())
 
 
 def say(meter: FaultyInstrument, text: str) -> bytes | None:
@@ -204,7 +192,7 @@ def test_an_error_comes_into_the_queue() -> None:
 
 def test_hanging_ends_with_its_time_a_device_clear_or_a_power_cycle() -> None:
     for end in ("time", "clear", "power"):
-        clock = SteppedClock()
+        clock = Clock()
         hang = Fault(FaultKind.HANG, at=2, seconds=3.0 if end == "time" else 0.0)
         meter = FaultyInstrument(a_meter(), "v", 5, [hang], clock)
         assert say(meter, "*IDN?") is not None

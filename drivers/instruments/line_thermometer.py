@@ -1,0 +1,74 @@
+"""A thermometer that answers a request with one line of text."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from drivers.facts import text_line as facts
+from drivers.interfaces import BadReading, Identity
+from drivers.text_line import TextLine
+from drivers.wire.visa import ProvedSession
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from drivers.clock import Clock
+    from drivers.wire.visa import MessageSession
+
+
+class LineThermometer:
+    """A `Thermometer` described in the bench file by its `request` and the `pattern` of its reply.
+
+    The group `temperature` of the pattern is the value, °C. `errors` maps lines instead of a value to their
+    meanings. `line_hz` is not used.
+    """
+
+    asks_person = False
+
+    def __init__(
+        self,
+        name: str,
+        session: MessageSession,
+        clock: Clock,
+        *,
+        model: str,
+        request: str,
+        pattern: str,
+        errors: Mapping[str, str],
+        minimum_c: float,
+        maximum_c: float,
+        line_hz: float = 50.0,
+    ) -> None:
+        self.name = name
+        self.sensor = model
+        self._identity = Identity(model, facts.MODEL)
+        self._range_c = minimum_c, maximum_c
+        self._line = TextLine(name, request, pattern, facts.TEMPERATURE, errors)
+        self._session = ProvedSession(session, clock, lambda: self._line.number(self._session))
+
+    def open(self) -> Identity:
+        """Connect and take a reading: the form of its line is its only identity.
+
+        Raises `InstrumentLost`, `BadReading`, `InstrumentRefused`.
+        """
+        self._session.open()
+        return self._identity
+
+    def close(self) -> None:
+        """Disconnect. Never raises, may be called twice."""
+        self._session.close()
+
+    def block_c(self, key: str) -> float:
+        """Return the temperature, °C.
+
+        Raises `BadReading` for another line or a value out of range, `InstrumentRefused` for one of the `errors`,
+        `InstrumentLost`.
+        """
+        shown_c, (low_c, high_c) = self._line.number(self._session), self._range_c
+        if not low_c <= shown_c <= high_c:
+            raise BadReading(
+                self.name,
+                f"it shows {shown_c:g} °C, outside {low_c:g} to {high_c:g} °C",
+                "check the sensor, and the pattern and the range in the bench file",
+            )
+        return shown_c

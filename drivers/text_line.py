@@ -1,0 +1,61 @@
+"""The number in the line of text with which an instrument answers a request."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING, Final
+
+from drivers.interfaces import BadReading, InstrumentRefused
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from drivers.wire.visa import ProvedSession
+
+_NUMBER: Final = re.compile(r"[+-]? *\d+(?:\.\d*)?|[+-]? *\.\d+")
+
+
+class TextLine:
+    """A request of the instrument `name` and its reply, whose `pattern` has the number in its `group`.
+
+    `errors` maps lines instead of a number to their meanings; `remedy` says what to do then.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        request: str,
+        pattern: str,
+        group: str,
+        errors: Mapping[str, str],
+        remedy: str = "clear that fault, then redo this point",
+    ) -> None:
+        self._name = name
+        self._request = request
+        self._pattern = re.compile(pattern)
+        self._group = group
+        self._errors = errors
+        self._remedy = remedy
+
+    def number(self, session: ProvedSession) -> float:
+        """Return the number in the instrument's present reply.
+
+        Raises `InstrumentRefused` for an error of the bench file, `BadReading` for any other reply.
+        """
+        known = "|".join([f"(?:{self._pattern.pattern})", *map(re.escape, self._errors)])
+        said = session.ask(self._request, known, "a line of the form in the bench file")
+        if (meaning := self._errors.get(said)) is not None:
+            raise InstrumentRefused(
+                self._name,
+                f"it says {said!r} instead of its {self._group}: {meaning}",
+                self._remedy,
+            )
+        match = self._pattern.fullmatch(said)
+        number = match[self._group] if match else ""
+        if _NUMBER.fullmatch(number) is None:
+            raise BadReading(
+                self._name,
+                f"the {self._group} in {said!r} is {number!r}, which is not a number",
+                "correct the pattern in the bench file",
+            )
+        return float(number.replace(" ", ""))
