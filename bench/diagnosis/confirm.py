@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import compress
-from typing import Final, Literal
+from typing import Literal
 
 import numpy as np
 from scipy import special
@@ -20,8 +20,8 @@ from bench.calibration import CalibrationError
 from bench.calibration.design import EffectUnknown
 from bench.diagnosis.evidence import KNOWN_SIZE, ThresholdCache
 from bench.diagnosis.free_records import FreeDiagnosis
-from bench.diagnosis.gap import LEAST_CLOSED, part_closed, rms
-from bench.diagnosis.levels import BY_CHANCE
+from bench.diagnosis.gap import part_closed, rms
+from bench.diagnosis.levels import BY_CHANCE, MOSTLY, OFTEN
 from bench.diagnosis.linear import LinearSystem, make_linear
 from bench.diagnosis.pipeline import diagnose
 from bench.diagnosis.posterior import NoiseSize, posterior, whiten_rows
@@ -29,19 +29,10 @@ from bench.diagnosis.record_diagnosis import RecordDiagnosis
 from bench.diagnosis.result import Diagnosis, EffectValue
 from bench.diagnosis.single_run_search import in_the_noise_of
 from bench.model import AppliedEffect, ForwardModel
-from bench.model.effects.base import InPart
+from bench.model.effects.base import InPart, Parameter
 from bench.readings.table import Readings
 
 Word = Literal["confirmed", "changed", "gone"]
-
-TOLD: Final = 0.5
-"""The readings determine a parameter where its u is below this fraction of its wide prior."""
-
-STILL_SEEN: Final = 0.5
-"""An additional effect is estimated, too, if it leaves at least this part of the squared signal-to-noise ratio."""
-
-POWER: Final = 2.0
-"""Margin above the significance limit, in units of noise. An effect that large is nearly always detected."""
 
 
 @dataclass(frozen=True)
@@ -97,13 +88,13 @@ class Confirmation:
     def verdict(self) -> Word:
         """The verdict: gone where all visible effects are gone; else confirmed or changed.
 
-        Confirmed means that all visible effects are unchanged, and the gap closes by `LEAST_CLOSED` or is
+        Confirmed means that all visible effects are unchanged, and the gap closes by `MOSTLY` or is
         chance.
         """
         words = {effect.verdict for effect in self.effects} - {None}
         if words == {"gone"}:
             return "gone"
-        enough = self.closed is None or self.closed >= LEAST_CLOSED or self.p_after >= BY_CHANCE
+        enough = self.closed is None or self.closed >= MOSTLY or self.p_after >= BY_CHANCE
         return "confirmed" if words == {"confirmed"} and enough else "changed"
 
 
@@ -182,7 +173,7 @@ def _now(linear: LinearSystem, diagnosis: Diagnosis | FreeDiagnosis) -> tuple[Ef
     whole = [not isinstance(model.effects[one.effect].effect, InPart) for one in linear.problem.effects]
     unknowns = list(compress(linear.problem.effects, whole))
     places = np.arange(linear.own.start, linear.own.stop)[np.array(whole, dtype=bool)]
-    plausible = np.array([plausible_size(model, unknown) for unknown in unknowns])
+    plausible = np.array([parameter_of(model, unknown).plausible for unknown in unknowns])
     found = np.array([unknown.prior_mean for unknown in unknowns]) / plausible
     u = np.array([unknown.prior_u if unknown.stated else 0.0 for unknown in unknowns]) / plausible
     own = linear.random[:, places] * (plausible / [unknown.prior_u for unknown in unknowns])
@@ -221,9 +212,9 @@ def judged(
             for i, unknown in enumerate(unknowns)
             if model.effects[unknown.effect].effect.name == applied.effect.name
         ]
-        shown = _Shown.of(of, mine)
-        if shown.size < shown.least and len(alike) > len(mine):
-            shown = _Shown.of(of, alike, apart=False)
+        size, least, p_same, p_none = _shown(of, mine)
+        if size < least and len(alike) > len(mine):
+            size, least, p_same, p_none = _shown(of, alike, apart=False)
         then, now = (
             tuple(
                 _value(model, unknowns[i], sizes[i] * of.plausible[i], of_u[i] * of.plausible[i])
@@ -231,12 +222,12 @@ def judged(
             )
             for sizes, of_u in ((of.found, of.u), (of.found + of.change, known))
         )
-        word = _word(shown.p_same, shown.p_none) if shown.size >= shown.least else None
-        effects.append(EffectNow(applied, word, shown.p_same, shown.p_none, then, now))
+        word = _word(p_same, p_none) if size >= least else None
+        effects.append(EffectNow(applied, word, p_same, p_none, then, now))
         where = f" in {', '.join(applied.installations)}" if applied.installations else ""
         seen.append(
-            f"{applied.effect.name}: {shown.size:.1f} where {shown.least:.1f} would show"
-            if np.isfinite(shown.least)
+            f"{applied.effect.name}: {size:.1f} where {least:.1f} would show"
+            if np.isfinite(least)
             else f"{applied.effect.name}{where}: they determine none of its values"
         )
     if not any(effect.verdict for effect in effects):
@@ -248,42 +239,32 @@ def judged(
     return tuple(effects)
 
 
-@dataclass(frozen=True)
-class _Shown:
-    """What new readings show of some parameters: their `size` in the model, and the `least` that would show.
+def _shown(
+    estimated: EstimatedEffects, places: Sequence[int], *, apart: bool = True
+) -> tuple[float, float, float, float]:
+    """Return the size in the model of the parameters at `places`, the least that would show, `p_same` and `p_none`.
 
-    Both are in units of noise. `p_same` and `p_none` are as in `EffectNow`.
+    The sizes are in units of noise. The parameters are judged in the directions that the readings determine. A
+    direction is an eigenvector of their covariance: a sum or a difference of parameters may be determined although
+    no parameter is. With `apart` false, the values of several mountings are correlated in the model as in these
+    readings, but a model file has no correlations. The model's u of a direction is therefore limited to that of
+    these readings.
     """
-
-    size: float
-    least: float
-    p_same: float
-    p_none: float
-
-    @classmethod
-    def of(cls, estimated: EstimatedEffects, places: Sequence[int], *, apart: bool = True) -> _Shown:
-        """Judge the parameters at `places` in the directions that the readings determine.
-
-        A direction is an eigenvector of their covariance: a sum or a difference of parameters may be determined
-        although no parameter is. With `apart` false, the values of several mountings are correlated in the
-        model as in these readings, but a model file has no correlations. The model's u of a direction is
-        therefore limited to that of these readings.
-        """
-        use = np.array(places, dtype=np.int64)
-        variance, turned = np.linalg.eigh(estimated.covariance[np.ix_(use, use)])
-        told = variance < (TOLD * KNOWN_SIZE) ** 2
-        directions = turned[:, told]
-        own = np.diag(variance[told])
-        of_model = directions.T @ (estimated.u[use, None] ** 2 * directions)
-        if not apart:
-            of_model = np.diag(np.minimum(np.diag(of_model), variance[told]))
-        found, change = directions.T @ estimated.found[use], directions.T @ estimated.change[use]
-        return cls(
-            float(np.sqrt(square(found, own))),
-            _least(len(found)),
-            _chance(change, own + of_model),
-            _chance(found + change, own),
-        )
+    use = np.array(places, dtype=np.int64)
+    variance, turned = np.linalg.eigh(estimated.covariance[np.ix_(use, use)])
+    told = variance < (MOSTLY * KNOWN_SIZE) ** 2
+    directions, own = turned[:, told], np.diag(variance[told])
+    of_model = directions.T @ (estimated.u[use, None] ** 2 * directions)
+    if not apart:
+        of_model = np.diag(np.minimum(np.diag(of_model), variance[told]))
+    found, change = directions.T @ estimated.found[use], directions.T @ estimated.change[use]
+    if not len(found):
+        return 0.0, float("inf"), 1.0, 1.0
+    # an effect of this size is missed at the level `OFTEN`
+    least = float(np.sqrt(special.chdtri(len(found), BY_CHANCE)) - special.ndtri(OFTEN))
+    same, none = square(change, own + of_model), square(found + change, own)
+    p_same, p_none = special.chdtrc(len(found), [same, none]).tolist()
+    return float(np.sqrt(square(found, own))), least, p_same, p_none
 
 
 def _estimated(
@@ -300,13 +281,9 @@ def _estimated(
         more = np.column_stack([columns, diagnosis.candidates.columns[:, list(one.variant.columns)]])
         again = posterior(linear, more, diagnosis.noise)
         seen, beside = (square(found, fit.amplitude_covariance[:count, :count]) for fit in (fitted, again))
-        if beside >= STILL_SEEN * seen:
+        if beside >= MOSTLY * seen:
             columns, fitted = more, again
     return fitted.amplitudes[:count], fitted.amplitude_covariance[:count, :count]
-
-
-def _chance(part: Floats, covariance: Floats) -> float:
-    return float(special.chdtrc(len(part), square(part, covariance))) if len(part) else 1.0
 
 
 def _word(p_same: float, p_none: float) -> Word:
@@ -315,28 +292,22 @@ def _word(p_same: float, p_none: float) -> Word:
     return "confirmed" if p_same >= BY_CHANCE else "changed"
 
 
-def _least(count: int) -> float:
-    """Return the size in units of noise at which an effect of `count` parameters is nearly always seen."""
-    return float(np.sqrt(special.chdtri(count, BY_CHANCE))) + POWER if count else float("inf")
-
-
 def square(part: Floats, covariance: Floats) -> float:
     """Return the chi-square of a subset of the parameters with this covariance."""
     return float(part @ np.linalg.solve(covariance, part)) if len(part) else 0.0
 
 
-def plausible_size(model: ForwardModel, unknown: EffectUnknown) -> float:
-    """Return the plausible size of an unknown of a model's effect, in SI units."""
+def parameter_of(model: ForwardModel, unknown: EffectUnknown) -> Parameter:
+    """Return the parameter that an unknown of a model's effect belongs to."""
     effect = model.effects[unknown.effect].effect
-    return next(p.plausible for p in effect.parameters if p.name == unknown.parameter)
+    return next(p for p in effect.parameters if p.name == unknown.parameter)
 
 
 def _value(model: ForwardModel, unknown: EffectUnknown, value: float, u: float) -> EffectValue:
-    applied = model.effects[unknown.effect]
-    parameter = next(p for p in applied.effect.parameters if p.name == unknown.parameter)
+    parameter = parameter_of(model, unknown)
     channel = "" if unknown.channel is None else CHANNELS[unknown.channel]
-    mounts = "+".join(applied.installations)
+    mounts = "+".join(model.effects[unknown.effect].installations)
     scale = parameter.si_per_unit
     return EffectValue(
-        unknown.parameter, channel, mounts, float(value / scale), float(u / scale), parameter.unit
+        parameter.name, channel, mounts, float(value / scale), float(u / scale), parameter.unit
     )

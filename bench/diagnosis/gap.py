@@ -16,7 +16,7 @@ from bench.base.languages import message
 from bench.diagnosis.candidates import Candidates, replace_columns
 from bench.diagnosis.evidence import Data, Threshold, Whitened
 from bench.diagnosis.levels import BY_CHANCE as BY_CHANCE  # noqa: PLC0414 - also taken from here
-from bench.diagnosis.levels import OFTEN
+from bench.diagnosis.levels import MOSTLY, OFTEN
 from bench.diagnosis.linear import MODULUS, LinearSystem, Rows
 from bench.diagnosis.naming import ALIAS, Naming, name
 from bench.diagnosis.noise_grid import RATIOS, coupled, make_noise_grid, make_whitener
@@ -30,9 +30,6 @@ LEAST_FALL: Final = 4.0
 
 An absent effect of any size reaches this fall by noise in at most 2.3 % of cases.
 """
-
-LEAST_CLOSED: Final = 0.5
-"""Least part of the gap above the floor that must close, unless chance explains the gap."""
 
 
 UNDETERMINED: Final = message("the rest does not determine the coefficients")
@@ -155,7 +152,7 @@ class Gap:
     def shrinks(self) -> bool | None:
         """Whether the gap shrinks by the rule registered; None where nothing was found, or no fold measures it.
 
-        The chi-square falls by `LEAST_FALL`, in all and by each name. `LEAST_CLOSED` of the part above the floor
+        The chi-square falls by `LEAST_FALL`, in all and by each name. `MOSTLY` of the part above the floor
         closes, unless chance explains that part. Root mean squares do not decide: settings' errors rule them.
         """
         if not self.named or not self.folds:
@@ -163,7 +160,7 @@ class Gap:
         part = self.closed
         return (
             (self.before - self.after) * self.count >= LEAST_FALL
-            and (part is None or part >= LEAST_CLOSED or self._chance(self.before) >= BY_CHANCE)
+            and (part is None or part >= MOSTLY or self._chance(self.before) >= BY_CHANCE)
             and not self.unconfirmed
         )
 
@@ -200,9 +197,6 @@ LEAST_FREEDOM: Final = 3
 """Readings beyond the number of coefficients from which there is a scatter to compare anything with."""
 DETERMINED: Final = 1e-6
 """Smallest singular value over the largest of the coefficients' columns, scaled, from which they are determined."""
-
-REPEATED: Final = 0.5
-"""The readings beside a part that is held out show a find where they keep this part of its square."""
 
 THIRDS: Final = 3
 HELD_OUT: Final = message("readings held out in turn")
@@ -285,7 +279,7 @@ def _tell(
 ) -> bool:
     """Return whether the readings beside each part, held out, show every find and tell its form.
 
-    They show a find where they keep `REPEATED` of the square of its signature. They tell its form unless another
+    They show a find where they keep `MOSTLY` of the square of its signature. They tell its form unless another
     form of the family leaves at most `ALIAS` of the signature in them, and more than `LEAST_FALL` in all
     readings. Otherwise chance would choose the form that predicts the part.
     """
@@ -300,7 +294,7 @@ def _tell(
         whole, left = _left_by_forms(linear, noise, columns, forms, every)
         for _, held in parts:
             kept, left_in_rest = _left_by_forms(linear, noise, columns, forms, ~held)
-            if kept < REPEATED * whole or np.any((left_in_rest <= ALIAS**2) & (left > LEAST_FALL)):
+            if kept < MOSTLY * whole or np.any((left_in_rest <= ALIAS**2) & (left > LEAST_FALL)):
                 return False
     return True
 

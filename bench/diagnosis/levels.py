@@ -12,6 +12,8 @@ HARDLY_EVER: Final = 1e-4
 """Level where a conclusion would change the record or set the noise of the bench file aside."""
 FOLDS: Final = 5
 """Parts into which readings are split where neither passes nor visits divide them."""
+MOSTLY: Final = 0.5
+"""Least part of a gap, of a square, or of a prior's u that counts as most of it."""
 NEGLIGIBLE: Final = 1e-12
 """Relative size of a number that is rounding only."""
 FAR: Final = 6.0

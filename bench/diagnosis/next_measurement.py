@@ -22,7 +22,6 @@ from bench.config.procedure.check import check
 from bench.config.procedure.load import Procedure, load_procedure
 from bench.config.procedure.plan import Plan, Read, SelectInput, SetTemperature
 from bench.config.shipped import PROCEDURES, shipped_folder
-from bench.diagnosis.candidates import in_volts
 from bench.diagnosis.levels import NEGLIGIBLE
 from bench.diagnosis.linear import LinearSystem, make_linear
 from bench.diagnosis.naming import ALIAS, ALONE
@@ -60,22 +59,19 @@ def planned_readings(
     installation that the model lacks.
     """
     reads: list[Read] = []
-    time_s: list[float] = []
-    warmth: list[float] = []
-    volts: list[float] = []
+    states: list[tuple[float, float, float]] = []
     now_s, now_v = 0.0, float("nan")
     for step in plan.steps:
         match step:
             case Read():
                 reads.append(step)
-                time_s.append(now_s)
-                warmth.append(temperature_c)
-                volts.append(now_v)
+                states.append((now_s, temperature_c, now_v))
             case SetTemperature():
                 temperature_c = step.target_c
             case SelectInput():
                 now_v = {"signal": float("nan"), "short": 0.0}.get(step.source, step.reference_v or 0.0)
         now_s += plan.step_duration_s(step, line_hz)
+    time_s, warmth_c, volts = np.array(states).T
     angle_rad = np.array([np.nan if r.target_rad is None else r.target_rad for r in reads])
     table = make_readings(
         [r.installation for r in reads],
@@ -88,15 +84,17 @@ def planned_readings(
         target_rad=angle_rad,
         series=[r.series for r in reads],
         direction=[r.direction or 0 for r in reads],
-        time_s=np.array(time_s),
-        temperature_c=np.array(warmth),
+        time_s=time_s,
+        temperature_c=warmth_c,
         samples=[r.samples for r in reads],
         scan_order=[r.scan for r in reads] if any(r.scan for r in reads) else None,
     )
     if any(label == REFERENCE for label in table.installation):
-        stated = ["" if r.installation != REFERENCE else repr(v) for r, v in zip(reads, volts, strict=True)]
+        stated = [
+            "" if r.installation != REFERENCE else repr(v) for r, v in zip(reads, volts.tolist(), strict=True)
+        ]
         table = replace(table, extra={**table.extra, REFERENCE_V: np.array(stated, dtype=np.str_)})
-    return replace(table, signal=_signals(table, model, block, np.array(volts)))
+    return replace(table, signal=_signals(table, model, block, volts))
 
 
 def _signals(table: Readings, model: ForwardModel, block: Block, volts: Floats) -> Floats:
@@ -145,11 +143,10 @@ HELPS: Final = 0.5
 """A procedure must increase D by at least this to be proposed."""
 
 SHOWN: Final = 2.5
-"""An effect shows if its plausible size is at least this many units of noise: then twice this size is found."""
+"""An effect shows if its plausible size is at least this many units of noise: then twice this size is found.
 
-
-BLIND: Final = 5.0
-"""An effect counts as hidden if it must be more than this many plausible sizes large to be found."""
+It counts as hidden if it is found only beyond twice as many plausible sizes.
+"""
 
 
 @dataclass(frozen=True)
@@ -232,13 +229,6 @@ class Proposal:
         return self.source.stem
 
     @property
-    def text(self) -> str:
-        """The text of the procedure file, which begins with the reason."""
-        lines = textwrap.wrap(f"Proposed: {self.why}", 108, break_on_hyphens=False)
-        head = "".join(f"# {line}\n" for line in lines)
-        return f"{head}#\n{self.source.read_text(encoding='utf-8')}"
-
-    @property
     def procedure(self) -> Path:
         """The file to carry out: the procedure of the menu, or the written file once there is one."""
         return self.written or self.source
@@ -246,16 +236,20 @@ class Proposal:
     def write(self, path: Path) -> Proposal:
         """Write the procedure; return the proposal with the path of the file. Raises `OSError`.
 
-        It never overwrites a file with other contents; it adds a number to the name instead.
+        The file begins with the reason. It never overwrites a file with other contents; it adds a number to the
+        name instead.
         """
         path.parent.mkdir(parents=True, exist_ok=True)
+        lines = textwrap.wrap(f"Proposed: {self.why}", 108, break_on_hyphens=False)
+        head = "".join(f"# {line}\n" for line in lines)
+        text = f"{head}#\n{self.source.read_text(encoding='utf-8')}"
         for number in count(1):
             free = path if number == 1 else path.with_name(f"{path.stem}-{number}{path.suffix}")
             try:
                 with free.open("x", encoding="utf-8") as file:
-                    file.write(self.text)
+                    file.write(text)
             except FileExistsError:
-                if not free.is_file() or free.read_bytes() != self.text.encode():
+                if not free.is_file() or free.read_bytes() != text.encode():
                     continue
             break
         return replace(self, written=free)
@@ -382,11 +376,11 @@ class _Bill:
     def showing(self) -> Proposal | None:
         """Return the shortest procedure that shows most of the effects that the readings could hardly show."""
         diagnosis = self._diagnosis
-        sought = _looked_for(diagnosis.linear)
+        known = {applied.effect.name for applied in diagnosis.linear.model.effects}
         blind = [
             name
             for name, size in diagnosis.detectable.items()
-            if name in sought and (name in diagnosis.hidden or size > BLIND)
+            if name in CATALOGUE.keys() - known and (name in diagnosis.hidden or size > 2.0 * SHOWN)
         ]
         bills = []
         for path, plan in tracked(list(self.plans.items()), "what to measure next"):
@@ -407,16 +401,6 @@ class _Bill:
     def _without(self) -> str:
         listed = "; ".join(f"{name} ({why})" for name, why in self.left_out.items())
         return message(f". Not possible on this bench: {listed}") if listed else ""
-
-
-def _looked_for(linear: LinearSystem) -> frozenset[str]:
-    """Return the effects that were searched for: those that the model lacks and that have a size in the unit."""
-    own = {applied.effect.name for applied in linear.model.effects}
-    return frozenset(
-        name
-        for name, effect in CATALOGUE.items()
-        if name not in own and (linear.readings.unit == "V" or not in_volts(effect))
-    )
 
 
 @lru_cache(maxsize=64)

@@ -29,7 +29,7 @@ from bench.diagnosis.multi_run_system import find_mistakes_in_each, search_runs,
 from bench.diagnosis.naming import FamilyOdds, FoundEffect, Naming, Scored, name, same_signature
 from bench.diagnosis.next_measurement import Proposal, propose
 from bench.diagnosis.noise_grid import RATIOS, digit_of
-from bench.diagnosis.noise_kinds import NoiseFinding, NoiseKind, noise_findings, noise_kinds
+from bench.diagnosis.noise_kinds import NoiseFinding, noise_findings, noise_kinds
 from bench.diagnosis.posterior import (
     NoiseSize,
     Posterior,
@@ -82,12 +82,12 @@ def diagnose(
     readings do not determine the coefficients, `MistakesLeaveTooLittle` where the corrected copy does not.
     """
     mistakes = find_mistakes_in_each(readings, model, stand_u, nominal_scale_factors)
-    setting_rad = stand_u.get("setting_error", 0.0)
+    setting_rad, digit = stand_u.get("setting_error", 0.0), digit_of(readings)
     try:
         mistakes = replace(mistakes, corrected=with_blocks(mistakes.corrected, model))
         absent = there.absent(mistakes.corrected)
         stand = {key: value for key, value in stand_u.items() if key != "setting_error"}
-        digit, thresholds = digit_of(readings), cache or ThresholdCache(None)
+        thresholds = cache or ThresholdCache(None)
         task = SearchTask(model, stand, setting_rad, digit, thresholds, absent)
         find = search_runs if mistakes.corrected.run.any() else search_run
         prepared, naming = find(task, mistakes.corrected)
@@ -102,7 +102,9 @@ def diagnose(
         naming = name(prepared.whitened, prepared.data, prepared.limit, 0, others)
         estimated, gap = _held_out(prepared, naming, setting_rad)
     registered = register(prepared.linear, prepared.limit)
-    findings, kinds = _noise(prepared, estimated.noise, readings, stand_u)
+    linear, noise = prepared.linear, estimated.noise
+    kinds = tuple(noise_kinds(linear, noise, digit, prepared.chosen))
+    findings = noise_findings(noise, readings, stand_u, linear.typical_slope, digit, linear.by_run)
     effects = estimated.effects
     columns = prepared.candidates.columns[:, list(naming.columns)]
     far = far_readings(prepared.linear, columns, estimated.noise)
@@ -112,7 +114,7 @@ def diagnose(
         far = far_readings(prepared.linear, columns[:, :0], estimated.noise)
     form = _form(prepared, naming, estimated, gap, setting_rad)
     verdict = verdict_of(effects, findings, gap)
-    linear, whitened, repeats = prepared.linear, prepared.whitened, prepared.repeats
+    whitened, repeats = prepared.whitened, prepared.repeats
     ratio = RATIOS.index(near_ratios(linear, estimated.noise)[1])
     sizes = detectable(whitened, prepared.limit, ratio)
     unseen = hidden(whitened, prepared.limit, ratio, sizes)
@@ -157,10 +159,6 @@ def diagnose(
     )
 
 
-SURE: Final = 6.0
-"""ln odds above the threshold from which a find needs no held-out readings to confirm it."""
-
-
 def _left_out(weak: Sequence[FoundEffect]) -> Iterator[str]:
     """Yield a sentence for each find that was left out, as held-out readings do not confirm it."""
     for one in weak:
@@ -180,7 +178,10 @@ def _held_out(prepared: Prepared, naming: Naming, setting_rad: float) -> tuple[_
 
 
 def _unconfirmed(prepared: Prepared, naming: Naming, gap: Gap) -> list[FoundEffect]:
-    """Return weak finds beside a stronger one that held-out readings do not confirm."""
+    """Return weak finds beside a stronger one that held-out readings do not confirm.
+
+    Odds beyond the threshold by more than chance need no held-out readings.
+    """
     if gap.shrinks is not False or len(naming.found) < 2:
         return []
     strongest = max(naming.found, key=lambda one: one.size)
@@ -189,7 +190,7 @@ def _unconfirmed(prepared: Prepared, naming: Naming, gap: Gap) -> list[FoundEffe
         for one in naming.found
         if one is not strongest
         and one.variant.family in gap.unconfirmed
-        and one.total < prepared.limit.value + SURE
+        and one.total < prepared.limit.value - np.log(BY_CHANCE)
     ]
 
 
@@ -222,15 +223,6 @@ def _estimated(prepared: Prepared, naming: Naming) -> _Estimated:
     effects = effects_of(candidates, naming, sized, prepared.limit, linear.moved.angle_rad)
     kept = left_open(linear, candidates, naming, others, fitted, noise)
     return _Estimated(effects, noise, sized, fitted, in_part, kept)
-
-
-def _noise(
-    prepared: Prepared, noise: NoiseSize, readings: Readings, stand_u: Mapping[str, float]
-) -> tuple[tuple[NoiseFinding, ...], tuple[NoiseKind, ...]]:
-    """Return where the noise is larger than stated, and what kinds of noise there are."""
-    linear, digit = prepared.linear, digit_of(readings)
-    kinds = tuple(noise_kinds(linear, noise, digit, prepared.chosen))
-    return noise_findings(noise, readings, stand_u, linear.typical_slope, digit, linear.by_run), kinds
 
 
 def _form(
@@ -416,11 +408,7 @@ def rivals(diagnosis: Diagnosis) -> tuple[tuple[Rival, ...], ...]:
         ranked = [f for f in ranked if f == one.variant.family or not is_form(candidates, f)]
         rows = []
         for family in (f for i, f in enumerate(ranked) if i < LISTED or f in alike):
-            best = max(
-                (i for i, v in enumerate(candidates.variants) if v.family == family),
-                key=lambda i: float(scored.scores.variants[i, 0]),
-            )
-            variant = one.variant if family == one.variant.family else candidates.variants[best]
+            variant = one.variant if family == one.variant.family else scored.likeliest(family)
             columns = candidates.columns[:, [*others, *variant.columns]]
             shift = (posterior(linear, columns, diagnosis.noise).mean[:fixed] - coefficients) / u
             rows.append(

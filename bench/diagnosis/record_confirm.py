@@ -9,7 +9,7 @@ from scipy import special
 
 from bench.base.arrays import rms
 from bench.calibration.design import make_problem
-from bench.diagnosis.confirm import Confirmation, EstimatedEffects, Model, judged, plausible_size
+from bench.diagnosis.confirm import Confirmation, EstimatedEffects, Model, judged, parameter_of
 from bench.diagnosis.evidence import KNOWN_SIZE
 from bench.diagnosis.record_diagnosis import diagnose_record
 from bench.diagnosis.record_model import Course, Record, course_of, make_record
@@ -43,7 +43,7 @@ def confirm_record(readings: Readings, effects: Sequence[AppliedEffect]) -> Conf
         for one in make_problem(model, record.conditions, {}).effects
         if one.channel is None or one.channel in record.channels
     ]
-    plausible = np.array([plausible_size(model, one) for one in unknowns])
+    plausible = np.array([parameter_of(model, one).plausible for one in unknowns])
     found = np.array([one.prior_mean for one in unknowns]) / plausible
     u = np.array([one.prior_u if one.stated else 0.0 for one in unknowns]) / plausible
     now, known = found.copy(), np.full(len(found), KNOWN_SIZE)

@@ -12,8 +12,8 @@ from scipy import special
 
 from bench.base.arrays import CHANNELS
 from bench.diagnosis.candidates import Candidates
-from bench.diagnosis.gap import LEAST_CLOSED, Gap
-from bench.diagnosis.levels import OFTEN
+from bench.diagnosis.gap import Gap
+from bench.diagnosis.levels import MOSTLY, OFTEN
 from bench.diagnosis.linear import LinearSystem
 from bench.diagnosis.naming import Naming
 from bench.diagnosis.noise_grid import Repeats
@@ -119,7 +119,7 @@ class FreeForm:
     @property
     def predicts(self) -> bool:
         """Whether the terms predict held-out readings well enough to be written to a model file."""
-        return bool(self.terms) and self.gap.closed is not None and self.gap.closed >= LEAST_CLOSED
+        return bool(self.terms) and self.gap.closed is not None and self.gap.closed >= MOSTLY
 
     @property
     def applied(self) -> tuple[AppliedEffect, ...]:

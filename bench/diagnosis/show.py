@@ -8,27 +8,20 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import special
 
 from bench.base.arrays import CHANNELS, Floats
 from bench.calibration import Calibration, LackOfFit, calibrate, gls
 from bench.calibration.calibrate import first_guess, usable_rows
 from bench.calibration.design import FIXED, FreeRows, Problem, make_problem
 from bench.calibration.noise import repeat_groups, whiten
-from bench.diagnosis.levels import NEGLIGIBLE
+from bench.diagnosis.levels import HARDLY_EVER, MOSTLY, NEGLIGIBLE
 from bench.model import STAND_ANGLES, AppliedEffect, Block, ForwardModel
 from bench.model.geometry import COEFFICIENTS
 from bench.readings.table import FREE, VERIFICATION, Readings
 
 SEED: Final = 1
 """Seed of the noise of the simulated readings."""
-
-HARDLY_TOLD: Final = 0.5
-"""The settings do not determine an effect whose u exceeds this fraction of its weak prior."""
-
-CONTRADICTED: Final = 4.0
-"""A stated value this many u from the readings is contradicted by them: chance 6e-5."""
-
-MOST_ROUNDS: Final = 30
 
 
 @dataclass(frozen=True)
@@ -140,7 +133,7 @@ def label(applied: AppliedEffect) -> str:
 
 
 def contradicted(stated: Sequence[AppliedEffect], estimated: Sequence[AppliedEffect]) -> Iterator[str]:
-    """Yield a sentence for each value of a model that readings contradict by `CONTRADICTED` u or more.
+    """Yield a sentence for each value of a model that readings contradict beyond chance (`HARDLY_EVER`).
 
     `stated` are the effects of the model with their u, `estimated` the same effects with these readings added.
     What they tell apart from the statement is the more, by the difference of the two variances.
@@ -155,7 +148,7 @@ def contradicted(stated: Sequence[AppliedEffect], estimated: Sequence[AppliedEff
             )
             for i in np.flatnonzero((u > 0.0) & (u_new < u)):
                 pull = abs(new[i] - value[i]) / np.sqrt(u[i] ** 2 - u_new[i] ** 2)
-                if pull >= CONTRADICTED:
+                if special.erfc(pull / np.sqrt(2.0)) < HARDLY_EVER:
                     of = f" of {CHANNELS[i]}" if parameter.per_channel else ""
                     yield (
                         f"the model states {parameter.name}{of} of {one.effect.name} as {value[i]:.3g} with u "
@@ -219,7 +212,7 @@ def _hardly_told(problem: Problem, fit: gls.Fit) -> bool:
     """Whether the settings leave a parameter that nobody stated about as uncertain as it was."""
     u = np.sqrt(np.diag(fit.covariance))[FIXED + len(problem.stand) :]
     return any(
-        own > HARDLY_TOLD * unknown.prior_u and not unknown.stated
+        own > MOSTLY * unknown.prior_u and not unknown.stated
         for own, unknown in zip(u, problem.effects, strict=True)
     )
 
@@ -274,7 +267,7 @@ def _points(readings: Readings, problem: Problem, fit: gls.Fit) -> tuple[Modulus
         model = replace(problem.model, effects=problem.effects_at(unknowns[FIXED:]))
         force = np.full((len(readings), 3), np.nan)
         force[chosen] = block.specific_force(rows.signal)
-        for _ in range(MOST_ROUNDS if model.effects else 1):
+        for _ in range(gls.MOST_ITERATIONS if model.effects else 1):
             predicted = model.readings_in_order(block, conditions, stand, force=force, voltage_v=voltage_v)
             step = np.linalg.solve(block.K, (rows.signal - predicted[chosen]).T).T
             force[chosen] += step

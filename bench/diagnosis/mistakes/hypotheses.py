@@ -214,10 +214,13 @@ class Table:
         group = np.unique(key, axis=0, return_inverse=True)[1].ravel()
         return per_channel(group[:, None] == np.unique(group)[np.bincount(group) > 1])
 
-    def changes(self) -> Iterator[Floats]:
-        """Yield the changes of the bench that may resemble wrong readings, as columns (n, 3, p) of unit size."""
+    def changes(self) -> Iterator[tuple[Mask | None, Floats]]:
+        """Yield the changes of the bench that may resemble wrong readings, as columns (n, 3, p) of unit size.
+
+        Before the columns is a mask (n,) of the pass, where there are several and the change is of one.
+        """
         if self.points.shape[2]:
-            yield self.points
+            yield None, self.points
         conditions, deflection = self.problem.conditions, self.deflection
         time = conditions.elapsed_s - conditions.elapsed_s.min()
         course = [np.exp(-time / tau) for tau in shapes("warm_up", "tau")]
@@ -225,12 +228,12 @@ class Table:
         if np.ptp(conditions.warmth_k) > 0:
             course.append(conditions.warmth_k / float(np.max(np.abs(conditions.warmth_k))))
         unit = deflection / np.max(np.abs(deflection))
-        yield np.concatenate(
-            [per_channel(np.stack(course, axis=1)), *(scaled(unit, one) for one in course[-2:])], axis=2
-        )
-        for number in np.unique(self.turn):
-            yield self.of_pass(self.turn == number)
-        yield from _hysteresis(self.problem, self.block)
+        slow = [per_channel(np.stack(course, axis=1)), *(scaled(unit, one) for one in course[-2:])]
+        yield None, np.concatenate(slow, axis=2)
+        passes = np.unique(self.turn)
+        for rows in (self.turn == number for number in passes):
+            yield rows if len(passes) > 1 else None, self.of_pass(rows)
+        yield from ((None, columns) for columns in _hysteresis(self.problem, self.block))
 
     def of_pass(self, rows: Mask) -> Floats:
         """Return columns (n, 3, 9) of other zeros and gains and of a rotation of the block in some rows."""

@@ -15,17 +15,14 @@ import numpy as np
 
 from bench.base.arrays import CHANNELS, Floats, Ints, Labels, Mask
 from bench.calibration.mistakes import in_another_unit
+from bench.diagnosis.levels import MOSTLY
 from bench.model import Mounting
-from bench.readings.corrected import EXCHANGED, REVERSED, RIGHT, MistakeName, Wiring
+from bench.readings.corrected import EXCHANGED, REVERSED, RIGHT, MistakeName
 from bench.readings.table import REFERENCE, SHORTED, Readings
 
 SAME_STOP: Final = np.radians(0.5)
-LEAST_ROWS: Final = 4
-"""Least number of readings that determine coefficients; a supposition that leaves fewer is omitted."""
 TENS: Final = (3, -3, 1, -1, 2, -2, 6, -6)
 """Powers of ten by which signals in another unit, range or decimal point are too large."""
-ALL_SETS: Final = tuple(chosen for size in (3, 1, 2) for chosen in combinations(range(3), size))
-"""Groups of channels (0, 1, 2) that may be in another unit together: those of one voltmeter, of two, or all."""
 
 
 @dataclass(frozen=True)
@@ -60,17 +57,10 @@ class OrientedRows:
     def __len__(self) -> int:
         return len(self.rows)
 
-    def select(self, kept: Mask) -> OrientedRows:
-        """Return the rows where the mask (n,) is true."""
-        return replace(
-            self,
-            rows=self.rows[kept],
-            mount=self.mount[kept],
-            pass_number=self.pass_number[kept],
-            label=self.label[kept],
-            angle_rad=self.angle_rad[kept],
-            signal=self.signal[kept],
-        )
+    @property
+    def every(self) -> Mask:
+        """A mask of all rows."""
+        return np.ones(len(self), dtype=bool)
 
     @property
     def labels(self) -> list[str]:
@@ -109,40 +99,53 @@ class Reinterpretation:
 
     `label` (n,) are the true installations and `angle_rad` (n,) the true angles. `source` (n,) has for each row
     the index of the row that contains its signals, -1 for none. `turns` are the rotations of the block in each
-    installation. `factor` (3,) converts the signals to the unit of the file.
+    installation. `matrix` (3, 3) turns the channels as read into the true signals in the unit of the file.
     """
 
     name: str
     scope: Scope
     words: str
-    wiring: Wiring = RIGHT
+    matrix: Floats = field(default_factory=lambda: np.eye(3))
     label: Labels | None = None
     angle_rad: Floats | None = None
     source: Ints | None = None
     turns: Mapping[str, Floats] = field(default_factory=dict)
-    factor: Floats | None = None
+
+    @property
+    def factor(self) -> Floats:
+        """The factors (3,) of the signals' size."""
+        return np.asarray(np.sum(np.abs(self.matrix), axis=1))
+
+    @property
+    def scales(self) -> bool:
+        """Whether the unit is another."""
+        return bool(np.any(self.factor != 1.0))
 
     @property
     def log_jacobian(self) -> float:
-        """ln of the factor by which the map to the true signals enlarges a volume of signals."""
-        if self.factor is None:
-            return 0.0
-        return float(np.count_nonzero(self.scope.mask) * np.sum(np.log(self.factor)))
+        """ln of the factor by which the map to the true signals enlarges a volume of signals.
+
+        In a part of the run it is at most 0, because a channel that hardly moves there fits any factor.
+        """
+        size = float(np.count_nonzero(self.scope.mask) * np.sum(np.log(self.factor)))
+        return size if self.scope.whole else min(size, 0.0)
+
+    @property
+    def moves(self) -> bool:
+        """Whether angles or installations are others."""
+        return self.label is not None or self.angle_rad is not None
 
     @property
     def channels(self) -> tuple[str, ...]:
         """The names of the channels whose signal, sign or size is wrong."""
-        if self.factor is None:
-            return self.wiring.channels
-        return tuple(c for c, factor in zip(CHANNELS, self.factor, strict=True) if factor != 1.0)
+        return tuple(
+            c for c, own, right in zip(CHANNELS, self.matrix, np.eye(3), strict=True) if (own != right).any()
+        )
 
     def signal(self, table: OrientedRows) -> Floats:
         """Return the signals (n, 3) that belong to the rows; the recorded ones if no row contains them."""
         moved = table.signal if self.source is None else table.signal[np.maximum(self.source, 0)]
-        right = moved @ self.wiring.matrix.T
-        return np.where(
-            self.scope.mask[:, None], right if self.factor is None else right * self.factor, moved
-        )
+        return np.where(self.scope.mask[:, None], moved @ self.matrix.T, moved)
 
     def correct(self, readings: Readings, table: OrientedRows) -> Readings:
         """Return a corrected copy of the whole table, from which `table` was taken.
@@ -160,15 +163,11 @@ class Reinterpretation:
             signal[table.rows], spread[table.rows] = readings.signal[taken], readings.signal_sd[taken]
             samples[table.rows] = readings.samples[taken]
         wired = np.concatenate([inside, others])
-        kept = readings.installation[wired] == REFERENCE
-        sign = np.where(kept[:, None], 1.0, np.array(self.wiring.signs))
-        order = list(self.wiring.order)
-        signal[wired] = signal[wired][:, order] * sign
-        spread[wired] = spread[wired][:, order]
-        if self.factor is not None:
-            scaled = np.concatenate([wired, self._also_scaled(readings, table)])
-            signal[scaled] *= self.factor
-            spread[scaled] *= self.factor
+        scaled = np.concatenate([wired, self._also_scaled(readings, table)])
+        reference = (readings.installation[scaled] == REFERENCE)[:, None]
+        right, size = signal[scaled] @ self.matrix.T, np.abs(self.matrix)
+        signal[scaled] = np.where(reference, signal[scaled] @ size.T, right)
+        spread[scaled] = spread[scaled] @ size.T
         if self.angle_rad is not None:
             angle[table.rows] = self.angle_rad
         if self.name == MistakeName.REVERSED_ROTATION:
@@ -186,7 +185,7 @@ class Reinterpretation:
             target_rad=target,
             direction=direction,
             installation=installation.astype(np.str_),
-            resolution_read=readings.resolution_read if self.factor is None else None,
+            resolution_read=None if self.scales else readings.resolution_read,
         )
         if self.source is None:
             return corrected
@@ -197,7 +196,7 @@ class Reinterpretation:
 
         They are those whose modulus is nearer to the usual one with the factor than without.
         """
-        if self.factor is None or self.scope.whole:
+        if not self.scales or self.scope.whole:
             return np.zeros(0, dtype=np.int64)
         usual = float(np.median(np.linalg.norm(self.signal(table), axis=1)))
         known = np.isin(readings.installation, [REFERENCE, SHORTED]) | readings.is_oriented
@@ -208,12 +207,12 @@ class Reinterpretation:
 
 
 def suppositions(table: OrientedRows, *, units: bool = False) -> list[Reinterpretation]:
-    """Return every supposition about a table, the simpler ones first; the first is that all is as recorded.
+    """Return every supposition about a table, the simpler ones first.
 
     With `units` they include signals in another unit, range or decimal point.
     """
     scopes = _scopes(table)
-    found = [nothing(table)]
+    found: list[Reinterpretation] = []
     for make in (_swapped_channels, _reversed_polarity, _reversed_rotation, _other_label, _shifted):
         found += [supposition for scope in scopes for supposition in make(table, scope)]
     found += _swapped_installations(table)
@@ -226,12 +225,19 @@ def suppositions(table: OrientedRows, *, units: bool = False) -> list[Reinterpre
 
 def nothing(table: OrientedRows) -> Reinterpretation:
     """Return the supposition that all is as recorded."""
-    return Reinterpretation("", Scope(np.ones(len(table), dtype=bool)), "")
+    return Reinterpretation("", Scope(table.every), "")
+
+
+def losses_of(table: OrientedRows) -> list[Reinterpretation]:
+    """Return the suppositions that a reading, or all of a pass or mounting, has signals of unknown origin."""
+    scopes = [Scope(row) for row in np.eye(len(table), dtype=bool)]
+    scopes += [scope for scope in _scopes(table) if not scope.whole]
+    rows = np.arange(len(table))
+    return [Reinterpretation("", scope, "", source=np.where(scope.mask, -1, rows)) for scope in scopes]
 
 
 def _scopes(table: OrientedRows) -> list[Scope]:
-    everything = np.ones(len(table), dtype=bool)
-    scopes = [Scope(everything)]
+    scopes = [Scope(table.every)]
     for number, mount in enumerate(table.mounts):
         own = table.mount == number
         if len(table.mounts) > 1:
@@ -247,24 +253,26 @@ def _swapped_channels(_: OrientedRows, scope: Scope) -> Iterator[Reinterpretatio
         *first, last = wiring.channels
         channels = f"{', '.join(first)} and {last}" + (f" ({wiring.shown})" if len(first) > 1 else "")
         words = f"the channels {channels} are exchanged {scope}; the copy has their signals put back"
-        yield Reinterpretation(MistakeName.SWAPPED_CHANNELS, scope, words, wiring)
+        yield Reinterpretation(MistakeName.SWAPPED_CHANNELS, scope, words, wiring.matrix)
 
 
 def _reversed_polarity(_: OrientedRows, scope: Scope) -> Iterator[Reinterpretation]:
     for wiring in REVERSED:
         (channel,) = wiring.channels
         words = f"channel {channel} has the wrong sign {scope}, as with its wires reversed; the copy has it turned"
-        yield Reinterpretation(MistakeName.REVERSED_POLARITY, scope, words, wiring)
+        yield Reinterpretation(MistakeName.REVERSED_POLARITY, scope, words, wiring.matrix)
 
 
 def _other_unit(table: OrientedRows, scope: Scope) -> Iterator[Reinterpretation]:
     where = "" if scope.whole else str(scope).replace("in ", " of ", 1)
-    for chosen, tens in product(ALL_SETS, TENS):
+    # the channels of one voltmeter, of two, or all
+    sets = [chosen for size in (3, 1, 2) for chosen in combinations(range(3), size)]
+    for chosen, tens in product(sets, TENS):
         factor = np.ones(3)
         factor[list(chosen)] = 10.0**-tens
         said = in_another_unit([CHANNELS[i] for i in chosen], where, table.unit, tens)
         words = f"{said}; the copy has them in the unit of the file"
-        yield Reinterpretation(MistakeName.WRONG_UNIT, scope, words, factor=factor)
+        yield Reinterpretation(MistakeName.WRONG_UNIT, scope, words, np.diag(factor))
 
 
 def _reversed_rotation(table: OrientedRows, scope: Scope) -> Iterator[Reinterpretation]:
@@ -306,19 +314,16 @@ def _swapped_installations(table: OrientedRows) -> list[Reinterpretation]:
 def _shifted(table: OrientedRows, scope: Scope) -> Iterator[Reinterpretation]:
     """Yield suppositions that the readings are one row late or early, or the head was a stop behind or ahead.
 
-    They apply to a pass, or to a whole mounting.
+    They apply to each pass by itself.
     """
-    by_pass = [table.mount * (table.pass_number.max() + 1) + table.pass_number]
-    through = [] if scope.pass_number is not None else [table.mount]
-    for runs in by_pass + through:
-        for step, when in ((1, "late"), (-1, "early")):
-            source = _rows_aside(runs, scope.mask, step)
-            if np.count_nonzero(source >= 0) < LEAST_ROWS:
-                continue
-            words = (
-                f"the readings stand one stop too {when} {scope}; the copy has them moved back, without the "
-                "stop that has none"
-            )
+    runs = table.mount * (table.pass_number.max() + 1) + table.pass_number
+    for step, when in ((1, "late"), (-1, "early")):
+        words = (
+            f"the readings stand one stop too {when} {scope}; the copy has them moved back, without the "
+            "stop that has none"
+        )
+        source = _rows_aside(runs, scope.mask, step)
+        if np.mean(source[scope.mask] >= 0) > MOSTLY:  # what has lost most of its rows fits anything
             yield Reinterpretation(MistakeName.SHIFTED_POINTS, scope, words, source=source)
     stop = _stop_rad(table, scope.mask)
     if stop is not None:

@@ -1,0 +1,365 @@
+"""Wrong settings, outliers, and passes that are off as a whole: terms of the model beside changes of the bench."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import combinations
+from typing import Final
+
+import numpy as np
+from scipy import special
+from scipy.spatial.transform import Rotation
+from scipy.special import logsumexp
+
+from bench.base.arrays import CHANNELS, Floats, Ints, Mask
+from bench.calibration.design import Problem
+from bench.diagnosis.evidence import SIZES
+from bench.diagnosis.levels import HARDLY_EVER, OFTEN
+from bench.diagnosis.mistakes.gross import ODDS, SHEET_U, p_of, sheet_u
+from bench.diagnosis.mistakes.hypotheses import NEAR_DEG, ProjectedReadings, Table
+from bench.diagnosis.noise_grid import RATIOS
+from bench.model import CATALOGUE, Block
+from bench.readings.corrected import SLIPS_RAD, MistakeName, reflected_rad
+
+BEYOND_TAILS: Final = 17.0
+"""Least size of an outlier, in units of the noise of a reading.
+
+A smaller one may be a tail of the noise: the comparison of noise hypotheses and single readings decides. Student's
+t of 4 degrees of freedom, with a scale a fifth too small for its tails, exceeds this size in 7 of 1,000 runs of the
+paper's length. An outlier of 20 times the noise still exceeds it if the noise is estimated 15 % too large.
+"""
+SLIP_PART: Final = 0.01
+"""Relative uncertainty of the shift by a wrong setting, because effects outside the model change it a little."""
+MOST: Final = 1 / 8
+"""Largest part of the readings that may be single mistakes."""
+
+
+@dataclass(frozen=True)
+class WrongReadings:
+    """A mistake in some `rows` of the problem: a reading, or the readings of a pass (`whole`).
+
+    `off_rad` is the true angle minus the recorded one, None where the readings are of no use. `ties` are names of
+    mistakes or effects that may explain the rows as well. `p` is the number of looks divided by the odds against
+    no mistake. Of a reading, `shift` (3,) is the error of the signals, and `sigma` its size in units of the noise.
+    """
+
+    name: MistakeName
+    rows: Ints
+    channels: tuple[str, ...]
+    off_rad: float | None
+    ties: tuple[str, ...]
+    p: float
+    shift: Floats
+    sigma: float = np.inf
+
+    @property
+    def whole(self) -> bool:
+        """Whether it is in all readings of a pass."""
+        return not len(self.shift)
+
+
+@dataclass(frozen=True)
+class TermSearch:
+    """The oriented readings `signal` (n, 3) of a problem; `floor` is their least noise.
+
+    `fit` returns the block fitted to some rows (n,).
+    """
+
+    problem: Problem
+    signal: Floats
+    floor: float
+    fit: Callable[[Mask], Block]
+
+    @cached_property
+    def table(self) -> Table:
+        """The table of hypotheses about a block fitted to all readings."""
+        return self._without(np.zeros(len(self.signal), dtype=bool))
+
+    def _without(self, rows: Mask) -> Table:
+        """Return the table about a block that is fitted to the other rows."""
+        return Table.of(self.problem, self.fit(~rows), self.signal, self.floor)
+
+    def find(self, significance: float) -> list[WrongReadings]:
+        """Return the pass that is wrong as a whole; without one, the wrong readings, the largest first.
+
+        The likeliest of all errors of single readings and all changes of the bench joins the model, and all others
+        are compared beside it, until no reading or pass is off with odds of 1 over `significance`. A change of a
+        pass that joins is first compared with mistakes of the pass.
+        """
+        table, n = self.table, len(self.signal)
+        changes = list(table.changes())
+        known: list[Floats] = []
+        rows: list[int] = []
+        enough = -float(np.log(significance))
+        while True:
+            beside = _Beside.of(table, [*known, *(_error(n, row) for row in rows)])
+            of_rows = np.where(np.isin(np.arange(n), rows), -np.inf, beside.of_readings())
+            best = int(np.argmax(of_rows))
+            of_changes = np.array([beside.of_group(columns) for _, columns in changes])
+            of_passes = [
+                odds for odds, (rows_of, _) in zip(of_changes, changes, strict=True) if rows_of is not None
+            ]
+            if max([of_rows[best], *of_passes]) < enough:
+                break
+            if max(of_changes, default=-np.inf) > of_rows[best]:
+                in_pass, columns = changes.pop(int(np.argmax(of_changes)))
+                wrong = None if in_pass is None else self._of_pass(in_pass)
+                if wrong is not None:
+                    return [wrong]
+                known.append(columns)
+            elif len(rows) < max(MOST * n, 6):
+                rows.append(best)
+            else:
+                return []
+        slips = _slips(self._without(np.isin(np.arange(n), rows))) if rows else []
+        found = []
+        for row in rows:
+            beside = _Beside.of(table, [*known, *(_error(n, other) for other in rows if other != row)])
+            log_odds = float(beside.of_readings()[row])
+            if log_odds >= enough:
+                found.append(_classified(beside.likeliest(row), row, slips, p_of(log_odds, 0.0)))
+        told = [m for m in found if m.off_rad is not None or m.sigma >= BEYOND_TAILS]
+        return sorted(told, key=lambda m: -m.sigma)
+
+    def _of_pass(self, rows: Mask) -> WrongReadings | None:
+        """Return the likeliest mistake of a pass, the rows (n,); None if effects or chance are likelier.
+
+        Each description of the pass adds columns with normal priors to the signals of its rows.
+        """
+        one = _Pass.of(self._without(rows), rows)
+        nothing, effects = one.evidence(), list(_of_effects(one))
+        mistakes = list(_of_mistakes(one))
+        log_mistake, name, off, channels = max(mistakes, key=lambda mistake: mistake[0])
+        others = float(logsumexp([nothing, *(log_effect for _, log_effect in effects)]))
+        log_looks = float(np.log(len(np.unique(one.table.turn)) * len(mistakes)))
+        odds = log_mistake - nothing
+        if log_mistake <= others or odds - log_looks <= np.log(ODDS):
+            return None
+        tied = np.logaddexp(log_mistake, others) + np.log(OFTEN)
+        ties = dict.fromkeys(name for name, log_effect in effects if log_effect > tied)
+        places = np.flatnonzero(rows)
+        return WrongReadings(name, places, channels, off, tuple(ties), p_of(odds, log_looks), np.zeros(0))
+
+
+@dataclass(frozen=True)
+class _Beside:
+    """The readings beside known columns at each ratio of the noise sizes, with ln of the ratios' odds."""
+
+    seen: tuple[ProjectedReadings, ...]
+    weight: Floats
+
+    @classmethod
+    def of(cls, table: Table, known: Sequence[Floats]) -> _Beside:
+        seen = tuple(table.seen(ratio, known) for ratio in RATIOS)
+        evidence = np.array([one.log_evidence for one in seen])
+        return cls(seen, evidence - logsumexp(evidence))
+
+    @cached_property
+    def _of_readings(self) -> Floats:
+        return self.weight[:, None] + [one.of_readings() for one in self.seen]
+
+    def of_readings(self) -> Floats:
+        """Return ln of the odds (n,) of an error of each reading, for all looks."""
+        return np.asarray(logsumexp(self._of_readings, axis=0) - np.log(self._of_readings.shape[1]))
+
+    def likeliest(self, row: int) -> ProjectedReadings:
+        """Return the readings at the ratio at which an error of a row is most probable."""
+        return self.seen[int(np.argmax(self._of_readings[:, row]))]
+
+    def of_group(self, columns: Floats) -> float:
+        """Return ln of the odds of a change of the bench."""
+        return float(logsumexp(self.weight + [one.of_group(columns) for one in self.seen]))
+
+
+# --- single readings --------------------------------------------------------------------------------
+
+
+def _error(n: int, row: int) -> Floats:
+    """Return the columns (n, 3, 3) of arbitrary errors of a reading."""
+    return np.asarray((np.arange(n) == row)[:, None, None] * np.eye(3))
+
+
+def _moved(table: Table, off_rad: Floats | float) -> Floats:
+    """Return the change of the signals (n, 3) if the angles were off."""
+    problem = table.problem
+    moved = replace(problem.conditions, angle_rad=problem.conditions.angle_rad + off_rad)
+    there = replace(problem, conditions=moved).predict(table.block, problem.prior_mean)
+    return np.asarray(there - problem.predict(table.block, problem.prior_mean))
+
+
+def _slips(table: Table) -> list[tuple[Floats, Floats]]:
+    """Return for each kind of wrong setting the error of the angle (n,), rad, and of the signals (n, 3).
+
+    The kinds are slips of the scale, an angle counted backwards, and the stop before or after in the pass. Further
+    off than `NEAR_DEG`, nothing is known to be a repeat of a slip.
+    """
+    angle, turn = table.problem.conditions.angle_rad, table.turn
+    sizes = [slip for slip in SLIPS_RAD.values() if slip < np.radians(NEAR_DEG)]
+    offs = [np.full(len(angle), sign * slip) for slip in sizes for sign in (1.0, -1.0)]
+    step = np.where(turn[1:] == turn[:-1], np.diff(angle), 0.0)
+    for off in (reflected_rad(angle), np.append(0.0, -step), np.append(step, 0.0)):
+        offs.append(np.where(np.abs(off) < min(sizes), np.nan, off))
+    return [(off, _moved(table, np.nan_to_num(off))) for off in offs]
+
+
+def _classified(
+    seen: ProjectedReadings, row: int, slips: Sequence[tuple[Floats, Floats]], p: float
+) -> WrongReadings:
+    """Return a wrong reading as a wrong setting if one explains the three signals, else as an outlier."""
+    table, block, pull = seen.table, seen.blocks[row], seen.pulls[row]
+    shift = np.linalg.solve(block, pull)
+    free = len(seen.pull) - float(np.sum(seen.basis**2)) - 3.0
+    noise = float(np.sqrt((seen.square - pull @ shift) / free))
+    precision = block / noise**2
+    name, channels = MistakeName.OUTLIER, _outlier(shift, precision)
+    ties: tuple[str, ...] = ()
+    off, least = None, float(special.chdtri(3, HARDLY_EVER))
+    for offs, moved in slips:
+        expected = moved[row] / table.unit
+        known = SLIP_PART * float(np.linalg.norm(expected))
+        missed = shift - expected
+        chi2 = float(missed @ np.linalg.solve(np.linalg.inv(precision) + known**2 * np.eye(3), missed))
+        if np.isfinite(offs[row]) and chi2 < least:
+            off, least = float(offs[row]), chi2
+    if off is not None:
+        name = MistakeName.WRONG_SETTING
+        ties = (MistakeName.OUTLIER,) if len(channels) == 1 else ()
+        large = np.abs(shift) > SLIP_PART * np.max(np.abs(shift))
+        channels = tuple(c for c, of in zip(CHANNELS, large, strict=True) if of)
+    sigma = max(abs(shift[CHANNELS.index(c)]) for c in channels) / noise
+    return WrongReadings(name, np.array([row]), channels, off, ties, p, table.unit * shift, float(sigma))
+
+
+def _outlier(shift: Floats, precision: Floats) -> tuple[str, ...]:
+    """Return the fewest channels whose errors explain a reading."""
+    pull = precision @ shift
+    for number in (1, 2):
+        left = {}
+        for chosen in combinations(range(3), number):
+            own = list(chosen)
+            explained = pull[own] @ np.linalg.solve(precision[np.ix_(own, own)], pull[own])
+            left[chosen] = float(shift @ pull - explained)
+        best = min(left, key=left.__getitem__)
+        if left[best] < special.chdtri(3 - number, HARDLY_EVER):
+            return tuple(CHANNELS[i] for i in best)
+    return CHANNELS
+
+
+# --- whole passes -----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Pass:
+    """The readings about a block that was fitted without a pass, at the likeliest ratio of the noise sizes.
+
+    `rows` (n,) are those of the pass.
+    """
+
+    table: Table
+    rows: Mask
+    ratio: float
+
+    @classmethod
+    def of(cls, table: Table, rows: Mask) -> _Pass:
+        """Choose the ratio by the readings beside the pass."""
+        free = np.einsum("nk,ij->nikj", np.eye(len(rows))[:, rows], np.eye(3)).reshape(len(rows), 3, -1)
+        return cls(table, rows, max(RATIOS, key=lambda ratio: table.seen(ratio, [free]).log_evidence))
+
+    def seen(self, columns: Floats, beyond: Floats | float = 0.0) -> ProjectedReadings:
+        """Return the readings beside `columns` (n, 3, p) with priors N(0, 1) in the pass.
+
+        `beyond` (n, 3) is added to the predicted signals of the pass.
+        """
+        table = replace(self.table, left=self.table.left - beyond * self.rows[:, None])
+        return table.seen(self.ratio, more=[columns * self.rows[:, None, None]])
+
+    def evidence(self, columns: Floats | None = None, beyond: Floats | float = 0.0) -> float:
+        """Return ln of the evidence of columns in the pass, as in `seen`."""
+        return self.seen(
+            np.zeros((len(self.rows), 3, 0)) if columns is None else columns, beyond
+        ).log_evidence
+
+    @property
+    def another_block(self) -> Floats:
+        """Columns (n, 3, 12) of changed coefficients by channel, with the data sheet's tolerances as 1 sigma."""
+        columns = np.column_stack([self.table.force, np.ones(len(self.rows))])
+        size = sheet_u(np.linalg.norm(self.table.block.K, axis=1))
+        each = np.einsum("na,ai,ij->niaj", columns, size, np.eye(3))
+        return np.asarray(each.reshape(len(columns), 3, 12))
+
+
+def _of_mistakes(one: _Pass) -> Iterator[tuple[float, MistakeName, float | None, tuple[str, ...]]]:
+    """Yield ln of the evidence of each mistake of a pass, its name, the error of the angle, and the channels.
+
+    In order: an angle misread by a mark that is no plausible zero, a stuck channel, another block.
+    """
+    marks = [slip for slip in SLIPS_RAD.values() if slip > SIZES[1] * _zero_shift_rad()]
+    for off in (sign * slip for slip in marks for sign in (1.0, -1.0)):
+        log_mark = one.evidence(None, _moved(one.table, off)) - float(np.log(2 * len(marks)))
+        yield log_mark, MistakeName.WRONG_SETTING, off, ()
+    for channel in range(3):
+        yield _stuck(one, channel), MistakeName.STUCK_CHANNEL, None, (CHANNELS[channel],)
+    yield one.evidence(one.another_block), MistakeName.ANOTHER_BLOCK, None, CHANNELS
+
+
+def _zero_shift_rad() -> float:
+    """Return a plausible shift of the head's zero."""
+    return CATALOGUE["head_zero_shift"].parameters[0].plausible
+
+
+def _of_effects(one: _Pass) -> Iterator[tuple[str, float]]:
+    """Yield the name of each effect that may act in one pass, with ln of its evidence.
+
+    In order: another zero of the head, other voltmeters, a slip of the block, a slip with other voltmeters, one
+    or two accelerometers with other coefficients, and one channel with arbitrary signals.
+    """
+    table, n = one.table, len(one.rows)
+    scale = np.linalg.norm(table.block.K, axis=1)
+    zero = [one.evidence(size * _zero_shift_rad() * table.slope[:, :, None]) for size in SIZES]
+    yield "head_zero_shift", float(logsumexp(zero) - np.log(len(zero)))
+    of_gain, of_turn, of_bias = SHEET_U
+    turn = table.rotations * of_turn
+    gain = (table.deflection + table.block.U0)[:, :, None] * np.eye(3) * of_gain
+    meters = np.concatenate([gain, np.broadcast_to(np.diag(scale * of_bias), gain.shape)], axis=2)
+    yield "meters_exchanged", one.evidence(meters)
+    for columns in (turn, np.concatenate([turn, meters], axis=2)):
+        yield "block_slip", one.evidence(columns, _bent(one, columns, of_turn))
+    coefficients = one.another_block.reshape(n, 3, 4, 3)
+    for chosen in ([0], [1], [2], [0, 1], [0, 2], [1, 2]):
+        yield "scale_step", one.evidence(coefficients[:, :, :, chosen].reshape(n, 3, -1))
+    free = np.eye(n)[:, one.rows]
+    for channel in range(3):
+        yield "unnamed_form", one.evidence(free[:, None, :] * (scale * np.eye(3)[channel])[:, None])
+
+
+def _bent(one: _Pass, columns: Floats, unit: float) -> Floats:
+    """Return the nonlinear part (n, 3) of the signals' change by a rotation of the block.
+
+    The first three of `columns` are the derivatives by the rotation, in a `unit` of rad; its size is fitted to the
+    pass.
+    """
+    force, K = one.table.force, one.table.block.K
+    bent = np.zeros_like(one.table.left)
+    for _ in range(3):  # each step leaves a hundredth of a rotation of 1°
+        seen = one.seen(columns, bent)
+        inside = seen.table.whiten(columns * one.rows[:, None, None], seen.white)
+        angle = (inside.T @ seen.pull)[:3]
+        turned = Rotation.from_rotvec(-unit * angle).apply(force)
+        bent = (turned - force) @ K.T - columns[:, :, :3] @ angle
+    return bent
+
+
+def _stuck(one: _Pass, channel: int) -> float:
+    """Return ln of the evidence of a `channel` (0, 1, 2) with the same unknown reading throughout the pass."""
+    table = one.table
+    deaf = np.outer(one.rows, np.eye(3)[channel]) == 1.0
+    hearing = replace(
+        table,
+        coefficients=np.where(deaf[:, :, None], 0.0, table.coefficients),
+        stand=np.where(deaf[:, :, None], 0.0, table.stand),
+        slope=np.where(deaf, 0.0, table.slope),
+    )
+    same = (SHEET_U[2] * float(np.linalg.norm(table.block.K[channel])) * deaf)[:, :, None]
+    return replace(one, table=hearing).evidence(same, np.where(deaf, -table.deflection, 0.0))
