@@ -7,6 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from scipy import stats
+from scipy.spatial.transform import Rotation
 
 from bench.model import CATALOGUE, AppliedEffect, ForwardModel, Installation
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
@@ -315,3 +316,11 @@ def test_a_warning_can_be_recorded_and_read():
     assert sign.sentence.startswith(f"{sign.place}: channel x is +2")
     assert sign.sentence.endswith("probable cause: the setting is 1° off: the head stood at 226°00′00″")
     assert sign.p < 1e-6
+
+
+@pytest.mark.parametrize(
+    "turned", [m for m in Rotation.create_group("O").as_matrix().round() if np.trace(m) < 3]
+)
+def test_a_block_mounted_in_any_other_orientation_stops_the_run_by_the_third_reading(turned):
+    forces = {"wired": lambda signal: np.linalg.solve(K, (signal - U0).T).T @ turned.T @ K.T + U0}
+    assert any(sign.confident for _, sign in watch(run_of(0, **forces)[:3]))
