@@ -58,7 +58,6 @@ def calibrate_batch(
     model: ForwardModel,
     stand_u: Mapping[str, float],
     noise: Noise | None = None,
-    resolution: float = 0.0,
     known: KnownStand | None = None,
 ) -> Batch:
     """Estimate the coefficients of many units from `signals` (units, n, 3) at the same conditions.
@@ -90,7 +89,7 @@ def calibrate_batch(
             "sizes, or calibrate one by one"
         )
     parts = [
-        _calibrate(shared, signals[first : first + CHUNK], noise, resolution, known.noise if known else None)
+        _calibrate(shared, signals[first : first + CHUNK], noise, known.noise if known else None)
         for first in range(0, len(signals), CHUNK)
     ]
     coefficients, covariance, stand, reading, setting = (
@@ -147,14 +146,14 @@ class _Shared:
 
 
 def _calibrate(
-    shared: _Shared, signals: Floats, noise: Noise | None, resolution: float, known: KnownNoise | None
+    shared: _Shared, signals: Floats, noise: Noise | None, known: KnownNoise | None
 ) -> tuple[Floats, Floats, Floats, Floats, Floats]:
     columns = linear_columns(shared.force)
     start = np.einsum("pn,uni->uip", np.linalg.pinv(columns), signals)
     K, U0 = start[:, :, :3], start[:, :, 3]
     _refuse_singular(K)
     stand = np.tile(shared.problem.prior_mean, (len(signals), 1))
-    floor = np.maximum(gls.LEAST_NOISE * np.abs(signals).max(axis=(1, 2)), resolution / np.sqrt(12.0))
+    floor = gls.LEAST_NOISE * np.abs(signals).max(axis=(1, 2))
     for _ in range(STEPS):
         force = shared.forces(stand)
         left = signals - force @ np.swapaxes(K, 1, 2) - U0[:, None, :]

@@ -41,7 +41,7 @@ from bench.planning.choice import REACHED, Chooser, NextPoints, Standing, scale_
 from bench.planning.pool import DesignTask, PlannedPoint, Visits, reached_by
 from bench.readings.table import Readings, make_readings
 from bench.services.until import chooser_of
-from benchmarks.campaign import arguments, parts_of
+from benchmarks.campaign import arguments, parts_of, rms_told
 from benchmarks.many_units import Batch, calibrate_batch
 from tests.support.paper_bench import U0, K, specific_force
 
@@ -218,9 +218,7 @@ def part(goals: list[str], noises: list[float], seed: int, numbers: range) -> li
 
 def size_told(z: np.ndarray) -> str:
     """Return the rms of z (runs, 12) with its standard error over runs."""
-    by_run = np.mean(z**2, axis=1)
-    size = float(np.sqrt(by_run.mean()))
-    return f"{size:8.3f} ±{by_run.std(ddof=1) / np.sqrt(len(z)) / (2 * size):.3f}"
+    return f"{rms_told(z, by_run=True):>15}"
 
 
 def row(name: str, ended: list[Outcome], fixed_s: float, once_s: float, settings: float) -> str:
