@@ -18,14 +18,7 @@ from bench.base.numbers import fixed, places
 from bench.base.tables import table
 from bench.base.text import comment, double, visible
 from bench.calibration.result import INVERSE, Derived
-from bench.exchange.autopilots import (
-    ardupilot_notes,
-    ardupilot_param,
-    kalibr_notes,
-    kalibr_yaml,
-    px4_notes,
-    px4_params,
-)
+from bench.exchange.autopilots import ARDUPILOT, PX4, kalibr_notes, kalibr_yaml
 from bench.exchange.checks import TOLERANCE, c_self_test, how_to_test, judged, own_test, picture
 from bench.exchange.result import CONVENTION, NINE, BlockResult, ReportedNumber
 from bench.model.geometry import COEFFICIENTS
@@ -341,7 +334,7 @@ FORMS: Final = {
     "c": ExportForm("C header", ".h", lambda result, _: c_header(result)),
     "excel": ExportForm("Excel workbook", ".xlsx", lambda result, _: workbook(result)),
     "kalibr": ExportForm("Kalibr YAML", "-kalibr.yaml", kalibr_yaml, kalibr_notes),
-    "px4": ExportForm("PX4 parameters", "-px4.params", px4_params, px4_notes),
-    "ardupilot": ExportForm("ArduPilot parameters", "-ardupilot.param", ardupilot_param, ardupilot_notes),
+    "px4": ExportForm("PX4 parameters", "-px4.params", PX4.text, PX4.notes),
+    "ardupilot": ExportForm("ArduPilot parameters", "-ardupilot.param", ARDUPILOT.text, ARDUPILOT.notes),
 }
 """The forms by the names that `--as` takes."""
