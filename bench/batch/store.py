@@ -28,6 +28,7 @@ from bench.batch.job import (
 )  # fmt: skip
 from bench.run.events import EVENTS, MANIFEST, sha256
 from bench.run.folder import BENCH, EFFECTS, IMPORTED, PLAN
+from bench.services.chain import sync_folder
 from bench.services.errors import Refused
 from drivers.clock import Clock, SystemClock, utc_now
 
@@ -319,12 +320,8 @@ def _write_synced(file: Path, content: Any) -> None:
         written.flush()
         os.fsync(written.fileno())
     half.replace(file)
-    with suppress(OSError):  # not every system opens folders
-        folder = os.open(file.parent, os.O_RDONLY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
+    with suppress(OSError):  # not every file system syncs folders
+        sync_folder(file.parent)
 
 
 PART_ROWS: Final = 256

@@ -40,7 +40,7 @@ from bench.results.certificate import RegisterSays, SignerPart, VerifyResult
 from bench.run.events import MANIFEST, RecordError, sha256
 from bench.run.folder import Run, find_run
 from bench.run.seal import Seal
-from bench.services.errors import Refused
+from bench.services.errors import Refused, reading
 from bench.services.verification import NOTHING_ASKED, VerdictOptions
 
 if TYPE_CHECKING:
@@ -186,10 +186,8 @@ def verify_certificate(file: Path, trust: Path | None, runs: Path, register: Pat
 
 
 def _content(file: Path) -> bytes:
-    try:
+    with reading(file):
         return read_given(file)
-    except OSError as error:
-        raise Refused(f"{file}: cannot be read ({error.strerror}); check name and permissions") from error
 
 
 # --- the two forms ------------------------------------------------------------------------------------
@@ -444,10 +442,7 @@ def _against_register(verdict: Verdict, number: str, file: Path, content: bytes,
             return
         raise Refused(f"{place}: no register there ({LINES}); check the laboratory file")
     register = Register(place)
-    try:
-        register.read_lines()
-    except OSError as error:
-        raise Refused(f"{place}: cannot be read ({error.strerror}); check name and permissions") from error
+    register.read_lines()
     known = register.standings.get(number)
     if known is None and folder is None:
         return

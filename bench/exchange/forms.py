@@ -24,6 +24,7 @@ from bench.exchange.result import CONVENTION, NINE, BlockResult, ReportedNumber
 from bench.model.geometry import COEFFICIENTS
 
 if TYPE_CHECKING:
+    from openpyxl import Workbook
     from openpyxl.worksheet.worksheet import Worksheet
 
 
@@ -191,12 +192,7 @@ def workbook(result: BlockResult) -> bytes:
         _write(book.create_sheet(title), [["", *names], *rows])
     _conversion(book.create_sheet("a from U"), result)
     _checks(book.create_sheet("check"), result)
-    if result.simulated:
-        for sheet in book.worksheets:
-            sheet.oddHeader.center.text = "SIMULATED"
-    out = io.BytesIO()
-    book.save(out)
-    return out.getvalue()
+    return _saved(book, simulated=result.simulated)
 
 
 def tables_workbook(tables: Mapping[str, Sequence[Sequence[Any]]], *, simulated: bool = False) -> bytes:
@@ -209,8 +205,13 @@ def tables_workbook(tables: Mapping[str, Sequence[Sequence[Any]]], *, simulated:
         sheet = book.create_sheet(title)
         _write(sheet, rows)
         sheet.freeze_panes = "A2"
-        if simulated:
-            sheet.oddHeader.center.text = "SIMULATED"
+    return _saved(book, simulated=simulated)
+
+
+def _saved(book: Workbook, *, simulated: bool) -> bytes:
+    """Return the file of a workbook; with `simulated`, each printed page says so."""
+    for sheet in book.worksheets if simulated else ():
+        sheet.oddHeader.center.text = "SIMULATED"
     out = io.BytesIO()
     book.save(out)
     return out.getvalue()

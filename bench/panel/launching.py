@@ -14,7 +14,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
-from filelock import FileLock, Timeout
+from filelock import FileLock
 
 from bench.base.files import from_text, open_regular, read_regular, to_text, write_whole
 from bench.base.languages import message
@@ -22,7 +22,7 @@ from bench.base.requests import fields_of
 from bench.base.text import visible
 from bench.base.yaml_files import FileMistakes
 from bench.config.shipped import CONFIG, PROCEDURES, shipped_folder
-from bench.panel.access import Refusal, private_folder
+from bench.panel.access import Refusal, is_held, private_folder
 from bench.panel.folder import RunsFolder
 from bench.run.events import EVENTS, RecordError, sha256
 from bench.run.folder import Run, checked_name
@@ -207,13 +207,7 @@ class WishFolder:
 
     def at_work(self) -> bool:
         """Return whether a process is checking or trying the run now."""
-        try:
-            with self.lock().acquire(timeout=0):
-                return False
-        except Timeout:
-            return True
-        except OSError:
-            return False
+        return is_held(self.lock())
 
     def mark_started(self, name: str) -> None:
         """Record the name of the run started from this wish. Raises `Refusal` if one was started already."""

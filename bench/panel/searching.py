@@ -8,13 +8,13 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
-from filelock import FileLock, Timeout
+from filelock import FileLock
 
 from bench.base.files import from_text, read_regular, to_text, write_whole
 from bench.base.languages import message
 from bench.base.text import visible
 from bench.base.yaml_files import FileMistakes
-from bench.panel.access import Refusal, private_folder
+from bench.panel.access import Refusal, is_held, private_folder
 from bench.panel.launching import start
 from bench.services.errors import Refused
 from drivers.clock import utc_now
@@ -78,13 +78,10 @@ class Search:
         if self.found().done:
             return False
         try:
-            with self.lock().acquire(timeout=0):
-                age_s = utc_now().timestamp() - (self.path / ASKED).stat().st_mtime
-                return age_s < BEGINS_WITHIN_S
-        except Timeout:
-            return True
+            age_s = utc_now().timestamp() - (self.path / ASKED).stat().st_mtime
         except OSError:
-            return False
+            age_s = BEGINS_WITHIN_S
+        return age_s < BEGINS_WITHIN_S or is_held(self.lock())
 
     def begin(self, what: str, *, resources: Sequence[str] = (), bench: Path | None = None) -> None:
         """Start a process that searches, asks these resources for their identity, or tests a bench's instruments.

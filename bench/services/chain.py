@@ -17,7 +17,7 @@ from typing import Any, ClassVar, Final, TypeVar
 from filelock import FileLock, Timeout
 
 from bench.base.files import open_regular, read_json, read_regular, write_whole
-from bench.services.errors import Refused
+from bench.services.errors import Refused, reading
 
 LINES: Final = "register.jsonl"
 MADE_FROM: Final = "made-from"
@@ -81,12 +81,8 @@ class Chain:
 
     def kept(self, digest: str) -> bytes:
         """Return a stored input of an entry. Raises `Refused` if it is missing or changed."""
-        try:
+        with reading(self.folder / MADE_FROM / digest):
             content = read_regular(self.folder / MADE_FROM / digest)
-        except OSError as error:
-            raise Refused(
-                f"{self.folder / MADE_FROM / digest}: cannot be read ({error.strerror}); check name and permissions"
-            ) from error
         if hashlib.sha256(content).hexdigest() != digest:
             raise Refused(f"{self.folder / MADE_FROM / digest}: was changed; restore it from a copy")
         return content
@@ -119,17 +115,18 @@ class Chain:
     def read_lines(self) -> None:
         """Read the lines that were added since the last call, without changing any file.
 
-        Raises `Refused` for a changed line.
+        Raises `Refused` for a changed line, and for a file that cannot be read.
         """
         path = self.folder / LINES
-        if (path.stat().st_size if path.exists() else 0) < self.length:
-            raise Refused(f"{path}: its last lines are missing; restore it from a copy")
-        if path.exists():
-            with open_regular(path) as file:
-                file.seek(self.length)
-                for line in file:
-                    if line.endswith(b"\n"):
-                        self._take(line[:-1])
+        with reading(self.folder):
+            if (path.stat().st_size if path.exists() else 0) < self.length:
+                raise Refused(f"{path}: its last lines are missing; restore it from a copy")
+            if path.exists():
+                with open_regular(path) as file:
+                    file.seek(self.length)
+                    for line in file:
+                        if line.endswith(b"\n"):
+                            self._take(line[:-1])
 
     def _take(self, line: bytes) -> None:
         where = f"{self.folder / LINES}, line {self.count + 1}"

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Final
 
 from bench.base.computing import missing
+from bench.base.languages import message
 from bench.base.numbers import read_number
 
 if TYPE_CHECKING:
@@ -27,6 +30,17 @@ class Refused(Exception):
     def __str__(self) -> str:
         """Return the text with the options written as in Python."""
         return _OPTION.sub(_in_python, self.typed)
+
+
+@contextmanager
+def reading(of: object) -> Iterator[None]:
+    """Turn an `OSError` within the context into `Refused`: `of`, such as a file's name, cannot be read."""
+    try:
+        yield
+    except OSError as error:
+        raise Refused(
+            message(f"{of}: cannot be read ({error.strerror}); check name and permissions")
+        ) from error
 
 
 class NoCheckBlock(Refused):

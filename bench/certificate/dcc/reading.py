@@ -24,7 +24,7 @@ from bench.certificate.dcc.nodes import DCC, NAMESPACES, SI, SIGNATURE, Node, pa
 from bench.config.devices.device import ChamberCertificate, HeadCertificate
 from bench.model.geometry import COEFFICIENTS
 from bench.services.coefficients import coefficients_of, impossible
-from bench.services.errors import Refused
+from bench.services.errors import Refused, reading
 
 MOST_BYTES: Final = 64_000_000
 OURS: Final = "bench_coefficients"
@@ -49,12 +49,11 @@ def document_in(path: Path) -> tuple[Node, tuple[str, ...]]:
     a DCC, or has an invalid signature.
     """
     try:
-        content = read_regular(path, MOST_BYTES)
+        with reading(path):
+            content = read_regular(path, MOST_BYTES)
         if content.startswith(b"%PDF"):
             content = _attached(path, content)
         root = etree.fromstring(content, parser())
-    except OSError as error:
-        raise Refused(f"{path}: cannot be read ({error.strerror}); check name and permissions") from error
     except etree.XMLSyntaxError as error:
         raise Refused(
             f"{path}: not XML ({error}); give the XML of a digital calibration certificate, or the PDF that has it"
