@@ -178,11 +178,27 @@ class TrialResult:
         return self.tried in {0, 1} or bool(self.check["dry_run_refuses"])
 
 
-class WishFolder:
-    """The folder of one requested run (a wish)."""
+class WorkFolder:
+    """A folder in which a process of the panel stores its findings; it holds a lock while it is alive."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
+
+    def tell(self, found: Any) -> None:
+        """Store the findings so far, a dataclass."""
+        write_whole(self.path / FOUND, to_text(asdict(found)))
+
+    def lock(self) -> FileLock:
+        """Return the lock that the process holds while it is alive."""
+        return FileLock(self.path / LOCK, mode=0o600)
+
+    def at_work(self) -> bool:
+        """Return whether a process is at work in the folder now."""
+        return is_held(self.lock())
+
+
+class WishFolder(WorkFolder):
+    """The folder of one requested run (a wish)."""
 
     @property
     def id(self) -> str:
@@ -196,18 +212,6 @@ class WishFolder:
     def found(self) -> TrialResult:
         """Return the findings so far. Raises `Refusal` (404) if they were deleted."""
         return TrialResult(**self._read(FOUND))
-
-    def tell(self, found: TrialResult) -> None:
-        """Store the findings so far."""
-        write_whole(self.path / FOUND, to_text(asdict(found)))
-
-    def lock(self) -> FileLock:
-        """Return the lock that the checking process holds while it is alive."""
-        return FileLock(self.path / LOCK, mode=0o600)
-
-    def at_work(self) -> bool:
-        """Return whether a process is checking or trying the run now."""
-        return is_held(self.lock())
 
     def mark_started(self, name: str) -> None:
         """Record the name of the run started from this wish. Raises `Refusal` if one was started already."""
