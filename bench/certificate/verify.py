@@ -169,9 +169,9 @@ def verify_certificate(file: Path, trust: Path | None, runs: Path, register: Pat
         verdict.wrong.append(f"{error}; {ORIGINAL}")
         verdict.issued = not isinstance(error, NoCertificate)
     if verdict.shown is not None and verdict.intact:
-        _against_register(verdict, verdict.shown.says.number, file, content, register)
+        against_register(verdict, verdict.shown.says.number, file, content, register)
     if verdict.shown is not None and verdict.intact:
-        _against_record(verdict, verdict.shown, runs)
+        against_record(verdict, verdict.shown, runs)
     if verdict.unsigned:
         verdict.why_not_trusted = None if trust is None else "nobody signed it"
     elif verdict.why_not_trusted is None:
@@ -343,7 +343,7 @@ def _agree_on_numbers(shown: ShownValues) -> None:
 # --- the record of its run, and the register ------------------------------------------------------------
 
 
-def _against_record(verdict: Verdict, shown: ShownValues, runs: Path) -> None:
+def against_record(verdict: Verdict, shown: ShownValues, runs: Path) -> None:
     """Compare a certificate with the record of its run, if `runs` has it.
 
     A run of the same name with other inputs (`run.json`) is another record. In the right record the chain of hashes
@@ -430,7 +430,7 @@ def _as_good_as(found: RunFindings, shown: ShownValues) -> bool:
     return same and told[0] == told[1]
 
 
-def _against_register(verdict: Verdict, number: str, file: Path, content: bytes, folder: Path | None) -> None:
+def against_register(verdict: Verdict, number: str, file: Path, content: bytes, folder: Path | None) -> None:
     """Compare the content of a certificate file with the entry for its number in a register.
 
     `folder` is the register's folder; if it is None, a register in the folder of `file` is used, if it has the

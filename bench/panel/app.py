@@ -137,7 +137,6 @@ def make_app(settings: Settings) -> Starlette:
 LATE: Final = (
     "bench.calibration.conformity",
     "bench.calibration.verification",
-    "bench.panel.round_trip",
     "bench.exchange.forms",
     "bench.services.calibration",
     "bench.services.check_block",
