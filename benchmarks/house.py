@@ -3,7 +3,8 @@
 Lines, files and median of each room; long and small files; import circles at module level and with imports inside
 functions; modules that one other imports, and those that most import; the files that four commands run through:
 
-    python -m benchmarks.house            # about a minute; --no-paths leaves the commands out
+    python -m benchmarks.house                    # about a minute; --no-paths leaves the commands out
+    python -m benchmarks.house --since 62a1056f   # beside the lines of an earlier commit
 """
 
 from __future__ import annotations
@@ -83,9 +84,8 @@ class Module:
 
     @property
     def room(self) -> str:
-        """The room that it stands in: a folder of `bench`, or the whole of drivers or simulation."""
-        parts = self.path.relative_to(ROOT).parts
-        return parts[0] if parts[0] != "bench" else parts[1] if len(parts) > 2 else "bench"
+        """The room that it stands in."""
+        return room_of(self.path.relative_to(ROOT))
 
     @property
     def lines(self) -> int:
@@ -115,6 +115,23 @@ def _at_module_level(body: Iterable[ast.stmt]) -> Iterator[ast.stmt]:
         yield node
         if isinstance(node, ast.If | ast.Try):
             yield from _at_module_level([*node.body, *node.orelse])
+
+
+def room_of(path: Path) -> str:
+    """Return the room of a file by its path from the root: a folder of `bench`, else the top folder."""
+    parts = path.parts
+    return parts[0] if parts[0] != "bench" else parts[1] if len(parts) > 2 else "bench"
+
+
+def lines_at(revision: str) -> dict[str, int]:
+    """Return the lines by room that a commit had."""
+    asked = ["git", "grep", "-c", "", revision, "--", *(f"{top}/*.py" for top in (*PRODUCT, *BESIDE))]
+    answer = subprocess.run(asked, cwd=ROOT, capture_output=True, text=True, check=True).stdout  # noqa: S603
+    counted: Counter[str] = Counter()
+    for line in answer.splitlines():
+        _, path, number = line.split(":")
+        counted[room_of(Path(path))] += int(number)
+    return counted
 
 
 def modules() -> dict[str, Module]:
@@ -156,27 +173,33 @@ def circles(edges: Mapping[str, Iterable[str]]) -> list[list[str]]:
     return sorted(found, key=len, reverse=True)
 
 
-def print_rooms(known: Mapping[str, Module]) -> None:
-    """Print lines, files and the median file of each room, beside what the rooms may have."""
+def print_rooms(known: Mapping[str, Module], since: str) -> None:
+    """Print lines, files and the median file of each room, its budget, and its lines at the commit `since`."""
     rooms: dict[str, list[int]] = {}
     for module in known.values():
         rooms.setdefault(module.room, []).append(module.lines)
-    print(f"{'room':<50}{'lines':>8}{'files':>7}{'median':>8}{'budget':>8}")
-    for names, budget in {
-        **BUDGETS,
-        **dict.fromkeys(rooms.keys() - " + ".join(BUDGETS).split(" + ")),
-    }.items():
+    before = lines_at(since) if since else {}
+    budgets = {**BUDGETS, **dict.fromkeys(rooms.keys() - " + ".join(BUDGETS).split(" + "))}
+    print(f"{'room':<50}{'lines':>8}{'files':>7}{'median':>8}{'budget':>8}" + f"{since[:9]:>10}")
+    for names, budget in budgets.items():
         lines = [one for name in names.split(" + ") for one in rooms.get(name, ())]
-        _print_room(names, lines, budget)
-    _print_room("the program", [module.lines for module in known.values()], WHOLE["lines"])
+        _print_room(names, lines, budget, sum(before.get(name, 0) for name in names.split(" + ")))
+    whole = [module.lines for module in known.values()]
+    _print_room(
+        "the program",
+        whole,
+        WHOLE["lines"],
+        sum(lines for room, lines in before.items() if room not in BESIDE),
+    )
     for top in BESIDE:
         files = list((ROOT / top).rglob("*.py"))
-        _print_room(top, [path.read_text(encoding="utf-8").count("\n") for path in files], WHOLE[top])
+        lines = [path.read_text(encoding="utf-8").count("\n") for path in files]
+        _print_room(top, lines, WHOLE[top], before.get(top, 0))
     print(f"the program may have {WHOLE['files']} files")
 
 
-def _print_room(name: str, lines: list[int], budget: int | None) -> None:
-    print(f"{name:<50}{sum(lines):>8}{len(lines):>7}{median(lines):>8.0f}{budget or '':>8}")
+def _print_room(name: str, lines: list[int], budget: int | None, before: int) -> None:
+    print(f"{name:<50}{sum(lines):>8}{len(lines):>7}{median(lines):>8.0f}{budget or '':>8}{before or '':>10}")
 
 
 def print_shape(known: Mapping[str, Module]) -> None:
@@ -223,9 +246,11 @@ def print_paths() -> None:
 
 def main() -> None:
     """Print the whole report."""
-    given = arguments(__doc__, no_paths=(False, "leave out the commands"))
+    given = arguments(
+        __doc__, no_paths=(False, "leave out the commands"), since=("", "a commit whose lines stand beside")
+    )
     known = modules()
-    print_rooms(known)
+    print_rooms(known, given.since)
     print_shape(known)
     if not given.no_paths:
         print_paths()

@@ -137,11 +137,11 @@ def rows() -> Iterator[Row]:
 def verdicts(found: Sequence[Row]) -> str:
     """Return the table of verdicts in Markdown, with the counts below."""
     headings = [
-        "record", "told", "verdict", "names", "judged", "sizes", "held out, rms", "by kind of shape", "twin",
+        "record", "published", "verdict", "names", "judgement", "sizes", "held out, rms", "with each shape", "twin",
     ]  # fmt: skip
     judged = [row.judged for row in found]
     counts = (
-        f"Lone names that are wrong: {judged.count(WRONG)} of {len(found)} records; missed: "
+        f"A single name that is wrong: {judged.count(WRONG)} of {len(found)} records; effects missed: "
         f"{judged.count(MISSED)} of {sum(bool(row.case.right) for row in found)}; jumps that nobody noted: "
         f"{sum(UNTOLD in one for one in judged)}."
     )

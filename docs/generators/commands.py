@@ -19,8 +19,9 @@ This page lists all commands and options. `bench --help` lists the common comman
 `bench help COMMAND` (or `bench COMMAND --help`, `-h`) shows the common options of a command, `bench help COMMAND
 --all` (or `bench COMMAND --help-all`) all options.
 
-Exit status of every command: 0 done and accepted, 1 done and not accepted, 2 could not be done, with one line on
-standard error. A result as JSON (`--json FILE`, `-` for standard output) has the form in [results](results.md).
+The exit status of every command is 0 if the result is accepted, 1 if it is not accepted, and 2 if the command
+failed, with one line on standard error. A result as JSON (`--json FILE`, `-` for standard output) has the form in
+[results](results.md).
 
 Two options work before or after every command: `--debug` shows the traceback of an error, `--quiet` hides progress
 and notes. On a terminal, long computations show their progress and the time left. `bench --install-completion`

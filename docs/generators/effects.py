@@ -21,14 +21,15 @@ ENTRY_TITLES: Final = {
 _INTRODUCTION: Final = """\
 # Effects
 
-What a block, a stand, a voltmeter or a site can do beside the paper's model. Each is written once: the
-simulated bench applies it (`simulation: effects` of a [bench file](bench-files.md)), a calibration takes it
-into account (a [model file](model-files.md)), `bench diagnose` looks for it and names it. *Plausible* is
-the size, one standard deviation, that the diagnosis takes for usual before it has seen readings. A *shape*
-is no size but a form (a time constant, a period): readings are not linear in it, a diagnosis tries the
-values listed. [Writing an effect](../writing-an-effect.md) adds one.
+An effect is an error of a block, a stand, a voltmeter or a site that the paper's model does not contain. The
+simulated bench applies effects (`simulation: effects` of a [bench file](bench-files.md)), a calibration fits
+them (a [model file](model-files.md)), and `bench diagnose` searches for them and names them.
 
-They act one after another, stage by stage.
+*Plausible* is the usual size of an effect, one standard deviation, before any reading. A *shape* is a time
+constant or a period: readings are not linear in it, so a diagnosis tries the values listed. [Writing an
+effect](../writing-an-effect.md) shows how to add one.
+
+The effects act one after another, stage by stage.
 """
 
 _MODEL_FILES: Final = """\
@@ -39,7 +40,7 @@ A model file lists effects with their values. `bench diagnose` writes one; `cali
 value with `u` is the prior of its size, a value without `u` only a start (its prior is ten times the plausible
 size). So give a known effect a small `u`. `bench confirm` and the simulation **keep** the values. The section
 `simulation` of a bench file has the same lists `formulas`, `effects`, `left_open`. Write a parameter in any
-unit of its dimension, for all channels alike or for each; a shape has one value and no `u`:
+unit of its dimension, one value for all channels or one for each; a shape has one value and no `u`:
 
 ```yaml
 model_file: 1
@@ -53,10 +54,9 @@ effects:
     parameters: {A: 150 ug, tau: 20 min}
 ```
 
-`installations` says which mountings have the effect (`2/3` is installation 2 in series 3, `2 pass 1` the first
-pass in installation 2; the simulated bench knows of no passes). The names and
-parameters are those of the [effects](effects.md), or of the file's own `formulas`
-([writing an effect](../writing-an-effect.md)).
+`installations` says which mountings have the effect: `2/3` is installation 2 in series 3, `2 pass 1` the first
+pass in installation 2 (not on the simulated bench). Take names and parameters from the [effects](effects.md), or
+from the file's own `formulas` ([writing an effect](../writing-an-effect.md)).
 """
 
 
@@ -72,7 +72,7 @@ def page() -> str:
 
 def _section(effect: Effect) -> str:
     first = f"{effect.sentence[:1].upper()}{effect.sentence[1:]}."
-    facts = [("of", effect.subsystem.value), ("shown by", effect.shown_by), *_more(effect)]
+    facts = [("part", effect.subsystem.value), ("shown by", effect.shown_by), *_more(effect)]
     listed = "\n".join(f"- {name}: {text}" for name, text in facts)
     rows = [_row(parameter) for parameter in effect.parameters]
     head = ("parameter", "unit", "plausible", "for", "tried by a diagnosis")
@@ -83,12 +83,12 @@ def _more(effect: Effect) -> list[tuple[str, str]]:
     facts = []
     if effect.per_mount:
         facts.append(
-            ("mountings", "may be of one alone" + (", and stays from it on" if effect.lasts else ""))
+            ("mountings", "may begin in one and remain" if effect.lasts else "may act in a single one")
         )
     if effect.needs_history:
-        facts.append(("order", "a reading depends on those before it"))
+        facts.append(("order", "a reading depends on earlier readings"))
     if effect.needs_path:
-        facts.append(("way", "a reading depends on how the head came there"))
+        facts.append(("way", "a reading depends on the path of the head"))
     return facts
 
 
@@ -100,7 +100,7 @@ def _row(parameter: Parameter) -> tuple[str, ...]:
     return (
         code(parameter.name),
         parameter.unit if parameter.unit != "1" else "–",
-        f"a shape; {written(parameter.default)} where not stated"
+        f"a shape; default {written(parameter.default)}"
         if parameter.is_shape
         else written(parameter.plausible),
         "each channel" if parameter.per_channel else "one for all",

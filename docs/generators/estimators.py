@@ -11,8 +11,8 @@ from docs.generators.markdown import code, table
 _INTRODUCTION: Final = """\
 # Estimators
 
-`--estimator NAME` of `bench calibrate`, `bench budget` and `bench require`. Without it the first is used.
-[Writing an estimator](../writing-an-estimator.md) says how a further one comes in.
+Choose an estimator with `--estimator NAME` of `bench calibrate`, `bench budget` and `bench require`. The default
+is the first. [Writing an estimator](../writing-an-estimator.md) shows how to add one.
 """
 
 
@@ -28,7 +28,7 @@ def page() -> str:
         )
         for e in ESTIMATORS.values()
     ]
-    head = ("name", "what it does", "weighs readings", "takes free positions", "in a budget counts as")
+    head = ("name", "what it does", "weights readings", "uses free positions", "counts in a budget as")
     module = importlib.import_module("bench.calibration.gls")
     doc = (module.__doc__ or "").strip()
     return f"{_INTRODUCTION}\n{table(head, rows)}\n\n## Generalised least squares\n\n{doc}\n"

@@ -35,8 +35,8 @@ the run is simulated, and the number is of the series `SIM-`. See [Certificates]
 """  # noqa: E501 - rows of a table
 _FILES: Final = "example"
 _PART: Final = """\
-`bench certificate verify` says of it: *{headline}*. The files: [PDF]({files}/certificate.pdf) with all that is
-attached, [XML]({files}/certificate.xml).
+`bench certificate verify` says of this certificate: *{headline}*. Its files are the [PDF]({files}/certificate.pdf),
+with attachments, and the [XML]({files}/certificate.xml).
 
 {pictures}
 """

@@ -33,11 +33,9 @@ DRAWINGS: Final[dict[str, tuple[Callable[[str], str], str]]] = {
     ),
     "wiring": (
         drawings.wiring,
-        "Each channel of the block goes with signal and return to HI and LO of its own voltmeter, the "
-        "shield connected "
-        "at the meter's end only; two rails and ground come from the power supply; a Pt100 goes to the "
-        "thermometer; "
-        "each instrument has its own address at the computer.",
+        "Each channel of the block is connected with signal and return to HI and LO of its own voltmeter, "
+        "its shield to LO at the meter's end only; two rails and ground come from the power supply; a Pt100 "
+        "goes to the thermometer; each instrument has its own address at the computer.",
     ),
     "stand": (
         drawings.stand,
@@ -52,9 +50,8 @@ DRAWINGS: Final[dict[str, tuple[Callable[[str], str], str]]] = {
     ),
     "learned": (
         drawings.learned,
-        "For each angle of the stand the limit that the bench file states as a band, and within it the "
-        "mean with 2u "
-        "that three dry runs tell.",
+        "For each angle of the stand a band, the limit of the bench file, and within it the mean with 2u "
+        "from three dry runs.",
     ),
     "session": (
         terminal.shown,

@@ -20,8 +20,8 @@ from docs.generators.markdown import code, table
 _INTRODUCTION: Final = """\
 # Procedure files
 
-A procedure file is YAML: beside its name a list of steps, each a mapping with exactly one verb. Verbs hold
-steps of their own. `bench check FILE` prints the resulting plan, its time, what the operator does, every
+A procedure file is YAML: a name, and a list of steps. Each step is a mapping with exactly one verb; some verbs
+contain further steps. `bench check FILE` prints the resulting plan, its time, what the operator does, every
 mistake with its line, and what the readings will leave open. [Writing a procedure](../writing-a-procedure.md)
 explains an example.
 """
@@ -29,11 +29,11 @@ explains an example.
 _SHIPPED: Final = """\
 ## Shipped procedures
 
-Expected times as `bench check PROCEDURE` states them, warm-up included, on the bench file named. They contain
-the time that the procedure allows for the operator. `bench check PROCEDURE --bench FILE` states the time on
-yours. To shorten a procedure, see [Running until it is good enough](../run-until.md) and [Which points are
-enough](../test-points.md#which-points-are-enough). `bench init` copies all of them; the comment at the top of
-each file says what it separates.
+The expected times include the warm-up and the time that the procedure allows for the operator. They are for the
+bench file named; `bench check PROCEDURE --bench FILE` states the time on your bench. To shorten a procedure, see
+[Running until it is good enough](../run-until.md) and [Which points are
+enough](../test-points.md#which-points-are-enough). `bench init` copies all of them; the comment at
+the top of each file says what it separates.
 """
 _BENCHES: Final = ("paper-stand", "bench-stand")
 """A procedure is timed on the first of these shipped bench files on which it can be carried out."""

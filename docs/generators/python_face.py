@@ -13,8 +13,9 @@ from docs.generators.markdown import code, prose
 _INTRODUCTION: Final = """\
 # Python
 
-What `import bench` offers. Other modules may change from one version to the next; public beside these names are
-`drivers.interfaces` and what the pages on writing things name. [From Python](../python.md) has examples.
+This page lists the names of `import bench`. Also public are `drivers.interfaces` and the names on the pages for
+developers ("Writing …"). All other modules may change from one version to the next. [From Python](../python.md)
+has examples.
 """
 
 

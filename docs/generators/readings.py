@@ -15,36 +15,39 @@ from docs.generators.markdown import code, table
 COLUMNS: Final[dict[str, tuple[str, str]]] = {
     "installation": (
         "–",
-        "`1` or `2` (the paper's Fig. 2), a label that the bench file defines; `V` a verification point, not in "
-        "the fit unless asked; `F` a free position, of which |a| = 1 g alone is known; `S` input shorted; "
-        "`R` a reference voltage at the input",
+        "`1`, `2` (the paper's Fig. 2) or a label of the bench file; `V` a verification point, in the fit only on "
+        "request; `F` a free position, of which only |a| = 1 g is known; `S` inputs shorted; `R` a reference "
+        "voltage at the input",
     ),
-    "pass": ("–", "1, 2, …: which time through the points"),
-    "point": ("–", "number of the test point; a setting that is visited in each pass has one number"),
+    "pass": ("–", "1, 2, …: number of the round through all points"),
+    "point": ("–", "number of the test point; a setting has the same number in each pass"),
     "angle_deg": ("°", "angle of the head as read back from its scale; empty for `F`, `S`, `R`"),
     "series": (
         "–",
-        "any second visit to an installation: another temperature, a return; 1 where it is not there",
+        "another number for a further visit to an installation (a return, another temperature); default 1",
     ),
-    "target_deg": ("°", "the angle that was asked for"),
+    "target_deg": ("°", "commanded angle"),
     "direction": ("–", "+1 approached with rising angle, −1 with falling; may be empty"),
     "time_s": ("s", "since the start of the run; may be empty"),
-    "temperature_c": ("°C", "at the block; may be empty"),
-    "samples": ("–", "how many samples of the meter the reading is the mean of"),
+    "temperature_c": ("°C", "temperature at the block; may be empty"),
+    "samples": ("–", "number of the meter's samples in the mean"),
     "range_v": ("V", "range of the meter"),
     "since_power_on_s": ("s", "since the block was switched on, for `warm_up`; may be empty"),
-    "scan_order": ("–", "in which order the channels were read, such as `xyz`"),
+    "scan_order": ("–", "order in which the channels were read, such as `xyz`"),
     "reference_v": ("V", "voltage at a reference input, for `R`"),
     "reference_sd_v": ("V", "scatter of the meters that read `reference_v`, counts as its u; may be empty"),
-    "temperature_source": ("–", "what told `temperature_c`, where that was a thermometer at the block"),
-    "chamber_c": ("°C", "air of the chamber, beside it"),
+    "temperature_source": (
+        "–",
+        "the thermometer at the block that measured `temperature_c`, if there is one",
+    ),
+    "chamber_c": ("°C", "air temperature of the chamber"),
     "meter_temperature_c": (
         "°C",
-        "of the voltmeters, for `voltmeter_thermal_gain` and `_offset`; may be empty",
+        "temperature of the voltmeters, for `voltmeter_thermal_gain` and `_offset`; may be empty",
     ),
-    "room_c": ("°C", "of the room; used for the voltmeters if their own is not recorded"),
-    "alpha1_arcsec": ("″", "tilt of the shaft's axis in this mounting, as a level showed it"),
-    "alpha2_arcsec": ("″", "as `alpha1_arcsec`, about the shaft: what the head's zero is off the vertical"),
+    "room_c": ("°C", "temperature of the room; used for the voltmeters if theirs is not recorded"),
+    "alpha1_arcsec": ("″", "tilt of the shaft's axis in this mounting, measured by a level"),
+    "alpha2_arcsec": ("″", "tilt about the shaft, measured by a level: the head's zero against the vertical"),
     "u_alpha1_arcsec": ("″", "standard uncertainty of `alpha1_arcsec`"),
     "u_alpha2_arcsec": (
         "″",
@@ -52,7 +55,7 @@ COLUMNS: Final[dict[str, tuple[str, str]]] = {
     ),
     "drift_alpha1_arcsec_h": (
         "″/h",
-        "how fast the platform tilted along the shaft, where the level was read again; the same in all rows",
+        "rate of the platform's tilt along the shaft, if the level was read again; the same in all rows",
     ),
     "drift_alpha2_arcsec_h": ("″/h", "as `drift_alpha1_arcsec_h`, about the shaft"),
 }
@@ -62,7 +65,7 @@ _INTRODUCTION: Final = """\
 # Readings files
 
 A readings file is CSV (RFC 4180, UTF-8, dot as decimal sign): one row for each settled reading of the three
-channels, in the order of measurement. A run exports it (`bench export RUN --csv FILE`), a laboratory that
+channels, in the order of measurement. `bench export RUN --csv FILE` makes one from a run; a laboratory that
 measured by hand writes it.
 
 ```text
@@ -73,12 +76,12 @@ V,1,1,44.999722222,-0.990108,0.909860,-1.927747
 ```
 
 Columns may be in any order, in small or large letters. Unknown columns are kept and ignored, with a note.
-Every row that cannot be read is listed with file, line, column and what was expected. Nothing is computed
+The program lists every row that it cannot read, with file, line, column and what it expected. It computes nothing
 until you correct the row, or leave it out with `--skip-bad-rows`.
 
-Of each rail that feeds the block there may be three columns: `rail_NAME_v` and `rail_NAME_a`, what was measured,
-in V and A, and `rail_NAME_nominal_v`, from which the effect `supply_sensitivity` counts; empty where nothing was
-measured.
+Each rail that feeds the block may have three columns. `rail_NAME_v` and `rail_NAME_a` are the measured voltage and
+current, in V and A. `rail_NAME_nominal_v` is the voltage from which the effect `supply_sensitivity` counts. Leave
+cells empty if nothing was measured.
 
 A **record at a known input** has rows `R` alone: `installation,time_s,reference_v,ux_v,uy_v,uz_v`. `pass` and
 `point` may be absent, and one or two of the signals may be absent or empty throughout.
@@ -103,10 +106,10 @@ _LOGS: Final = """\
 `bench import LOG --columns MAPPING.yaml` makes a readings file of a log
 ([example](../real-records.md#use-your-own-log)). The log is UTF-8 text with one header line and one line for
 each row. Lines that begin with `comment` are ignored, also before the header. With `decimal: ","` numbers have
-a decimal comma; the separator must then be another character. A cell that is no number is listed with line and
-column, and nothing is imported; `--skip-bad-rows` leaves such rows out. An empty cell stays empty, except a
-time. Without `time_format` times are numbers; with `iso` or a format of `strptime` they become seconds since
-the first row.
+a decimal comma; the separator must then be another character. The program lists a cell
+that is no number with line and column, and imports nothing; `--skip-bad-rows` leaves such rows out. An empty cell
+stays empty, but a time is required. Without `time_format` times are numbers; with `iso` or a format of `strptime`
+they become seconds since the first row.
 """
 
 
@@ -137,8 +140,8 @@ def page() -> str:
 
 ## Signals
 
-The suffix is the unit, all three alike; results are then per that unit. Each signal may have a column with the
-standard deviation of the samples of the reading.
+The suffix is the unit; all three signals have the same unit, and results are in it. Each signal may have a column
+with the standard deviation of the samples of the reading.
 
 {table(("signals", "unit", "standard deviations"), signals)}
 

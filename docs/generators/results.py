@@ -15,10 +15,10 @@ _FIRST: Final = ("calibrate", "verify", "diagnose", "budget")
 _INTRODUCTION: Final = """\
 # Results and the record
 
-What `--json FILE` writes, by command, and the lines of a run's record. Each has a JSON schema (draft 2020-12), made
-of the model in `bench/results`; the tests hold real results against them, and a member that no schema names
-is an error there. Angles are in degrees where the name says `_deg`, times in seconds, uncertainties are
-standard uncertainties unless the name is `U`.
+This page shows what `--json FILE` writes, by command, and the lines of a run's record. Each has a JSON schema
+(draft 2020-12), made from the model in `bench/results`; tests compare real results with the schemas. Angles are in
+degrees if the name ends in `_deg`, times in seconds. Uncertainties are standard uncertainties unless the name is
+`U`.
 """
 
 

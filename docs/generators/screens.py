@@ -55,14 +55,14 @@ PICTURES: Final = {
     "diagnosis-found": "What was found: the name with its sizes, how sure it is, what else it could be, "
     "and bars of "
     "the evidence of the most plausible explanations.",
-    "diagnosis-gap": "Reduced chi-square of each held-out part before and after naming; after it lies "
-    "near 1.",
-    "diagnosis-tie": "The first box of a diagnosis that cannot tell two names apart: the odds of each, "
+    "diagnosis-gap": "Reduced chi-square of each held-out part before and after an effect is named; "
+    "afterwards it is near 1.",
+    "diagnosis-tie": "The first box of a diagnosis that cannot separate two names: the odds of each, "
     "and the "
     "procedure that would decide.",
     "chart": "Control charts of a check block: T squared, its moving average and the scatter of a reading"
     " of each "
-    "run after the baseline; the last run lies far above the limit.",
+    "run after the baseline; the last run is far above the limit.",
 }  # fmt: skip
 """By the name of a picture its alternative text."""
 

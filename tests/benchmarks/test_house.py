@@ -1,8 +1,10 @@
 """The report on the house: what it says of circles and of who imports whom."""
 
+from pathlib import Path
+
 import pytest
 
-from benchmarks.house import ROOT, Module, circles, modules
+from benchmarks.house import ROOT, Module, circles, modules, room_of
 
 
 def module(name, text):
@@ -29,3 +31,13 @@ def test_the_program_is_found_whole():
     assert known["bench.base.arrays"].room == "base"
     of_base = [one for one in known.values() if one.room in {"base", "readings"}]
     assert all(other in known for one in of_base for other in one.imported(known, inner=True))
+
+
+def test_a_file_stands_in_a_folder_of_bench_or_in_a_whole_top_folder():
+    files = (
+        "bench/run/assembly/hands.py",
+        "bench/__init__.py",
+        "sim/world/clock.py",
+        "tests/run/test_live.py",
+    )
+    assert [room_of(Path(file)) for file in files] == ["run", "bench", "sim", "tests"]

@@ -48,7 +48,7 @@ HELD_BY = {
         ),
         ("run/test_watched_questions.py", "test_an_answer_that_is_typed_while_a_look_is_under_way_counts"),
     ),
-    "power supply does not obey on the way out": (
+    "power supply does not obey while the run closes the bench": (
         ("run/test_power.py", "test_a_supply_that_does_not_obey_on_the_way_out_is_told"),
     ),
     "instrument refuses a command that makes it safe": (
@@ -85,7 +85,7 @@ HELD_BY = {
         ("run/test_signals.py", "test_a_process_hit_by_a_signal_keeps_a_whole_record"),
         ("run/test_left_safe.py", "test_every_way_out_leaves_the_bench_safe"),
     ),
-    "Ctrl-C again, on the way out": (
+    "Ctrl-C again, while the run closes the bench": (
         ("run/test_way_out.py", "test_signals_on_the_way_out_cancel_nothing_and_hide_no_cause"),
         ("drivers/wire/test_haste.py", "test_in_haste_a_wait_that_is_under_way_is_cut_short"),
     ),
@@ -95,7 +95,7 @@ HELD_BY = {
         ("cli/test_program.py", "test_no_signal_takes_the_place_of_a_refusal_on_its_way"),
         ("cli/test_results_made.py", "test_killed_between_two_results_it_lacks_the_others"),
     ),
-    "wish to stop (`bench control RUN stop`, panel, `:stop`)": (
+    "request to stop (`bench control RUN stop`, panel, `:stop`)": (
         ("run/test_living_runs.py", "test_stop_is_heard_in_the_middle_of_a_movement"),
         ("run/test_asking.py", "test_a_wish_to_stop_leaves_a_question_as_ctrl_c_does"),
     ),
