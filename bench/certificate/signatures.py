@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, Final
 
 from lxml import etree
 
-from bench.certificate.dcc.nodes import SIGNATURE, parser
 from bench.certificate.signatory import Signatory
 from bench.services.errors import Refused
 
@@ -18,6 +17,7 @@ if TYPE_CHECKING:
     from cryptography.x509 import Certificate
 
 
+SIGNATURE: Final = "http://www.w3.org/2000/09/xmldsig#"
 _XADES: Final = "http://uri.etsi.org/01903/v1.3.2#"
 _SIGNED_PROPERTIES: Final = "http://uri.etsi.org/01903#SignedProperties"
 _ENVELOPED: Final = f"{SIGNATURE}enveloped-signature"
@@ -27,6 +27,11 @@ _MOST_BYTES: Final = 64_000_000
 
 ORIGINAL: Final = "ask the laboratory for the original"
 """The remedy for a document that is not intact."""
+
+
+def parser() -> etree.XMLParser:
+    """Return an XML parser for documents from elsewhere, without entities, DTD or network access."""
+    return etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False, huge_tree=False)
 
 
 class NotIntact(Exception):

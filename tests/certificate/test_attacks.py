@@ -9,8 +9,7 @@ import pytest
 from lxml import etree
 from pyhanko.pdf_utils.incremental_writer import IncrementalPdfFileWriter
 
-from bench.certificate.dcc.nodes import SIGNATURE
-from bench.certificate.signatures import NotIntact, check_pdf, check_xml, sign_pdf, sign_xml
+from bench.certificate.signatures import SIGNATURE, NotIntact, check_pdf, check_xml, sign_pdf, sign_xml
 from bench.services.errors import Refused
 from tests.support.signed import NOW, a_signatory, blank_pdf
 

@@ -20,7 +20,8 @@ from bench.base.arrays import Floats
 from bench.base.files import from_text, read_regular
 from bench.base.text import visible
 from bench.base.units import VOLTAGE, parse_quantity
-from bench.certificate.dcc.nodes import DCC, NAMESPACES, SI, SIGNATURE, Node, parser, read_unit
+from bench.certificate.dcc.nodes import DCC, NAMESPACES, SI, Node, read_unit
+from bench.certificate.signatures import ORIGINAL, SIGNATURE, NotIntact, check_xml, parser
 from bench.config.devices.device import ChamberCertificate, HeadCertificate
 from bench.model.geometry import COEFFICIENTS
 from bench.services.coefficients import coefficients_of, impossible
@@ -63,7 +64,6 @@ def document_in(path: Path) -> tuple[Node, tuple[str, ...]]:
     if root.find(f".//{{{SIGNATURE}}}Signature") is None:
         return root, ("this document has no signature",)
     from bench.certificate.signatory import name_of
-    from bench.certificate.signatures import ORIGINAL, NotIntact, check_xml
 
     try:
         signed = check_xml(content)
