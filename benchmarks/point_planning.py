@@ -58,7 +58,7 @@ def told(found: ChosenPoints) -> str:
 
 def compare(name: str, stand: Stand, sites: Sites) -> None:
     settings = paper_settings()
-    own = stand.covariance(settings)
+    own = stand.promise(settings, ()).combined
     closed = by_estimator(stand, "closed-form", settings)
     vector = vector_goal(stand.block)
     print(f"\n{name}")

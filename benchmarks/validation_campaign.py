@@ -24,8 +24,7 @@ from bench.results.validation import ValidationCheck
 from bench.services.chain import Entry, opened
 from bench.services.validated import ACCEPTED, Validations, fingerprint
 from bench.validation import gum, machine, statistics
-from bench.validation.families import every
-from bench.validation.registry import Check, Context, carry_out
+from bench.validation.registry import Check, Context, carry_out, every
 from benchmarks.campaign import arguments
 from benchmarks.validation_faults import FAULTS, PlantedFault
 

@@ -4,7 +4,7 @@
     class Confirm:
         source: Annotated[str, Option("New readings.", argument=True)]
         model: Annotated[Path, Option("Model file of 'diagnose'.", metavar="FOUND")]
-        g: Annotated[float | None, Option("Local gravity, m/s².", metavar="M/S2")] = None
+        g: float | None = option(None, "Local gravity, m/s².", metavar="M/S2")
 
 The command line (`bench.cli.options`), the Python API and the panel's forms are derived from the request. This
 module imports nothing heavy, so that a command's help appears quickly.
@@ -16,8 +16,12 @@ import dataclasses
 import inspect
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Annotated, Any, Final, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Final, TypeVar, get_args, get_origin, get_type_hints
 
+T = TypeVar("T")
+
+OPTION: Final = "option"
+"""The key of an `Option` in the metadata of a request's field."""
 NOT_GIVEN: Final = inspect.Parameter.empty
 ESTIMATORS_TOLD: Final = "The estimators."
 ESTIMATORS_IN_A_BUDGET: Final = "The estimators, in a budget."
@@ -49,6 +53,12 @@ class Option:
     also: str = ""
 
 
+def option(default: T, help: str, **settings: Any) -> T:
+    """Return a request's field with a default, whose `Option` has this help and these settings."""
+    field: T = dataclasses.field(default=default, metadata={OPTION: Option(help, **settings)})
+    return field
+
+
 @dataclass(frozen=True)
 class RequestField:
     """A field of a request; `default` is `NOT_GIVEN` if the field is required."""
@@ -63,11 +73,10 @@ def fields_of(request: type) -> Iterator[RequestField]:
     """Yield the fields of a request class that have an `Option`, in the order of the help."""
     hints = get_type_hints(request, include_extras=True)
     for field in dataclasses.fields(request):
-        hint = hints[field.name]
-        if get_origin(hint) is not Annotated:
-            continue
-        kind, *told = get_args(hint)
-        option = next((one for one in told if isinstance(one, Option)), None)
-        if option is not None:
+        kind, told = hints[field.name], field.metadata.get(OPTION)
+        if get_origin(kind) is Annotated:
+            kind, *others = get_args(kind)
+            told = told or next((one for one in others if isinstance(one, Option)), None)
+        if told is not None:
             default = NOT_GIVEN if field.default is dataclasses.MISSING else field.default
-            yield RequestField(field.name, kind, default, option)
+            yield RequestField(field.name, kind, default, told)

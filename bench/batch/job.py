@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from functools import cache
 from pathlib import Path
 from typing import Any, Final
@@ -81,9 +81,8 @@ class Job:
         if self.model is not None and not Path(self.model).is_file():
             raise Refused(f"--model {self.model}: no such file; check the name")
         model = None if self.model is None else str(Path(self.model).absolute())
-        given = {field.name: getattr(self, field.name) for field in fields(self)}
         effects = tuple(str(Path(file).absolute()) for file in self.effects)
-        return Job(**{**given, "estimator": estimator, "bench": bench, "model": model, "effects": effects})
+        return replace(self, estimator=estimator, bench=bench, model=model, effects=effects)
 
     def differing(self) -> dict[str, Any]:
         """Return the options that differ from their defaults."""
@@ -92,7 +91,7 @@ class Job:
 
     def to_json(self) -> dict[str, Any]:
         """Return the job as the batch stores and compares it: its options and the SHA-256 of each file."""
-        given: dict[str, Any] = {field.name: getattr(self, field.name) for field in fields(self)}
+        given = asdict(self)
         given["population"] = None if self.population is None else list(self.population)
         given["effects"] = [_named(file) for file in self.effects]
         return given | {name: _named(given[name]) for name in ("bench", "model") if given[name]}

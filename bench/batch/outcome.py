@@ -145,7 +145,7 @@ def _result(ask: Ask, folder: Path, noted: Mapping[str, Any]) -> BatchResult:
             "verdicts": {**_flag(ask, "verdict_differs"), "changes": changes},
             "names": _flag(ask, "names_differ") if diagnosis else None,
             "fit": None if diagnosis else _flag(ask, "fit_differs"),
-            "change_in_u": None if diagnosis else _sizes(ask, "largest_change_in_u"),
+            "change_in_u": None if diagnosis else _sizes(ask),
             "u_ratio": None if diagnosis else _ratio(ask),
             "different": _different(ask, diagnosis=diagnosis),
             "failed": _rows(ask, failed),
@@ -166,12 +166,12 @@ def _flag(ask: Ask, name: str) -> dict[str, int]:
     return found
 
 
-def _sizes(ask: Ask, name: str) -> dict[str, Any] | None:
+def _sizes(ask: Ask) -> dict[str, Any] | None:
     (found,) = _rows(
         ask,
-        f"SELECT quantile_cont({name}, 0.5) AS median, quantile_cont({name}, 0.95) AS of_95_percent, "  # noqa: S608
-        f"max({name}) AS most, arg_max(run, {name}) AS most_of, arg_max(largest_change_of, {name}) AS most_in "
-        "FROM changes",
+        "SELECT quantile_cont(c, 0.5) AS median, quantile_cont(c, 0.95) AS of_95_percent, max(c) AS most, "
+        "arg_max(run, c) AS most_of, arg_max(largest_change_of, c) AS most_in "
+        "FROM (SELECT *, largest_change_in_u AS c FROM changes)",
     )
     return None if found["most"] is None else found
 

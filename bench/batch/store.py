@@ -6,7 +6,6 @@ import glob
 import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
@@ -320,8 +319,7 @@ def _write_synced(file: Path, content: Any) -> None:
         written.flush()
         os.fsync(written.fileno())
     half.replace(file)
-    with suppress(OSError):  # not every file system syncs folders
-        sync_folder(file.parent)
+    sync_folder(file.parent)
 
 
 PART_ROWS: Final = 256

@@ -42,7 +42,7 @@ from bench.catalogue.store import (
 from bench.results.catalogue import FolderProblem, SyncResult
 from bench.run.events import EVENTS, MANIFEST
 from bench.run.folder import PLAN
-from bench.services.errors import Refused, reading
+from bench.services.errors import Refused, refusing
 
 if TYPE_CHECKING:
     from sqlalchemy import Connection, Table
@@ -164,7 +164,7 @@ def _seen(roots: Sequence[str], processes: int) -> WalkResult:
     seen = WalkResult()
     now_ns = time.time_ns()
     for root in tracked(roots, "looking for runs"):
-        with reading(root):
+        with refusing("check name and permissions", Path(root), verb="read"):
             found, waiting = scan(root, now_ns, MANY if processes > 1 else None)
         seen.take(found)
         if waiting:

@@ -18,7 +18,7 @@ from typing import ClassVar, Final
 from bench.base.files import read_regular
 from bench.services import chain
 from bench.services.chain import LINES, MADE_FROM, Chain, Entry, first_head, sync_folder
-from bench.services.errors import Refused, reading
+from bench.services.errors import Refused, refusing
 
 __all__ = ["ISSUED", "LINES", "MADE_FROM", "REVOKED", "Entry", "NumberStatus", "Register", "opened"]
 
@@ -81,7 +81,7 @@ class Register(Chain):
             raise Refused(
                 f"{self.folder}: no file {name} was issued; 'bench certificate register' lists the numbers"
             )
-        with reading(self.folder / name):
+        with refusing("check name and permissions", self.folder / name, verb="read"):
             content = read_regular(self.folder / name)
         if hashlib.sha256(content).hexdigest() != stated:
             raise Refused(f"{self.folder / name}: not the issued file; restore it from a copy")

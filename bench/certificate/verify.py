@@ -40,7 +40,7 @@ from bench.results.certificate import RegisterSays, SignerPart, VerifyResult
 from bench.run.events import MANIFEST, RecordError, sha256
 from bench.run.folder import Run, find_run
 from bench.run.seal import Seal
-from bench.services.errors import Refused, reading
+from bench.services.errors import Refused, refusing
 from bench.services.verification import NOTHING_ASKED, VerdictOptions
 
 if TYPE_CHECKING:
@@ -186,7 +186,7 @@ def verify_certificate(file: Path, trust: Path | None, runs: Path, register: Pat
 
 
 def _content(file: Path) -> bytes:
-    with reading(file):
+    with refusing("check name and permissions", file, verb="read"):
         return read_given(file)
 
 

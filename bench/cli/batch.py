@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
@@ -9,48 +10,36 @@ import typer
 
 from bench.base.computing import one_thread
 from bench.cli import printing
-from bench.cli.commands import CommandGroup
-from bench.cli.options import JsonOption, WithEstimators, requested
+from bench.cli.options import JsonOption, WithEstimators, command, group
 from bench.services.requests.documents import Batch, BatchCalibrate, BatchDiagnose, BatchReport
 
 if TYPE_CHECKING:
     from bench.results.batch import BatchResult
 
-GROUP: Final = typer.Typer(
-    name="batch",
-    cls=CommandGroup,
-    no_args_is_help=True,
-    rich_markup_mode=None,
-    epilog="Example: bench batch calibrate --over 'runs/*' --estimator robust --out recomputed",
-    help="Recompute many runs; list the results and verdicts that change.",
-)
+GROUP: Final = group("batch", "bench batch calibrate --over 'runs/*' --estimator robust --out recomputed")
 
 
-@GROUP.command(
-    cls=WithEstimators,
-    epilog="Example: bench batch calibrate --over 'runs/*' --model found.yaml --out recomputed",
+@command(
+    "bench batch calibrate --over 'runs/*' --model found.yaml --out recomputed", to=GROUP, cls=WithEstimators
 )
-@requested
 def calibrate(request: BatchCalibrate, json: JsonOption = None) -> int:
     """Recompute coefficients and verdicts; exit status 1 if a verdict changes or a run fails."""
     return 0 if _carried_out(request, json).accepted(strict=request.strict) else 1
 
 
-@GROUP.command(epilog="Example: bench batch diagnose --over 'runs/2026-*' --out diagnosed")
-@requested
+@command("bench batch diagnose --over 'runs/2026-*' --out diagnosed", to=GROUP)
 def diagnose(request: BatchDiagnose, json: JsonOption = None) -> int:
     """Recompute diagnoses; exit status 1 if a verdict changes or a run fails."""
     return 0 if _carried_out(request, json).accepted(strict=request.strict) else 1
 
 
-@GROUP.command(epilog="Example: bench batch report --over 'runs/*' --rule guarded --out pages")
-@requested
+@command("bench batch report --over 'runs/*' --rule guarded --out pages", to=GROUP)
 def report(request: BatchReport, json: JsonOption = None) -> int:
     """Write reports into the folder of the batch; exit status 1 if a verdict changes or a run fails."""
     return 0 if _carried_out(request, json).accepted() else 1
 
 
-@GROUP.command(epilog="Example: bench batch show recomputed")
+@command("bench batch show recomputed", to=GROUP)
 def show(
     folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder of a batch.")],
     json: JsonOption = None,
@@ -75,6 +64,5 @@ def _carried_out(request: Batch, json: str | None) -> BatchResult:
 
 
 def _told(result: BatchResult, folder: Path, json: str | None) -> BatchResult:
-    result.print_on(printing.console(json=json), folder)
-    printing.write_json([result.to_dict()], json)
+    printing.told(result, json, partial(result.print_on, folder=folder))
     return result

@@ -4,25 +4,17 @@ from __future__ import annotations
 
 from typing import Final
 
-import typer
-
 from bench.cli import printing
-from bench.cli.commands import CommandGroup
-from bench.cli.options import JsonOption, requested
+from bench.cli.options import JsonOption, command, group
 from bench.services.requests.documents import Ask, DueUnits, Sync, Unit
 
-GROUP: Final = typer.Typer(
-    name="catalogue",
-    cls=CommandGroup,
-    no_args_is_help=True,
-    rich_markup_mode=None,
-    epilog="Example: bench catalogue sync runs && bench catalogue ask meter=MY53200001 after=2026-05-03 --of units",
-    help="Search many runs in a database; list the history and due date of units.",
+GROUP: Final = group(
+    "catalogue",
+    "bench catalogue sync runs && bench catalogue ask meter=MY53200001 after=2026-05-03 --of units",
 )
 
 
-@GROUP.command(epilog="Example: bench catalogue sync runs /data/bench-2/runs")
-@requested
+@command("bench catalogue sync runs /data/bench-2/runs", to=GROUP)
 def sync(request: Sync, json: JsonOption = None) -> int:
     """Add new and changed runs to the catalogue; mark deleted ones."""
     from bench.catalogue.store import open_catalogue
@@ -41,10 +33,7 @@ def sync(request: Sync, json: JsonOption = None) -> int:
     return 0
 
 
-@GROUP.command(
-    epilog="Example: bench catalogue ask meter=MY53200001 after=2026-05-03 --of units --csv units.csv"
-)
-@requested
+@command("bench catalogue ask meter=MY53200001 after=2026-05-03 --of units --csv units.csv", to=GROUP)
 def ask(request: Ask, json: JsonOption = None) -> int:
     """List the runs, units, benches, instruments or certificates that meet conditions."""
     from bench.catalogue.questions import answer
@@ -65,8 +54,7 @@ def ask(request: Ask, json: JsonOption = None) -> int:
     return 0
 
 
-@GROUP.command(epilog="Example: bench catalogue unit 17-042 --page unit.html")
-@requested
+@command("bench catalogue unit 17-042 --page unit.html", to=GROUP)
 def unit(request: Unit, json: JsonOption = None) -> int:
     """Show the coefficients of a unit over time, its runs and its due date."""
     from bench.base.files import write_whole
@@ -86,8 +74,7 @@ def unit(request: Unit, json: JsonOption = None) -> int:
     return 0
 
 
-@GROUP.command(epilog="Example: bench catalogue due bench=stand-2 --before 2027-01-01")
-@requested
+@command("bench catalogue due bench=stand-2 --before 2027-01-01", to=GROUP)
 def due(request: DueUnits, json: JsonOption = None) -> int:
     """List the dates when units are due for calibration, earliest first."""
     from bench.catalogue.store import open_catalogue
@@ -104,7 +91,7 @@ def due(request: DueUnits, json: JsonOption = None) -> int:
     return 0
 
 
-@GROUP.command(epilog="Example: bench catalogue keys")
+@command("bench catalogue keys", to=GROUP)
 def keys() -> int:
     """List the keys of conditions and their meaning."""
     from bench.catalogue.questions import KEYS

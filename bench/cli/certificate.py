@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
-import typer
-
 from bench.cli import printing
 from bench.cli.commands import HELP_FLAGS, CommandGroup
-from bench.cli.options import JsonOption, requested
+from bench.cli.options import JsonOption, command, group
 from bench.services.requests.documents import (
     AmendCertificate,
     CheckRegister,
@@ -35,22 +33,18 @@ class IssueByDefault(CommandGroup):
         return list(super().parse_args(ctx, args))
 
 
-GROUP: Final = typer.Typer(
-    name="certificate",
-    cls=IssueByDefault,
-    no_args_is_help=True,
-    rich_markup_mode=None,
-    epilog="Example: bench certificate unit-17 --laboratory laboratory.yaml --order order.yaml "
+GROUP: Final = group(
+    "certificate",
+    "bench certificate unit-17 --laboratory laboratory.yaml --order order.yaml --authorised-by 'A. Example'",
+    IssueByDefault,
+)
+
+
+@command(
+    "bench certificate issue unit-17 unit-18 --laboratory laboratory.yaml --order order.yaml "
     "--authorised-by 'A. Example'",
-    help="Issue, verify, amend, revoke or read certificates.",
+    to=GROUP,
 )
-
-
-@GROUP.command(
-    epilog="Example: bench certificate issue unit-17 unit-18 --laboratory laboratory.yaml --order order.yaml "
-    "--authorised-by 'A. Example'"
-)
-@requested
 def issue(request: IssueCertificates, json: JsonOption = None) -> int:
     """Issue the certificate of a run: NUMBER.pdf and NUMBER.xml in the register's folder."""
     from bench.certificate.life import drafts, issue_all
@@ -78,11 +72,11 @@ def _say_unsigned(request: Issuing) -> None:
         printing.aside("bench: not signed; --key FILE signs it")
 
 
-@GROUP.command(
-    epilog="Example: bench certificate amend 2026-0007 unit-17 --reason 'name of the customer' --laboratory "
-    "laboratory.yaml --order order.yaml --authorised-by 'A. Example'"
+@command(
+    "bench certificate amend 2026-0007 unit-17 --reason 'name of the customer' --laboratory "
+    "laboratory.yaml --order order.yaml --authorised-by 'A. Example'",
+    to=GROUP,
 )
-@requested
 def amend(request: AmendCertificate, json: JsonOption = None) -> int:
     """Issue a certificate with a new number that replaces a valid one."""
     from bench.certificate import life
@@ -96,11 +90,11 @@ def amend(request: AmendCertificate, json: JsonOption = None) -> int:
     return 0
 
 
-@GROUP.command(
-    epilog="Example: bench certificate revoke 2026-0007 --reason 'wrong unit' --laboratory laboratory.yaml "
-    "--authorised-by 'A. Example'"
+@command(
+    "bench certificate revoke 2026-0007 --reason 'wrong unit' --laboratory laboratory.yaml "
+    "--authorised-by 'A. Example'",
+    to=GROUP,
 )
-@requested
 def revoke(request: RevokeCertificate) -> int:
     """Revoke a certificate; its files remain."""
     from bench.certificate import life
@@ -110,8 +104,7 @@ def revoke(request: RevokeCertificate) -> int:
     return 0
 
 
-@GROUP.command(epilog="Example: bench certificate register 2026-0007 --out to-the-customer")
-@requested
+@command("bench certificate register 2026-0007 --out to-the-customer", to=GROUP)
 def register(request: CheckRegister, json: JsonOption = None) -> int:
     """List and check issued certificates; exit status 1 if a record or file was changed."""
     from bench.certificate.life import checked
@@ -127,8 +120,7 @@ def register(request: CheckRegister, json: JsonOption = None) -> int:
     return 1 if result.problems else 0
 
 
-@GROUP.command(epilog="Example: bench certificate verify 2026-0007.pdf --trust laboratory.pem.crt")
-@requested
+@command("bench certificate verify 2026-0007.pdf --trust laboratory.pem.crt", to=GROUP)
 def verify(request: VerifyCertificate, json: JsonOption = None) -> int:
     """Check integrity, signature and validity of a certificate; exit status 1 if any fails."""
     from bench.certificate.laboratory import load_laboratory
@@ -142,8 +134,7 @@ def verify(request: VerifyCertificate, json: JsonOption = None) -> int:
     return 0 if verdict.accepted else 1
 
 
-@GROUP.command(epilog="Example: bench certificate read 2026-0007.xml --out coefficients.json")
-@requested
+@command("bench certificate read 2026-0007.xml --out coefficients.json", to=GROUP)
 def read(request: ReadCertificate, json: JsonOption = None) -> int:
     """Read coefficients with covariance, or an instrument's entry for the bench file, from a certificate."""
     from bench.base.files import to_text, write_whole

@@ -163,6 +163,7 @@ MODULES: Final[Mapping[str, str]] = {
     **dict.fromkeys(("run", "resume", "abort", "control"), "measure"),
     **dict.fromkeys(("chart", "compare", "learn", "monitor", "stability"), "history"),
     **dict.fromkeys(("runs", "show", "seal", "key", "export", "import"), "records"),
+    **dict.fromkeys(("persons", "failures", "validate"), "laboratory"),
     "simulate": "instruments",
 }
 """The module in this package that defines a command, if it is not named after the command."""
@@ -185,6 +186,9 @@ COMMON: Final[Mapping[str, tuple[str, ...]]] = {
 """The commands that `bench --help` lists, by heading."""
 
 _WIDTH: Final = max(len(name) for names in COMMON.values() for name in names)
+
+KNOWN: Final[dict[Any, Any]] = {}
+"""What the library knows of each command, by its function."""
 
 COMPLETED_BY: Final[list[Callable[[Any], Any]]] = []
 """Holds the function that adds the shared options to a command. `bench.cli.options` appends it when it is
@@ -242,20 +246,10 @@ def load_command(name: str) -> Any:
     word = name.replace("-", "_") + "_" * iskeyword(name)
     module = import_module(f"bench.cli.{MODULES.get(name, word)}")
     if hasattr(module, "GROUP"):
-        for info in module.GROUP.registered_commands:
-            _with_help(info)
         group = get_group(module.GROUP)
         for command in group.commands.values():
             COMPLETED_BY[0](command)
         return group
-    mine = {one.callback: one for one in module.app.registered_commands}
-    info = _with_help(mine[getattr(module, word)])
+    info = KNOWN[getattr(module, word)]
     command = get_command_from_info(info, pretty_exceptions_short=True, rich_markup_mode=None)
     return COMPLETED_BY[0](command)
-
-
-def _with_help(info: Any) -> Any:
-    """Return what the library knows of a command, with a class that has the common options first in its help."""
-    if not issubclass(info.cls, BenchCommand):
-        info.cls = BenchCommand
-    return info

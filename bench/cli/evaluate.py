@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Annotated
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
 from bench.base.computing import one_thread
 from bench.cli import printing
-from bench.cli.options import JsonOption, OutOption, StrictFitOption, WithEstimators, app, requested
-from bench.services.errors import Refused
+from bench.cli.options import JsonOption, OutOption, StrictFitOption, WithEstimators, command
+from bench.services.errors import refusing
 from bench.services.requests.evaluation import (
     Accept,
     Calibrate,
@@ -24,17 +26,13 @@ from bench.services.requests.evaluation import (
 )
 
 if TYPE_CHECKING:
-    from bench.services.calibration import CalibrationResult
     from bench.services.diagnosis import Diagnosed
-    from bench.services.record_calibration import RecordCalibrationResult
-    from bench.services.source import Failed
+    from bench.services.source import Failed, Source
+
+T = TypeVar("T")
 
 
-@app.command(
-    cls=WithEstimators,
-    epilog="Example: bench calibrate readings.csv --bench my-bench.yaml --json coefficients.json",
-)
-@requested
+@command("bench calibrate readings.csv --bench my-bench.yaml --json coefficients.json", cls=WithEstimators)
 def calibrate(
     requests: list[Calibrate],
     json: JsonOption = None,
@@ -47,21 +45,14 @@ def calibrate(
     """
     from bench.calibration.estimators import find_estimator
     from bench.services.calibration import calibrated
-    from bench.services.source import done, each, load_each, reading
+    from bench.services.source import done
 
     asked = requests[0]
-    loaded = load_each(reading(asked, *(one.source for one in requests), out=out))
-    printing.bench_files(done(loaded), json)
-    everyone = each(loaded, lambda source: calibrated(asked, source))
+    everyone = _each(requests, lambda source: calibrated(asked, source), json, out)
     otherwise = replace(asked, estimator=find_estimator(asked.estimator).name).otherwise
-    results: list[CalibrationResult | RecordCalibrationResult] = done(everyone)
+    results: list[printing.Calibrated] = done(everyone)
     for result in results:
-        what_if = otherwise or result.source.what_if
-        file = printing.write_result(result.source, "calibrate", result.to_dict(), what_if=what_if)
-        if json == "-":
-            printing.notes_aside(result.notes)
-        else:
-            printing.calibration(result, file)
+        printing.evaluated(result, "calibrate", json, what_if=otherwise)
     printing.write_json([one.to_dict() for one in everyone], json)
     if printing.failed(everyone):
         return 2
@@ -69,40 +60,45 @@ def calibrate(
     return 0 if all(accepted) else 1
 
 
-@app.command(epilog="Example: bench verify unit-17 --coefficients last-year.json")
-@requested
+def _each(
+    requests: Sequence[Calibrate | Verify], work: Callable[[Source], T], json: str | None, out: Path | None
+) -> list[T | Failed]:
+    """Read the source of each request and print its bench file; return the result of `work`, or a `Failed`."""
+    from bench.services.source import done, each, load_each, reading
+
+    loaded = load_each(reading(requests[0], *(one.source for one in requests), out=out))
+    printing.bench_files(done(loaded), json)
+    return each(loaded, work)
+
+
+@command("bench verify unit-17 --coefficients last-year.json")
 def verify(requests: list[Verify], json: JsonOption = None, out: OutOption = None) -> int:
     """Compare Δg at the verification points with the limit.
 
     Exit status 1 unless all points are accepted.
     """
     from bench.services.calibration import verified
-    from bench.services.source import done, each, load_each, reading
+    from bench.services.source import done
     from bench.services.verification import VerdictOptions
 
     asked = requests[0]
     VerdictOptions.of(asked)
-    loaded = load_each(reading(asked, *(one.source for one in requests), out=out))
-    printing.bench_files(done(loaded), json)
-    everyone = each(loaded, lambda source: verified(asked, source))
+    everyone = _each(requests, lambda source: verified(asked, source), json, out)
     results = done(everyone)
     for result in results:
         printing.notes_aside(result.warnings)
     for result in results:
-        what_if = result.source.what_if or asked.coefficients is not None or result.otherwise
-        file = printing.write_result(result.source, "verify", result.to_dict(), what_if=what_if)
-        if json == "-":
-            printing.notes_aside(result.notes)
-        else:
-            printing.verification(result, file)
+        what_if = asked.coefficients is not None or result.otherwise
+        printing.evaluated(result, "verify", json, what_if=what_if)
+        if json != "-":
+            printing.console().print(result.verdict(), style="bold")
     printing.write_json([one.to_dict() for one in everyone], json)
     if printing.failed(everyone):
         return 2
     return 0 if all(result.accepted for result in results) else 1
 
 
-@app.command(epilog="Example: bench report unit-17")
-@requested
+@command("bench report unit-17")
 def report(request: Report, json: JsonOption = None, out: OutOption = None) -> int:
     """Write the report of a run as one HTML page.
 
@@ -118,12 +114,8 @@ def report(request: Report, json: JsonOption = None, out: OutOption = None) -> i
     on = printing.console(json=json)
     printing.bench_files([loaded], json)
     result = result_of(loaded)
-    try:
+    with refusing("choose another place with --out DIR"):
         verdict, page = printing.report(result, on, asked)
-    except OSError as error:
-        raise Refused(
-            f"{error.filename}: the page cannot be written ({error.strerror}); choose another place with --out DIR"
-        ) from error
     if verdict is not None:
         printing.notes_on(on, verdict.sentences)
         on.print(verdict.verdict(), style="bold")
@@ -136,8 +128,7 @@ def report(request: Report, json: JsonOption = None, out: OutOption = None) -> i
     return 0 if result.accepted and (verdict is None or verdict.passed) else 1
 
 
-@app.command(epilog="Example: bench coefficients unit-17 --as c --as px4")
-@requested
+@command("bench coefficients unit-17 --as c --as px4")
 def coefficients(request: Coefficients, json: JsonOption = None, out: OutOption = None) -> int:
     """Write coefficients for other software: JSON, CSV, C, Excel, Kalibr, PX4, ArduPilot."""
     from bench.exchange.forms import print_coefficients
@@ -165,8 +156,7 @@ def coefficients(request: Coefficients, json: JsonOption = None, out: OutOption 
     return 0
 
 
-@app.command(epilog="Example: bench compensate unit-17-over-temperature --reference 23")
-@requested
+@command("bench compensate unit-17-over-temperature --reference 23")
 def compensate(
     request: Compensate, json: JsonOption = None, out: OutOption = None, strict: StrictFitOption = False
 ) -> int:
@@ -193,14 +183,11 @@ def compensate(
     return 0 if found.accepted(strict=strict) else 1
 
 
-@app.command(epilog="Example: bench tumble unit-17-turn-12 --terms K2,K3")
-@requested
+@command("bench tumble unit-17-turn-12 --terms K2,K3")
 def tumble(
     request: Tumble, json: JsonOption = None, out: OutOption = None, strict: StrictFitOption = False
 ) -> int:
     """Fit each axis of a multi-point tumble by IEEE 1293: bias, scale factor, misalignments, K2, K3, Koq."""
-    from pathlib import Path
-
     from bench.readings.centrifuge import read_centrifuge
     from bench.results.tumble import print_tumble
     from bench.services.compensation import terms_in, tumbled
@@ -224,8 +211,7 @@ def tumble(
     return 0 if fits else 1
 
 
-@app.command(epilog="Example: bench diagnose unit-17 --json diagnosis.json")
-@requested
+@command("bench diagnose unit-17 --json diagnosis.json")
 def diagnose(
     request: Diagnose,
     together: Annotated[
@@ -263,8 +249,7 @@ def carried_out(request: Diagnose, target: str | None, *, together: bool) -> lis
     return results
 
 
-@app.command(epilog="Example: bench confirm unit-18 --model runs/unit-17/diagnose-model.yaml")
-@requested
+@command("bench confirm unit-18 --model runs/unit-17/diagnose-model.yaml")
 def confirm(request: Confirm, json: JsonOption = None) -> int:
     """Test a diagnosed model on new readings.
 
@@ -283,10 +268,7 @@ def confirm(request: Confirm, json: JsonOption = None) -> int:
     return 0 if result.confirmed else 1
 
 
-@app.command(
-    epilog="Example: bench accept diagnose/unit-17-model.yaml --name cable_pull --sentence 'the cable pulls'"
-)
-@requested
+@command("bench accept diagnose/unit-17-model.yaml --name cable_pull --sentence 'the cable pulls'")
 def accept(request: Accept) -> int:
     """Name and describe the unnamed terms that a diagnosis found."""
     from bench.services.own_effects import accept_terms

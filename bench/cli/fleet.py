@@ -2,50 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final, TypeVar
+from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
 from bench.cli import printing
-from bench.cli.commands import CommandGroup
-from bench.cli.options import JsonOption, OutOption, requested
+from bench.cli.options import JsonOption, OutOption, command, group
 from bench.services.errors import Refused
 from bench.services.requests.history import Capability, CompareBenches, DriftOfUnit, OfFleet
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from bench.catalogue.values import CoefficientTable
     from bench.history.measured import ComparedCalibrations
-    from bench.results.fleet import FleetResult
 
-    Told = TypeVar("Told", bound=FleetResult)
-
-GROUP: Final = typer.Typer(
-    name="fleet",
-    cls=CommandGroup,
-    no_args_is_help=True,
-    rich_markup_mode=None,
-    epilog="Example: bench fleet effects type='block A' simulated=no",
-    help="Compare many units on many benches: equivalence, priors, drift, CMC.",
-)
+GROUP: Final = group("fleet", "bench fleet effects type='block A' simulated=no")
 
 
-@GROUP.command(epilog="Example: bench fleet effects type='block A' simulated=no --json effects.json")
-@requested
+@command("bench fleet effects type='block A' simulated=no --json effects.json", to=GROUP)
 def effects(request: OfFleet, json: JsonOption = None) -> int:
     """Estimate how much units, benches and time vary; name outliers."""
     from bench.history.bench_or_block import bench_or_block
     from bench.results.fleet import effects_result, print_effects
 
     measured, notes = _measured(request)
-    return _told(effects_result(bench_or_block(measured), notes), print_effects, json)
+    result = effects_result(bench_or_block(measured), notes)
+    return printing.told(result, json, partial(print_effects, result))
 
 
-@GROUP.command(epilog="Example: bench fleet compare unit='block A 17' after=2026-01-01 --out comparison")
-@requested
+@command("bench fleet compare unit='block A 17' after=2026-01-01 --out comparison", to=GROUP)
 def compare(
     request: CompareBenches,
     json: JsonOption = None,
@@ -61,20 +47,19 @@ def compare(
 
     found = compared(_table(request), _method(request.reference))
     result = benches_result(found)
-    on = printing.console(json=json)
-    print_benches(result, on)
-    if out is not None:
-        files = (
+    files = (
+        ()
+        if out is None
+        else (
             ("result", out / "fleet-compare.json", to_text(result.to_dict())),
             ("figure", out / "equivalence.svg", equivalence_figure(found)),
         )
-        printing.write_files(files, on, asked=True)
-    printing.write_json([result.to_dict()], json)
+    )
+    printing.told(result, json, partial(print_benches, result), files)
     return 1 if strict and result.off else 0
 
 
-@GROUP.command(epilog="Example: bench fleet prior type='block A' simulated=no --prior-out block-a.yaml")
-@requested
+@command("bench fleet prior type='block A' simulated=no --prior-out block-a.yaml", to=GROUP)
 def prior(
     request: OfFleet,
     prior_out: Annotated[
@@ -87,47 +72,35 @@ def prior(
     from bench.results.fleet import print_prior, prior_result
 
     measured, notes = _measured(request)
-    result = prior_result(prior_of(measured), notes)
-    on = printing.console(json=json)
-    print_prior(result, on)
+    result, files = prior_result(prior_of(measured), notes), []
     if prior_out is not None:
         import yaml
 
-        from bench.base.files import write_whole
-
         text = yaml.safe_dump(result.to_dict(), sort_keys=False, allow_unicode=True, width=1000)
-        write_whole(prior_out, text)
-        printing.written("prior", prior_out, on)
-    printing.write_json([result.to_dict()], json)
-    return 0
+        files.append(("prior", prior_out, text))
+    return printing.told(result, json, partial(print_prior, result), files)
 
 
-@GROUP.command(epilog="Example: bench fleet drift unit='block A 17' --at 2027-06-01")
-@requested
+@command("bench fleet drift unit='block A 17' --at 2027-06-01", to=GROUP)
 def drift(request: DriftOfUnit, json: JsonOption = None) -> int:
     """Estimate the drift of a unit from its history; predict its coefficients."""
     from bench.history.drift import drift_of_unit
     from bench.results.fleet import drift_result, print_drift
 
     measured, notes = _measured(request)
-    return _told(drift_result(drift_of_unit(measured), request.at, notes), print_drift, json)
+    result = drift_result(drift_of_unit(measured), request.at, notes)
+    return printing.told(result, json, partial(print_drift, result))
 
 
-@GROUP.command(epilog="Example: bench fleet cmc procedure='*paper.yaml' state=finished simulated=no")
-@requested
+@command("bench fleet cmc procedure='*paper.yaml' state=finished simulated=no", to=GROUP)
 def cmc(request: Capability, json: JsonOption = None) -> int:
     """Estimate the laboratory's calibration and measurement capability from its history (ILAC-P14)."""
     from bench.history.capability import capability
     from bench.results.fleet import capability_result, print_capability
 
     measured, notes = _measured(request)
-    return _told(capability_result(capability(measured, request.quantile), notes), print_capability, json)
-
-
-def _told(result: Told, show: Callable[[Told, Console], None], json: str | None) -> int:
-    show(result, printing.console(json=json))
-    printing.write_json([result.to_dict()], json)
-    return 0
+    result = capability_result(capability(measured, request.quantile), notes)
+    return printing.told(result, json, partial(print_capability, result))
 
 
 def _table(request: OfFleet) -> CoefficientTable:

@@ -7,11 +7,11 @@ from typing import Annotated
 import typer
 
 from bench.cli.commands import ask_whole_help
-from bench.cli.options import app
+from bench.cli.options import command
 from bench.services.errors import Refused
 
 
-@app.command("help", epilog="Example: bench help run --all")
+@command("bench help run --all", "help")
 def help(
     ctx: typer.Context,
     command: Annotated[

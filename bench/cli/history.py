@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from bench.cli import printing
-from bench.cli.options import JsonOption, OutOption, app, requested
+from bench.cli.options import JsonOption, OutOption, command
 from bench.services.errors import Refused
 from bench.services.requests.history import Chart, Compare, Learn, Monitor, Stability
 
 
-@app.command(epilog="Example: bench chart runs --bench my-bench.yaml --page chart.html")
-@requested
+@command("bench chart runs --bench my-bench.yaml --page chart.html")
 def chart(
     request: Chart,
     json: JsonOption = None,
@@ -26,23 +26,16 @@ def chart(
 
     Exit status 1 unless the last run is in control.
     """
+    from bench.results.control_chart import render_chart
     from bench.services.check_block import charted
 
     found = charted(request)
-    out = printing.console(json=json)
-    found.print_on(out)
-    if page is not None:
-        from bench.base.files import write_whole
-        from bench.results.control_chart import render_chart
-
-        write_whole(page, render_chart(found))
-        printing.written("page", page, out)
-    printing.write_json([found.to_dict()], json)
+    files = () if page is None else [("page", page, render_chart(found))]
+    printing.told(found.result, json, found.print_on, files)
     return 0 if found.accepted else 1
 
 
-@app.command(epilog="Example: bench compare 2025.json 2026.json unit-17 --strict")
-@requested
+@command("bench compare 2025.json 2026.json unit-17 --strict")
 def compare(
     request: Compare,
     json: JsonOption = None,
@@ -58,16 +51,12 @@ def compare(
     found = compared(request)
     for source, taken in found.taken:
         printing.bench_file(taken.part(), json, source)
-    on = printing.console(json=json)
-    print_compare(found.result, on)
-    if out is not None:
-        printing.write_files(found.files(out), on, asked=True)
-    printing.write_json([found.result.to_dict()], json)
+    files = () if out is None else found.files(out)
+    printing.told(found.result, json, partial(print_compare, found.result), files)
     return 1 if strict and found.result.changed else 0
 
 
-@app.command(epilog="Example: bench learn unit-* --out learned.yaml --expires 180")
-@requested
+@command("bench learn unit-* --out learned.yaml --expires 180")
 def learn(
     request: Learn,
     json: JsonOption = None,
@@ -101,8 +90,7 @@ def learn(
     return 1 if strict and found.learned.contradicting else 0
 
 
-@app.command(epilog="Example: bench monitor day-* --baseline 5 --out monitor")
-@requested
+@command("bench monitor day-* --baseline 5 --out monitor")
 def monitor(request: Monitor, json: JsonOption = None, out: OutOption = None) -> int:
     """Chart runs of few positions over days: bias, scale factor, angle.
 
@@ -113,16 +101,12 @@ def monitor(request: Monitor, json: JsonOption = None, out: OutOption = None) ->
 
     found = monitored(request)
     printing.bench_files(list(found.sources), json)
-    on = printing.console(json=json)
-    print_monitor(found.result, on)
-    if out is not None:
-        printing.write_files(found.files(out), on, asked=True)
-    printing.write_json([found.result.to_dict()], json)
+    files = () if out is None else found.files(out)
+    printing.told(found.result, json, partial(print_monitor, found.result), files)
     return 0 if found.result.in_control else 1
 
 
-@app.command(epilog="Example: bench stability static.csv --size 20e-6 --bench my-bench.yaml")
-@requested
+@command("bench stability static.csv --size 20e-6 --bench my-bench.yaml")
 def stability(request: Stability, json: JsonOption = None, out: OutOption = None) -> int:
     """Compute the Allan deviation and noise terms of a block at rest, and the averaging to use.
 

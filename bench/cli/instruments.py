@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING, Final
 
 from bench.base.files import read_regular
 from bench.cli import printing
-from bench.cli.options import JsonOption, app, requested
-from bench.services.errors import Refused
+from bench.cli.options import JsonOption, command
+from bench.services.errors import Refused, refusing
 from bench.services.requests.measuring import InstrumentsRequest, SimulateRequest
 
 if TYPE_CHECKING:
@@ -31,8 +31,7 @@ _LOOK_S: Final = 0.5
 _CONTROL_TIMEOUT_S: Final = 10.0
 
 
-@app.command(epilog="Example: bench instruments --bench my-bench.yaml")
-@requested
+@command("bench instruments --bench my-bench.yaml")
 def instruments(request: InstrumentsRequest, json: JsonOption = None) -> int:
     """Test all instruments of a bench: identity, self-test, reading."""
     if request.commission:
@@ -148,8 +147,7 @@ def _commission(request: InstrumentsRequest, target: str | None) -> int:
 # --- simulated instruments --------------------------------------------------------------------------
 
 
-@app.command(epilog="Example: bench simulate --bench my-bench.yaml --port 5025 --ready-file ready.json")
-@requested
+@command("bench simulate --bench my-bench.yaml --port 5025 --ready-file ready.json")
 def simulate(request: SimulateRequest) -> int:
     """Serve the simulated instruments of a bench file until Ctrl-C.
 
@@ -273,15 +271,13 @@ def _announced(serving: Serving, ready_file: Path | None) -> Iterator[None]:
     ready = ReadyResult(instruments=served, control=serving.control)
     text = json.dumps(ready.to_dict(), indent=1) + "\n"
     ordinary = not ready_file.exists() or ready_file.is_file()
-    try:
+    with refusing("choose another place", ready_file):
         if ordinary:
             unready = ready_file.with_name(f".{ready_file.name}.{os.getpid()}")
             unready.write_text(text, encoding="utf-8")
             unready.replace(ready_file)
         else:
             ready_file.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise Refused(f"{ready_file}: cannot be written ({error.strerror}); choose another place") from error
     try:
         yield
     finally:

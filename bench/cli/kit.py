@@ -2,31 +2,19 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Final
-
-import typer
 
 from bench.base.text import repeated
 from bench.cli import printing
-from bench.cli.commands import CommandGroup
-from bench.cli.options import JsonOption, OutOption, requested
+from bench.cli.options import JsonOption, OutOption, command, group
 from bench.services.errors import Refused
 from bench.services.requests.documents import EvaluateKit, PlanKit, SealKit
 
-GROUP: Final = typer.Typer(
-    name="kit",
-    cls=CommandGroup,
-    no_args_is_help=True,
-    rich_markup_mode=None,
-    epilog="Example: bench kit plan kit.yaml --laboratory Kyiv --laboratory Graz --laboratory Brno",
-    help="Compare laboratories by a travelling block: plan, sealed results, report.",
-)
+GROUP: Final = group("kit", "bench kit plan kit.yaml --laboratory Kyiv --laboratory Graz --laboratory Brno")
 
 
-@GROUP.command(
-    epilog="Example: bench kit plan kit.yaml --laboratory Kyiv --laboratory Graz --laboratory Brno"
-)
-@requested
+@command("bench kit plan kit.yaml --laboratory Kyiv --laboratory Graz --laboratory Brno", to=GROUP)
 def plan(request: PlanKit) -> int:
     """Plan the route of the block, its transport checks, and a blind code for each stop."""
     from bench.certificate.interlaboratory import CHECK, plan_kit, write_kit
@@ -43,8 +31,7 @@ def plan(request: PlanKit) -> int:
     return 0
 
 
-@GROUP.command(epilog="Example: bench kit seal kit.yaml Q7FA=kyiv.json")
-@requested
+@command("bench kit seal kit.yaml Q7FA=kyiv.json", to=GROUP)
 def seal(request: SealKit) -> int:
     """Note the seal (SHA-256) of each result, before any is opened."""
     from bench.certificate.interlaboratory import load_kit, sealed, write_kit
@@ -56,8 +43,7 @@ def seal(request: SealKit) -> int:
     return 0
 
 
-@GROUP.command(epilog="Example: bench kit evaluate kit.yaml Q7FA=kyiv.json 9HLM=graz.xml … --out report")
-@requested
+@command("bench kit evaluate kit.yaml Q7FA=kyiv.json 9HLM=graz.xml … --out report", to=GROUP)
 def evaluate(request: EvaluateKit, json: JsonOption = None, out: OutOption = None) -> int:
     """Judge each laboratory against the consensus of the others, in the nine numbers.
 
@@ -67,11 +53,8 @@ def evaluate(request: EvaluateKit, json: JsonOption = None, out: OutOption = Non
     from bench.results.interlaboratory import print_kit
 
     result = evaluate_kit(load_kit(request.plan), _by_code(request.results), request.g)
-    on = printing.console(json=json)
-    print_kit(result, on)
-    if out is not None:
-        printing.write_files(files_of(result, out), on, asked=True)
-    printing.write_json([result.to_dict()], json)
+    files = () if out is None else files_of(result, out)
+    printing.told(result, json, partial(print_kit, result), files)
     return 0 if result.accepted else 1
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from bench.base.languages import message
 from bench.cli import printing
-from bench.cli.options import JsonOption, app, requested
+from bench.cli.options import JsonOption, command
 from bench.services.errors import Refused
 from bench.services.requests.measuring import ResumeRequest, RunRequest
 from bench.services.requests.records import AbortRun, ControlRun
@@ -26,8 +26,7 @@ if TYPE_CHECKING:
     from bench.services.execution import NewRun
 
 
-@app.command(epilog="Example: bench run calibration --bench my-bench.yaml --name unit-17")
-@requested
+@command("bench run calibration --bench my-bench.yaml --name unit-17")
 def run(request: RunRequest, json: JsonOption = None) -> int:
     """Run a procedure, then calibrate, verify and report.
 
@@ -64,8 +63,7 @@ def _measured(request: RunRequest, json: str | None) -> tuple[Run, int]:
         return done, _results(done, interrupts, json, out)
 
 
-@app.command(epilog="Example: bench resume unit-17")
-@requested
+@command("bench resume unit-17")
 def resume(request: ResumeRequest, json: JsonOption = None) -> int:
     """Resume an interrupted run at the first point without a reading.
 
@@ -105,8 +103,7 @@ def _results(run: Run, interrupts: Interrupts, json: str | None, out: Console) -
     return 0 if found.accepted else 1
 
 
-@app.command(epilog="Example: bench abort unit-17")
-@requested
+@command("bench abort unit-17")
 def abort(request: AbortRun) -> int:
     """End an interrupted run for good; its record is kept."""
     from bench.services.execution import give_up, unfinished_run
@@ -121,8 +118,7 @@ def abort(request: AbortRun) -> int:
     return 0
 
 
-@app.command(epilog='Example: bench control unit-17 skip "the cable came loose"')
-@requested
+@command('bench control unit-17 skip "the cable came loose"')
 def control(request: ControlRun) -> int:
     """Pause, continue, skip or stop a run that another program carries out.
 

@@ -24,7 +24,7 @@ from bench.base.requests import (
     fields_of,
 )
 from bench.cli import completing
-from bench.cli.commands import COMPLETED_BY, MORE, BenchCommand, Commands
+from bench.cli.commands import COMMANDS, COMPLETED_BY, KNOWN, MORE, BenchCommand, CommandGroup, Commands
 from bench.config.devices import FOLDERS
 from bench.services.errors import Refused
 
@@ -146,6 +146,18 @@ app = typer.Typer(
 )
 
 
+def group(name: str, example: str, cls: type[CommandGroup] = CommandGroup) -> typer.Typer:
+    """Return the object to which a group of commands is added; `COMMANDS` has its help."""
+    return typer.Typer(
+        name=name,
+        cls=cls,
+        no_args_is_help=True,
+        rich_markup_mode=None,
+        epilog=f"Example: {example}",
+        help=COMMANDS[name],
+    )
+
+
 class WithEstimators(BenchCommand):
     """A command whose help names the estimators; they are looked up only for the help, because that takes a
     second.
@@ -225,7 +237,7 @@ def _requests(hints: dict[str, Any]) -> Any:
 
 def _parameter(field: RequestField, *, several: bool) -> inspect.Parameter:
     option = field.option
-    kind: Any = option.typed or field.type
+    kind: Any = option.typed or (Path | None if field.type == str | Path | None else field.type)
     common: dict[str, Any] = {"help": option.help, "metavar": option.metavar, "envvar": option.environment}
     if option.completes is not None:
         common["autocompletion"] = getattr(completing, option.completes)
@@ -271,3 +283,21 @@ def _flags(field: RequestField) -> tuple[str, ...]:
     name = field.name.replace("_", "-")
     on = field.type is bool and field.default is True
     return (f"--{name}/--no-{name}",) if on else (f"--{name}",)
+
+
+def command(
+    example: str, name: str | None = None, *, to: typer.Typer = app, cls: type[BenchCommand] = BenchCommand
+) -> Callable[[Callable[..., int]], Callable[..., int]]:
+    """Return a decorator that makes a function a command, with an example in its help.
+
+    Its options are the parameters of the function, and the fields of its request if it has one.
+    """
+
+    def entered(function: Callable[..., int]) -> Callable[..., int]:
+        with_request = any(_requests(get_type_hints(function, include_extras=True)))
+        whole = requested(function) if with_request else function
+        to.command(name, cls=cls, epilog=f"Example: {example}")(whole)
+        KNOWN[whole] = to.registered_commands[-1]
+        return whole
+
+    return entered

@@ -5,14 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 from bench.cli import printing
-from bench.cli.options import app, requested
+from bench.cli.options import command
 from bench.services.errors import Refused
 from bench.services.requests.documents import PeopleCommand, ServePanel
 from bench.services.requests.shared import runs_folder
 
 
-@app.command(epilog="Example: bench panel, or: bench panel token anna --role operator")
-@requested
+@command("bench panel, or: bench panel token anna --role operator")
 def panel(request: ServePanel) -> int:
     """Serve the operator's panel in a browser.
 

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from bench.cli import printing
-from bench.cli.options import JsonOption, OutOption, WithEstimators, app, devices_given, requested
-from bench.services.errors import Refused
+from bench.cli.options import JsonOption, OutOption, WithEstimators, command, devices_given
+from bench.services.errors import Refused, refusing
 from bench.services.requests.planning import Budget, Check, Init, PlanPoints, Require
 
 if TYPE_CHECKING:
@@ -20,8 +20,7 @@ if TYPE_CHECKING:
     from bench.results.check import Findings
 
 
-@app.command(epilog="Example: bench check calibration --bench my-bench.yaml")
-@requested
+@command("bench check calibration --bench my-bench.yaml")
 def check(
     request: Check,
     json: JsonOption = None,
@@ -84,17 +83,14 @@ def _offer_dry_run(found: Findings, request: Check) -> None:
         printing.console().print(f"no mistakes found; try it with: {words}")
 
 
-@app.command(epilog="Example: bench init my-lab")
-@requested
+@command("bench init my-lab")
 def init(request: Init) -> int:
     """Copy the shipped procedures and bench files, to edit them."""
     from bench.config.shipped import copy_shipped
 
     folder = request.folder
-    try:
+    with refusing("choose another folder", folder):
         copied = copy_shipped(folder)
-    except OSError as error:
-        raise Refused(f"{folder}: cannot be written ({error.strerror}); choose another folder") from error
     out = printing.console()
     for path in copied:
         out.print(f"wrote {path}")
@@ -103,11 +99,7 @@ def init(request: Init) -> int:
     return 0
 
 
-@app.command(
-    cls=WithEstimators,
-    epilog="Example: bench budget paper --bench my-bench.yaml --estimator closed-form",
-)
-@requested
+@command("bench budget paper --bench my-bench.yaml --estimator closed-form", cls=WithEstimators)
 def budget(request: Budget, json: JsonOption = None, out: OutOption = None) -> int:
     """Compute what each error of the bench contributes to coefficients and accelerations.
 
@@ -139,11 +131,7 @@ def _write_page(folder: Path, found: BudgetResult, out: Console) -> None:
             printing.written("figure", file, out)
 
 
-@app.command(
-    cls=WithEstimators,
-    epilog="Example: bench require paper --accuracy 3e-4 --estimator closed-form",
-)
-@requested
+@command("bench require paper --accuracy 3e-4 --estimator closed-form", cls=WithEstimators)
 def require(request: Require, json: JsonOption = None) -> int:
     """Compute how large each error of the bench may be for a required accuracy.
 
@@ -154,13 +142,11 @@ def require(request: Require, json: JsonOption = None) -> int:
 
         found = requirements(request)
     printing.bench_file(found.result.bench_file, json)
-    found.print_on(printing.console(json=json))
-    printing.write_json([found.result.to_dict()], json)
+    printing.told(found.result, json, found.print_on)
     return 0 if found.result.kept else 1
 
 
-@app.command("plan-points", epilog="Example: bench plan-points --u all=1.2e-4 --out procedures/short.yaml")
-@requested
+@command("bench plan-points --u all=1.2e-4 --out procedures/short.yaml", "plan-points")
 def plan_points(request: PlanPoints, json: JsonOption = None) -> int:
     """Find test points that reach an uncertainty in the least bench time.
 
@@ -171,6 +157,5 @@ def plan_points(request: PlanPoints, json: JsonOption = None) -> int:
 
         found = planned(request)
     printing.bench_file(found.result.bench_file, json)
-    found.print_on(printing.console(json=json))
-    printing.write_json([found.result.to_dict()], json)
+    printing.told(found.result, json, found.print_on)
     return 1 if found.result.reached is False else 0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import timedelta
 from pathlib import Path
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
+    from bench.base.result_model import ResultModel
     from bench.results.parts import BenchPart
     from bench.services.calibration import CalibrationResult
     from bench.services.record_calibration import RecordCalibrationResult
@@ -82,6 +83,20 @@ def write_json(results: list[dict[str, Any]], target: str | None) -> None:
         sys.stdout.write(text)
     else:
         write_whole(Path(target), text)
+
+
+def told(
+    result: ResultModel,
+    json: str | None,
+    show: Callable[[Console], None],
+    files: Iterable[tuple[str, Path, str | bytes]] = (),
+) -> int:
+    """Print a result by `show`, write its derived `files`, then its JSON; return the exit status 0."""
+    out = console(json=json)
+    show(out)
+    write_files(files, out, asked=True)
+    write_json([result.to_dict()], json)
+    return 0
 
 
 def failed(results: Sequence[object]) -> bool:
@@ -170,21 +185,18 @@ def bench_files(sources: Sequence[Source], json: str | None) -> None:
 # --- results that several commands print ------------------------------------------------------------
 
 
-def calibration(result: Calibrated, file: Path | None, out: Console | None = None) -> None:
-    """Print the coefficients, the noise, the fit, and the file of the result if it was written."""
-    out = out or console()
+def evaluated(
+    result: Calibrated | VerificationResult, command: str, json: str | None, *, what_if: bool
+) -> None:
+    """Write the result of a command for a source and print it; with `--json -`, print only the notes on it."""
+    file = write_result(result.source, command, result.to_dict(), what_if=what_if or result.source.what_if)
+    if json == "-":
+        notes_aside(result.notes)
+        return
+    out = console()
     result.print_on(out)
     if file is not None:
         written("result", file, out)
-
-
-def verification(result: VerificationResult, file: Path | None, out: Console | None = None) -> None:
-    """Print Δg at each verification point and the verdict."""
-    out = out or console()
-    result.print_on(out)
-    if file is not None:
-        written("result", file, out)
-    out.print(result.verdict(), style="bold")
 
 
 def report(

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from bench.cli import printing
-from bench.cli.options import JsonOption, app, requested
+from bench.cli.options import JsonOption, command
 from bench.services.requests.records import (
     ExportReadings,
     ImportReadings,
@@ -22,8 +22,7 @@ if TYPE_CHECKING:
     from bench.services.bench_selection import BenchTaken
 
 
-@app.command(epilog="Example: bench runs")
-@requested
+@command("bench runs")
 def runs(request: ListRuns, json: JsonOption = None) -> int:
     """List the runs, their states and how to continue."""
     from bench.services.records import run_summaries
@@ -36,8 +35,7 @@ def runs(request: ListRuns, json: JsonOption = None) -> int:
     return 0
 
 
-@app.command(epilog="Example: bench show unit-17 --verify")
-@requested
+@command("bench show unit-17 --verify")
 def show(request: ShowRun, json: JsonOption = None) -> int:
     """Show the inputs, events and readings of a run."""
     from bench.run.folder import find_run
@@ -51,8 +49,7 @@ def show(request: ShowRun, json: JsonOption = None) -> int:
     return 1 if result.problems else 0
 
 
-@app.command(epilog="Example: bench seal unit-17 --key ~/.bench-keys/laboratory.pem")
-@requested
+@command("bench seal unit-17 --key ~/.bench-keys/laboratory.pem")
 def seal(request: SealRun, json: JsonOption = None) -> int:
     """Seal a run that has ended: sign its record and stamp the time."""
     from bench.services.records import seal_run
@@ -71,8 +68,7 @@ def seal(request: SealRun, json: JsonOption = None) -> int:
     return 1 if sealed.no_time_stamp else 0
 
 
-@app.command(epilog="Example: bench key ~/.bench-keys/laboratory.pem")
-@requested
+@command("bench key ~/.bench-keys/laboratory.pem")
 def key(request: MakeKey) -> int:
     """Make the key of the laboratory that signs seals, or one that signs certificates."""
     from bench.run.seal import new_key
@@ -94,8 +90,7 @@ def key(request: MakeKey) -> int:
     return 0
 
 
-@app.command(epilog="Example: bench export unit-17")
-@requested
+@command("bench export unit-17")
 def export(request: ExportReadings) -> int:
     """Write the readings of a run as a readings file."""
     from bench.services.conclusion import export_readings
@@ -110,8 +105,7 @@ def export(request: ExportReadings) -> int:
     return 0
 
 
-@app.command("import", epilog="Example: bench import readings.csv --name unit-17-by-hand")
-@requested
+@command("bench import readings.csv --name unit-17-by-hand", "import")
 def import_(request: ImportReadings) -> int:
     """Import a readings file that was measured elsewhere as a run."""
     from bench.services.conclusion import import_readings, preview_log

@@ -130,10 +130,7 @@ def _reached(chooser: Chooser, standing: Standing, stated: float) -> tuple[Reach
     visits = Visits(rows, goals, task.done, task.done, task.done)
     if not visits.determined:
         return ()
-    return tuple(
-        Reached(w.name, float(np.sqrt(v)), w.goal.asked, w.goal.unit)
-        for w, v in zip(chooser.aim.wanted, visits.variances, strict=True)
-    )
+    return chooser.aim.reached(visits.variances)
 
 
 def _freedom(done: Counter[Site]) -> tuple[int, int]:
@@ -193,7 +190,8 @@ def scale_of(stand: Stand, readings: Readings) -> NoiseScale:
         return NoiseScale()
     rows, problem = whitened(stand, own.conditions())
     left = own.signal - problem.predict(stand.block, problem.prior_mean)
-    response = whitened_response(stand, left, problem.slope(stand.block, problem.prior_mean))
+    slope = problem.slope(stand.block, problem.prior_mean)
+    response = whiten(left[:, :, None], slope, stand.noise)[:, :, 0]
     matrix = rows.reshape(-1, rows.shape[2])
     prior = np.eye(rows.shape[2])[FIXED:]
     whole = np.vstack([matrix, prior])
@@ -202,11 +200,6 @@ def scale_of(stand: Stand, readings: Readings) -> NoiseScale:
     misfit = target - whole @ solution
     rank = int(np.linalg.matrix_rank(matrix[:, :FIXED], tol=1e-9 * float(np.linalg.norm(matrix))))
     return NoiseScale(float(misfit @ misfit), max(matrix.shape[0] - rank, 0))
-
-
-def whitened_response(stand: Stand, left: Floats, slope: Floats) -> Floats:
-    """Return residuals (n, 3), V, whitened by the stand's noise like the derivatives `slope`."""
-    return np.asarray(whiten(left[:, :, None], slope, stand.noise)[:, :, 0])
 
 
 REACHED: Final = "reached"
@@ -447,10 +440,8 @@ class Chooser:
         """Return the reason to stop, or an empty string."""
         if not np.any(task.left):
             return REACHED if self._is_reached(standing) else USED_UP
-        repeats = int(np.sum(np.maximum(task.done - 1, 0)))
-        if self._is_reached(standing) and repeats >= task.least_repeats() and not standing.apart:
-            return REACHED
-        return ""
+        enough_repeats = task.repeats_done >= task.least_repeats()
+        return REACHED if self._is_reached(standing) and enough_repeats and not standing.apart else ""
 
     def _is_reached(self, standing: Standing) -> bool:
         return bool(standing.reached) and all(one.ratio <= 1.0 for one in standing.reached)
@@ -482,20 +473,24 @@ class Chooser:
             number,
             points,
             self._passed_over(standing, number, points[-1].last) - kept,
-            "",
-            standing.worst,
-            int(task.done.sum()),
-            int(np.sum(np.maximum(task.done - 1, 0))),
-            self._rest_s(standing),
-            kept if number == standing.visit else frozenset(),
-            self._foreseen(expected, task.done + more),
-            self._foreseen(expected, design.counts),
-            int((design.counts - task.done).sum()),
-            design.time_s + self._rest_s(standing),
-            next_s,
-            self.pool.end,
+            stop="",
+            **self._so_far(standing, task),
+            taken_up=kept if number == standing.visit else frozenset(),
+            after=self._foreseen(expected, task.done + more),
+            end=self._foreseen(expected, design.counts),
+            more=int((design.counts - task.done).sum()),
+            more_s=design.time_s + self._rest_s(standing),
+            next_s=next_s,
+            pool_end=self.pool.end,
             telling_apart=bool(standing.apart & {standing.site_of(point) for point in points}),
         )
+
+    def _so_far(self, standing: Standing, task: DesignTask) -> dict[str, Any]:
+        """Return the members of `NextPoints` on the points measured so far."""
+        return {
+            "now": standing.worst, "settings": int(task.done.sum()), "repeats": task.repeats_done,
+            "rest_s": self._rest_s(standing),
+        }  # fmt: skip
 
     def _passed_over(self, standing: Standing, number: int, last: int) -> frozenset[int]:
         """Return the unmeasured steps before step `last` in the visits up to `number`."""
@@ -516,29 +511,13 @@ class Chooser:
         visits = Visits(task.candidates, task.goals, counts, counts, counts)
         if not visits.determined:
             return None
-        u: Floats = np.sqrt(visits.variances)
-        return max(
-            (
-                Reached(w.name, float(size), w.goal.asked, w.goal.unit)
-                for w, size in zip(self.aim.wanted, u, strict=True)
-            ),
-            key=lambda one: one.ratio,
-        )
+        return max(self.aim.reached(visits.variances), key=lambda one: one.ratio)
 
     def _no_more(self, standing: Standing, task: DesignTask, stop: str) -> NextPoints:
-        left = {s for p in self.pool.points if p.steps[0] not in standing.taken for s in p.steps}
-        for visit in self.pool.visits[standing.visit + 1 :]:
-            left.update(visit.steps)
+        left = self._passed_over(standing, len(self.pool.visits), self.pool.end)
+        not_needed = self.pool.count - sum(standing.done.values())
         return NextPoints(
-            standing.visit,
-            (),
-            frozenset(left),
-            stop,
-            standing.worst,
-            int(task.done.sum()),
-            int(np.sum(np.maximum(task.done - 1, 0))),
-            self._rest_s(standing),
-            not_needed=self.pool.count - sum(standing.done.values()),
+            standing.visit, (), left, stop, **self._so_far(standing, task), not_needed=not_needed
         )
 
 

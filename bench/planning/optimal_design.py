@@ -427,13 +427,6 @@ class Stand:
         """Return the number of unknowns of a fit to readings in `mounts` mountings."""
         return FIXED + mounts * sum(name in STAND_ANGLES and u > 0 for name, u in self.sizes.items())
 
-    def covariance(self, settings: Sequence[Setting]) -> Floats:
-        """Return the covariance (12, 12) that `bench calibrate` will state for readings at these settings.
-
-        Raises `CalibrationError` if the settings do not determine the coefficients.
-        """
-        return self.promise(settings, ()).combined
-
     def promise(self, settings: Sequence[Setting], goals: Sequence[Goal]) -> Promise:
         """Return the uncertainties of coefficients and goals that `bench calibrate` will state for these settings.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Final, NamedTuple
@@ -235,6 +235,13 @@ class Aim:
     wanted: tuple[UntilGoal, ...]
     limit_s: float | None = None
 
+    def reached(self, variances: Iterable[float]) -> tuple[Reached, ...]:
+        """Return the progress towards each goal, from the variance of each."""
+        return tuple(
+            Reached(one.name, float(np.sqrt(variance)), one.goal.asked, one.goal.unit)
+            for one, variance in zip(self.wanted, variances, strict=True)
+        )
+
 
 @dataclass(frozen=True)
 class Reached:
@@ -439,6 +446,11 @@ class DesignTask:
         """The sites as candidates, with derivatives in units of the noise; the stand's angles keep their priors."""
         return SettingPool(self.grid.rows / self.scale)
 
+    @property
+    def repeats_done(self) -> int:
+        """The number of visits done that repeat an earlier one."""
+        return int(np.sum(np.maximum(self.done - 1, 0)))
+
     def time_s(self, counts: Ints) -> float:
         """Return the time of the visits in `counts` (c,) that are not done yet, including mountings, s."""
         more = counts - self.done
@@ -457,7 +469,6 @@ class VisitDesign:
     counts: Ints
     reached: bool
     time_s: float
-    variances: Floats
 
 
 def enough(task: DesignTask) -> VisitDesign:
@@ -495,7 +506,7 @@ def _within(task: DesignTask, ahead: Sequence[Mounting], chosen: Sequence[Mounti
             design, _greedy(task, most, repeats, wide=False), key=lambda one: task.time_s(one.counts)
         )
     time_s = task.time_s(design.counts)
-    return None if time_s > task.limit_s else VisitDesign(design.counts, True, time_s, design.variances)
+    return None if time_s > task.limit_s else VisitDesign(design.counts, True, time_s)
 
 
 def _greedy(task: DesignTask, most: Ints, repeats: int, *, wide: bool) -> Visits:
@@ -517,8 +528,7 @@ def _all_of(task: DesignTask) -> VisitDesign:
     """Return all remaining visits, or the best visits and repeats that the time allows."""
     most = task.done + task.left
     if task.time_s(most) <= task.limit_s:
-        whole = Visits(task.candidates, task.goals, most, task.done, most)
-        return VisitDesign(most, False, task.time_s(most), whole.variances)
+        return VisitDesign(most, False, task.time_s(most))
     design = Visits(task.candidates, task.goals, task.done, task.done, most)
     needed = -(-(len(design.covariance()) + FIXED) // 3)
     while not design.is_full:
@@ -529,4 +539,4 @@ def _all_of(task: DesignTask) -> VisitDesign:
         if task.time_s(design.counts) > task.limit_s:
             design.counts = before
             break
-    return VisitDesign(design.counts, False, task.time_s(design.counts), design.variances)
+    return VisitDesign(design.counts, False, task.time_s(design.counts))

@@ -24,7 +24,7 @@ from bench.calibration.budget.propagation import correlation_of, coverage_factor
 from bench.calibration.conformity import DecisionRule
 from bench.model.geometry import COEFFICIENTS
 from bench.results import tables
-from bench.results.parts import BenchPart
+from bench.results.parts import BenchPart, by_coefficient, by_name
 from bench.results.plots import BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILION, drawn, svg_figure, symbol
 from bench.results.tables import Row, page
 from bench.results.verification import rule_in_words
@@ -213,19 +213,12 @@ def budget_result(
         g_m_s2=g_m_s2,
         readings=ReadingCounts(fitted=int(setup.fitted.sum()), verification=int(setup.verification.sum())),
         estimator=budget.estimator,
-        order=list(COEFFICIENTS),
+        order=COEFFICIENTS,
         probability=budget.probability,
-        coefficients={
-            name: CoefficientPart(
-                value=total.value[i],
-                u=total.u[i],
-                dof=total.dof[i],
-                k=factor[i],
-                U=factor[i] * total.u[i],
-                by_source={c.source.name: c.u[i] for c in contributions},
-            )
-            for i, name in enumerate(COEFFICIENTS)
-        },
+        coefficients=by_coefficient(
+            CoefficientPart, total, k=factor, U=factor * total.u,
+            by_source=[{c.source.name: c.u[i] for c in contributions} for i in range(len(COEFFICIENTS))],
+        ),
         covariance=total.covariance,
         correlation=total.correlation,
         per_local_g=CovariancePart.from_object(budget.per_local_g),
@@ -237,19 +230,19 @@ def budget_result(
         acceleration=AccelerationPart(
             range_g=question.range_g,
             same_voltmeters=question.same_voltmeters,
-            magnitudes=list(found.accelerations),
+            magnitudes=found.accelerations,
         ),
         verification=VerificationPart.model_validate(
             {
                 **question.rule.to_json(),
                 "limit_g": question.limit_g,
                 "capable": found.capable,
-                "points": list(found.points),
+                "points": found.points,
             }
         ),
         monte_carlo=None if found.exact is None else _monte_carlo_part(found.exact),
-        notes=list(found.notes),
-    )
+        notes=found.notes,
+    )  # fmt: skip
 
 
 def _source_part(contribution: Contribution) -> SourcePart:
@@ -267,26 +260,13 @@ def _source_part(contribution: Contribution) -> SourcePart:
 
 def _monte_carlo_part(exact: ExactResult) -> MonteCarloPart:
     trials, linear, verdict = exact.trials, exact.linear, exact.verdict
-    return MonteCarloPart(
-        trials=trials.trials,
-        probability=trials.probability,
-        digits=DIGITS,
-        covariance=trials.covariance,
-        outputs={
-            name: OutputPart(
-                mean=trials.mean[i],
-                u=trials.u[i],
-                u_linear=linear.u[i],
-                ratio=verdict.ratio[i],
-                interval=trials.symmetric[i],
-                shortest=trials.shortest[i],
-                differences=[verdict.low[i], verdict.high[i]],
-                tolerance=verdict.tolerance[i],
-                validated=verdict.validated[i],
-            )
-            for i, name in enumerate(exact.names)
-        },
-        validated=np.all(verdict.validated),
+    outputs = by_name(
+        exact.names, OutputPart, verdict, mean=trials.mean, u=trials.u, u_linear=linear.u,
+        interval=trials.symmetric, shortest=trials.shortest,
+        differences=np.column_stack([verdict.low, verdict.high]).tolist(),
+    )  # fmt: skip
+    return MonteCarloPart.from_object(
+        trials, digits=DIGITS, outputs=outputs, validated=np.all(verdict.validated)
     )
 
 

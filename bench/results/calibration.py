@@ -38,10 +38,11 @@ from bench.results.parts import (
     UnitPart,
     ValuePart,
     by_channel,
+    by_coefficient,
+    by_name,
     coefficient_unit,
     fit_in_words,
     uncertainty_source,
-    values_with_u,
 )
 
 
@@ -273,18 +274,13 @@ class CalibrateResult(ResultModel):
 
 def calibrate_result(found: Calibration, **made_from: Any) -> CalibrateResult:
     """Return the result of a calibration; `made_from` are the members from `source` on."""
-    rows = (found.block.vector, found.u, found.u_readings, found.U, found.dof)
-    columns = zip(COEFFICIENTS, *(row.tolist() for row in rows), strict=True)
     return CalibrateResult.from_object(
         found,
         per="g",
-        coefficients={
-            name: {"value": value, "u": u, "u_readings": own, "U": U, "k": COVERAGE_FACTOR, "dof": dof}
-            for name, value, u, own, U, dof in columns
-        },
+        coefficients=by_coefficient(CoefficientPart, found, value=found.block.vector, k=COVERAGE_FACTOR),
         coefficients_per_ms2=_per_ms2(found),
         **joint_members(found),
-        order=list(COEFFICIENTS),
+        order=COEFFICIENTS,
         block_terms=found.block_terms.T,
         sources=[uncertainty_source(source) for source in found.sources],
         not_observable=found.assumed,
@@ -301,7 +297,8 @@ def _per_ms2(found: Calibration) -> dict[str, Any]:
     """Return K in unit/(m/s²), calculated from K per g and local g, with the uncertainty of both."""
     values = found.block.vector[:9]
     u = np.hypot(found.u[:9], values * found.gravity_u) / found.g_m_s2
-    return {"unit": f"{found.unit}/(m/s^2)", **values_with_u(values / found.g_m_s2, u)}
+    rows = by_name(COEFFICIENTS[:9], ValuePart, value=values / found.g_m_s2, u=u)
+    return {"unit": f"{found.unit}/(m/s^2)", **rows}
 
 
 def _noise(found: Calibration) -> NoisePart:

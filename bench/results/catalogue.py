@@ -198,16 +198,13 @@ class UnitResult(ResultModel):
 
 def due_part(found: Due) -> DuePart:
     """Return the part of the result on the due date of a unit."""
-    return DuePart(
+    return DuePart.from_object(
+        found,
         due=str(found.date.astype("datetime64[D]")),
-        basis=found.basis,
-        why=found.why,
         last=str(found.last.astype("datetime64[D]")),
         calibrations=found.count,
-        limit_g=found.limit_g,
         error_at_last_g=found.now_g,
         error_when_due_g=found.predicted_g,
-        simulated=found.simulated,
     )
 
 

@@ -127,16 +127,14 @@ class Findings:
 def observability_part(outlook: Outlook) -> ObservabilityPart:
     """Return the part of a result on the coefficients and stand errors that planned readings determine."""
     found = outlook.found
-    return ObservabilityPart(
-        rank=found.rank,
+    return ObservabilityPart.from_object(
+        found,
         unknowns=found.columns,
-        determined=list(found.determined),
-        undetermined=list(found.undetermined),
         directions=[
             DirectionPart(kind=d.kind.name.lower(), text=d.text(), members=dict(d.members))
             for d in found.directions
         ],
-        remedies=[RemedyPart.from_object(remedy) for remedy in outlook.remedies],
+        remedies=outlook.remedies,
     )
 
 

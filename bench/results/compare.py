@@ -10,6 +10,7 @@ from pydantic import Field
 from rich.console import Console
 from rich.table import Table
 
+from bench.base.arrays import Floats
 from bench.base.numbers import fixed, places, probability, quantity
 from bench.base.result_model import Real, ResultModel
 from bench.base.tables import print_notes, table
@@ -121,8 +122,8 @@ def compare_result(found: Comparison, bench: Sequence[BenchOfSource]) -> Compare
         g_m_s2=nine.first.g_m_s2,
         compared=[_changes(own, other) for own, other in zip(nine.changes, beside, strict=True)],
         p_constant_intrinsic=nine.p_constant,
-        p_constant=None if twelve is None else twelve.p_constant,
-        drift=None if twelve is None else _lines(twelve),
+        p_constant=twelve and twelve.p_constant,
+        drift=twelve and _lines(twelve),
         drift_intrinsic=_lines(nine),
         changed=found.changed,
         notes=list(found.notes),
@@ -139,35 +140,20 @@ def _changes(nine: Changes, twelve: Changes | None) -> ChangesPart:
     return ChangesPart(
         **_of_block(nine.later),
         intrinsic=NineChangesPart(
-            values=_rows(INTRINSIC, nine), chi2=nine.chi2, dof=len(INTRINSIC), p=nine.p
+            values=by_name(INTRINSIC, ChangePart, nine), chi2=nine.chi2, dof=len(INTRINSIC), p=nine.p
         ),
-        coefficients={} if twelve is None else _rows(COEFFICIENTS, twelve),
-        chi2=None if twelve is None else twelve.chi2,
+        coefficients={} if twelve is None else by_name(COEFFICIENTS, ChangePart, twelve),
+        chi2=twelve and twelve.chi2,
         dof=len(COEFFICIENTS),
-        p=None if twelve is None else twelve.p,
+        p=twelve and twelve.p,
     )
-
-
-def _rows(names: Sequence[str], found: Changes) -> dict[str, ChangePart]:
-    return by_name(
-        names, ChangePart, difference=found.difference, u=found.u, en=found.en,
-        p_all_looks=found.p_all_looks, changed=found.changed,
-    )  # fmt: skip
 
 
 def _lines(found: InNumbers) -> LinesPart | None:
     drift = found.drift
     if drift is None:
         return None
-    rates = by_name(
-        found.names,
-        RatePart,
-        value=drift.per_year,
-        u=drift.u,
-        p_all_looks=drift.p_all_looks,
-        shown=drift.shown,
-    )
-    return LinesPart.from_object(drift, per_year=rates)
+    return LinesPart.from_object(drift, per_year=by_name(found.names, RatePart, drift, value=drift.per_year))
 
 
 # --- as text ------------------------------------------------------------------------------------------
@@ -477,24 +463,35 @@ def equivalence_figure(of: BenchComparison) -> str:
 
     Benches beyond U are red crosses. The band is the dark uncertainty.
     """
-    benches, rows = of.benches, np.arange(len(of.benches))
 
     def draw(figure: Figure) -> None:
-        grid = figure.subplots(3, 3, sharey=True)
-        for axes, name, one in zip(grid.flat, of.nine.names, of.nine.found, strict=True):
-            U = COVERAGE_FACTOR * one.u_degree
-            size, unit = small_unit(name, float(np.max(np.abs(one.degree) + U)), of.signal)
-            if one.dark > 0:
-                axes.axvspan(-one.dark / size, one.dark / size, color="#DDE2E6", zorder=0)
-            axes.axvline(0.0, color=GREY, linewidth=0.7)
-            for beyond, marker, colour in ((one.en <= 1.0, "o", BLUE), (one.en > 1.0, "X", VERMILION)):
-                axes.errorbar(
-                    one.degree[beyond] / size, rows[beyond], xerr=U[beyond] / size,
-                    fmt=marker, color=colour, capsize=2.0,
-                )  # fmt: skip
-            axes.set_title(f"{symbol(name)} / {unit}")
-            axes.set_yticks(rows, benches)
-            axes.set_ylim(len(benches) - 0.5, -0.5)
+        draw_degrees(
+            figure, of.benches, [(one.degree, one.u_degree, one.dark) for one in of.nine.found], of.signal
+        )
         figure.supxlabel("degree of equivalence: bench less reference, bars k = 2", fontsize=8)
 
-    return svg_file("equivalence", (7.4, 2.4 + 0.7 * len(benches)), draw)
+    return svg_file("equivalence", (7.4, 2.4 + 0.7 * len(of.benches)), draw)
+
+
+def draw_degrees(
+    figure: Figure, who: Sequence[str], nine: Sequence[tuple[Floats, Floats, float]], signal: str
+) -> None:
+    """Draw how far each bench or laboratory is off in each of the `nine`, with bars U (k = 2), red where beyond U.
+
+    Each of the nine has differences (w,), their u (w,) and a dark uncertainty, which is drawn as a band.
+    """
+    rows = np.arange(len(who))
+    grid = figure.subplots(3, 3, sharey=True)
+    for axes, name, (d, u, dark) in zip(grid.flat, INTRINSIC, nine, strict=True):
+        U = COVERAGE_FACTOR * u
+        size, unit = small_unit(name, float(np.max(np.abs(d) + U)), signal)
+        if dark > 0:
+            axes.axvspan(-dark / size, dark / size, color="#DDE2E6", zorder=0)
+        axes.axvline(0.0, color=GREY, linewidth=0.7)
+        for chosen, marker, colour in ((np.abs(d) <= U, "o", BLUE), (np.abs(d) > U, "X", VERMILION)):
+            axes.errorbar(
+                d[chosen] / size, rows[chosen], xerr=U[chosen] / size, fmt=marker, color=colour, capsize=2.0
+            )
+        axes.set_title(f"{symbol(name)} / {unit}")
+        axes.set_yticks(rows, who)
+        axes.set_ylim(len(rows) - 0.5, -0.5)

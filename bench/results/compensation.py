@@ -32,10 +32,10 @@ from bench.results.parts import (
     ReadingsPart,
     UncertaintySourcePart,
     ValuePart,
+    by_coefficient,
     coefficient_unit,
     fit_in_words,
     uncertainty_source,
-    values_with_u,
 )
 from bench.results.verification import VerdictPart, verdict_line, verdict_members
 
@@ -199,15 +199,13 @@ def table_part(shown: CompensationTable) -> TablePart:
 
 
 def _hysteresis(found: ThermalHysteresis) -> dict[str, Any]:
-    columns = (found.size.tolist(), found.u.tolist(), found.p_each.tolist())
-    rows = zip(COEFFICIENTS, *columns, strict=True)
-    differences = {name: {"value": size, "u": u, "p_all_looks": p} for name, size, u, p in rows}
+    differences = by_coefficient(DifferencePart, found, value=found.size, p_all_looks=found.p_each)
     return {"rising_minus_falling": differences, "p": found.p}
 
 
 def _plateau(plateau: PlateauResult) -> PlateauPart:
     value, u = plateau.value, plateau.u
-    coefficients = None if value is None or u is None else values_with_u(value, u)
+    coefficients = None if value is None or u is None else by_coefficient(ValuePart, value=value, u=u)
     return PlateauPart.from_object(plateau, coefficients=coefficients)
 
 

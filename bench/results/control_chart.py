@@ -20,7 +20,7 @@ from bench.base.tables import as_text, print_notes, table
 from bench.calibration.intrinsic import INTRINSIC
 from bench.history.control_chart import ControlChart, Verdict
 from bench.results.intrinsic import small_unit
-from bench.results.parts import ValuePart, by_coefficient, by_name
+from bench.results.parts import ValuePart, by_name
 from bench.results.plots import BLUE, GREY, VERMILION, svg_figure, symbol
 from bench.results.tables import Row, page
 from bench.results.tables import symbol as html_symbol
@@ -209,22 +209,19 @@ class CheckBlockChart:
     @cached_property
     def result(self) -> ChartResult:
         """The result of `bench chart --json`."""
-        chart, design, centre = self.twelve, self.twelve.design, self.twelve.centre
+        chart, design = self.twelve, self.twelve.design
+        nine = {
+            run.name: NineRun(**_joint_of(self.chart, row), values=_deviations(self.chart, row))
+            for row, run in enumerate(self.chart.later)
+        }
         return ChartResult.from_object(
             self,
-            intrinsic=_nine(self.chart),
+            intrinsic=NineChart(limits_from=self.chart.design.basis, runs=nine, **_members(self.chart)),
             design=DesignPart.from_object(design, arl_of_each=design.each_arl, limits_from=design.basis),
             baseline=[run.name for run in chart.baseline],
-            reference=None if chart.reference is None else chart.reference.name,
-            centre=by_coefficient(
-                ValuePart, value=centre.value, u=np.sqrt(np.diag(centre.covariance) * centre.scale)
-            ),
-            scale=float(np.sqrt(centre.scale)),
-            dof=centre.dof,
-            limits=_limits(chart),
+            reference=chart.reference and chart.reference.name,
+            **_members(chart),
             runs=[_run(chart, row, self.chart.verdicts[row]) for row in range(len(chart.later))],
-            components=_components(chart),
-            drift=None if chart.drift is None else by_coefficient(DriftPart, **vars(chart.drift)),
             baseline_alone_p=None if chart.alone is None else chart.alone.tolist(),
             in_control=self.chart.in_control,
             last=chart.verdicts[-1].run if chart.verdicts else None,
@@ -273,30 +270,21 @@ class CheckBlockChart:
         return as_text(self.print_on)
 
 
-def _nine(chart: ControlChart) -> NineChart:
+def _members(chart: ControlChart) -> dict[str, Any]:
+    """Return the members that the charts of the nine and of the twelve have alike."""
     centre = chart.centre
-    return NineChart(
-        centre=by_name(
-            chart.names, ValuePart, value=centre.value, u=np.sqrt(np.diag(centre.covariance) * centre.scale)
+    u = np.sqrt(np.diag(centre.covariance) * centre.scale)
+    return {
+        "centre": by_name(chart.names, ValuePart, value=centre.value, u=u),
+        "scale": float(np.sqrt(centre.scale)),
+        "dof": centre.dof,
+        "limits": LimitsPart(
+            t2=chart.limit_t2, ewma_t2=chart.limit_ewma, single=chart.limit_single,
+            single_ewma=chart.limit_single_ewma,
         ),
-        scale=float(np.sqrt(centre.scale)),
-        dof=centre.dof,
-        limits_from=chart.design.basis,
-        limits=_limits(chart),
-        runs={
-            run.name: NineRun(**_joint_of(chart, row), values=_deviations(chart, row))
-            for row, run in enumerate(chart.later)
-        },
-        components=_components(chart),
-        drift=None if chart.drift is None else by_name(chart.names, DriftPart, **vars(chart.drift)),
-    )
-
-
-def _limits(chart: ControlChart) -> LimitsPart:
-    return LimitsPart(
-        t2=chart.limit_t2, ewma_t2=chart.limit_ewma, single=chart.limit_single,
-        single_ewma=chart.limit_single_ewma,
-    )  # fmt: skip
+        "components": _components(chart),
+        "drift": chart.drift and by_name(chart.names, DriftPart, chart.drift),
+    }  # fmt: skip
 
 
 def _joint_of(chart: ControlChart, row: int) -> dict[str, float]:
@@ -332,10 +320,9 @@ def _components(chart: ControlChart) -> ComponentsPart | None:
     found, short = chart.components, chart.short
     if found is None:
         return None
-    columns: dict[str, Floats] = {name: getattr(found, name) for name in VariabilityPart.model_fields}
     return ComponentsPart.from_object(
         found,
-        coefficients=by_name(chart.names, VariabilityPart, **columns),
+        coefficients=by_name(chart.names, VariabilityPart, found),
         birge=float(np.sqrt(found.birge2)),
         short_term=None if short is None else PooledPart(s=short.pooled, dof=short.pooled_dof),
     )

@@ -242,11 +242,7 @@ def prior_result(found: prior.Prior, notes: Sequence[str]) -> PriorResult:
         type=found.kind,
         per_g_m_s2=STANDARD_GRAVITY,
         coefficients=by_coefficient(
-            ExpectedPart,
-            mean=found.mean,
-            u=u_of(found.covariance),
-            between_units=found.between,
-            u_mean=found.mean_u,
+            ExpectedPart, found, u=u_of(found.covariance), between_units=found.between, u_mean=found.mean_u
         ),
         notes=[*found.notes, *notes],
     )
@@ -340,7 +336,7 @@ def drift_result(found: drift.OfUnit, at: str | None, notes: Sequence[str]) -> D
 
 def _rates(names: Sequence[str], own: drift.UnitDrift) -> dict[str, RatePart]:
     return by_name(
-        names, RatePart, value=own.rate, u=own.u_rate, p_all_looks=own.p_all_looks, shown=own.shown,
+        names, RatePart, own, value=own.rate, u=own.u_rate,
         between_calibrations=_limited(own.between, own.between_most),
         random_walk=_limited(own.walk, own.walk_most),
     )  # fmt: skip

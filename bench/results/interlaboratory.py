@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from markupsafe import Markup
 from pydantic import Field
 from rich.console import Console
 
-from bench.base.arrays import Floats, Ints
 from bench.base.numbers import fixed, probability
 from bench.base.result_model import ResultModel
 from bench.base.tables import print_notes, table
-from bench.calibration.conformity import COVERAGE_FACTOR
 from bench.calibration.intrinsic import INTRINSIC
 from bench.history.equivalence import LaboratoryJudged
+from bench.results.compare import draw_degrees
 from bench.results.intrinsic import small_unit
-from bench.results.parts import ValuePart
-from bench.results.plots import BLUE, GREY, VERMILION, svg_figure, symbol
+from bench.results.parts import ValuePart, by_name
+from bench.results.plots import svg_figure
 from bench.results.tables import Row, page
 from bench.results.tables import symbol as html_symbol
 
@@ -67,15 +66,11 @@ class KitResult(ResultModel):
 def laboratories_of(codes: Sequence[str], judged: Sequence[LaboratoryJudged]) -> list[LaboratoryPart]:
     """Return the part of each laboratory, by its code."""
     return [
-        LaboratoryPart(
-            code=code, chi2=one.chi2, p=one.p, p_all_looks=one.p_all_looks, off=one.off,
-            differences={
-                name: DifferencePart(value=float(d), u=float(u), en=float(en), dark=float(dark))
-                for name, d, u, en, dark in zip(INTRINSIC, one.difference, one.u, one.en, one.dark, strict=True)
-            },
+        LaboratoryPart.from_object(
+            one, code=code, differences=by_name(INTRINSIC, DifferencePart, one, value=one.difference)
         )
         for code, one in zip(codes, judged, strict=True)
-    ]  # fmt: skip
+    ]
 
 
 def print_kit(result: KitResult, on: Console) -> None:
@@ -101,16 +96,14 @@ def print_kit(result: KitResult, on: Console) -> None:
 def render_kit(result: KitResult) -> str:
     """Return the report as an HTML page with the degrees of equivalence as a picture."""
 
-    def draw(figure: Figure) -> None:
-        rows = np.arange(len(result.laboratories))
-        for axes, name in zip(figure.subplots(3, 3, sharey=True).flat, INTRINSIC, strict=True):
-            d, u = (
-                np.array([getattr(one.differences[name], of) for one in result.laboratories])
-                for of in ("value", "u")
-            )
-            _bars(axes, rows, d, COVERAGE_FACTOR * u, name, result)
+    each = [[one.differences[name] for one in result.laboratories] for name in INTRINSIC]
+    nine = [(np.array([d.value for d in row]), np.array([d.u for d in row]), 0.0) for row in each]
+    codes = [one.code for one in result.laboratories]
 
-    height = 2.4 + 0.9 * len(result.laboratories)
+    def draw(figure: Figure) -> None:
+        draw_degrees(figure, codes, nine, result.unit)
+
+    height = 2.4 + 0.9 * len(codes)
     drawn = svg_figure("equivalence", (7.4, height), draw, "each laboratory less the others, by number")
     figure = Markup(drawn)  # noqa: S704 - our own drawing
     return page(
@@ -131,15 +124,3 @@ def _consensus(result: KitResult, name: str) -> Row:
     size, unit = small_unit(name, own.u, result.unit)
     cells = (f"{own.value:.7g}", f"{own.u / size:.2g} {unit}", f"{result.dark[name] / size:.2g} {unit}")
     return Row(html_symbol(name), cells)
-
-
-def _bars(axes: Any, rows: Ints, d: Floats, U: Floats, name: str, result: KitResult) -> None:
-    size, unit = small_unit(name, float(np.max(np.abs(d) + U)), result.unit)
-    axes.axvline(0.0, color=GREY, linewidth=0.7)
-    for beyond, marker, colour in ((np.abs(d) <= U, "o", BLUE), (np.abs(d) > U, "X", VERMILION)):
-        axes.errorbar(
-            d[beyond] / size, rows[beyond], xerr=U[beyond] / size, fmt=marker, color=colour, capsize=2.0
-        )
-    axes.set_title(f"{symbol(name)} / {unit}")
-    axes.set_yticks(rows, [one.code for one in result.laboratories])
-    axes.set_ylim(len(rows) - 0.5, -0.5)

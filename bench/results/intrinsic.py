@@ -20,7 +20,7 @@ from bench.calibration.intrinsic import (
     joint_factor,
 )
 from bench.calibration.result import COVERAGE_FACTOR, Calibration
-from bench.results.parts import CoefficientPart
+from bench.results.parts import CoefficientPart, by_name
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -65,29 +65,15 @@ class JointPart(ResultModel):
 
 def intrinsic_part(own: Intrinsic) -> IntrinsicPart:
     """Return the nine intrinsic numbers as the part `intrinsic` of the result."""
-    rows = zip(
-        own.names, *(c.tolist() for c in (own.values, own.u, own.u_readings, own.U, own.dof)), strict=True
-    )
-    return IntrinsicPart.from_object(
-        own,
-        values={
-            name: IntrinsicValuePart(
-                value=value, u=u, u_readings=shown, U=U, k=COVERAGE_FACTOR, dof=dof,
-                unit=intrinsic_unit(name, own.unit),
-            )
-            for name, value, u, shown, U, dof in rows
-        },
-        order=list(own.names),
-        held_by_limits=own.held,
-    )  # fmt: skip
+    units = [intrinsic_unit(name, own.unit) for name in own.names]
+    values = by_name(own.names, IntrinsicValuePart, own, value=own.values, k=COVERAGE_FACTOR, unit=units)
+    return IntrinsicPart.from_object(own, values=values, order=own.names, held_by_limits=own.held)
 
 
 def joint_part(u: Floats, dof: Floats) -> JointPart:
     """Return the joint factor of numbers with `u` (m,) and `dof` (m,); numbers with u = 0 are left out."""
     found = joint_of(u, dof)
-    return JointPart(
-        count=found.count, k=found.k, dof=found.dof if np.isfinite(found.dof) else None, level=found.level
-    )
+    return JointPart.from_object(found, dof=found.dof if np.isfinite(found.dof) else None)
 
 
 def joint_of(u: Floats, dof: Floats) -> JointFactor:

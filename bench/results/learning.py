@@ -107,7 +107,7 @@ def learn_result(found: Learned, **made_from: Any) -> LearnResult:
     """
     return LearnResult(
         runs=list(found.runs),
-        contradicting=[ContradictionPart.from_object(one) for one in found.contradicting],
+        contradicting=found.contradicting,
         sizes={size.name: SizePart.from_object(size) for size in found.sizes()},
         means=MeansPart(order=list(found.names), covariance_rad2=found.covariance),
         variances=VariancesPart(
@@ -124,11 +124,8 @@ def _meters(found: MeterDifferences) -> MetersPart:
 
 
 def _contrasts(found: Contrasts) -> ContrastsPart:
-    return ContrastsPart(
-        value=found.values,
-        covariance=found.covariance,
-        dof=found.freedom.tolist(),
-        between_runs=found.between,
+    return ContrastsPart.from_object(
+        found, value=found.values, dof=found.freedom.tolist(), between_runs=found.between
     )
 
 

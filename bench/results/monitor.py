@@ -6,16 +6,16 @@ from collections.abc import Mapping
 from functools import partial
 from typing import Final
 
-import numpy as np
 from pydantic import Field
 from rich.console import Console
 
+from bench.base.arrays import u_of
 from bench.base.numbers import fixed, places
 from bench.base.result_model import ResultModel
 from bench.base.tables import print_notes, table
 from bench.history.control_chart import ControlChart
 from bench.results.control_chart import draw_joint, draw_single
-from bench.results.parts import ValuePart
+from bench.results.parts import ValuePart, by_name
 from bench.results.plots import svg_figure
 
 UNITS: Final[Mapping[str, str]] = {"b": "g", "S": "V/g", "t": "deg"}
@@ -45,25 +45,21 @@ class MonitorResult(ResultModel):
     notes: list[str]
 
 
-def monitor_result(chart: ControlChart, notes: tuple[str, ...] = ()) -> MonitorResult:
+def monitor_result(chart: ControlChart) -> MonitorResult:
     """Return the result of a chart of monitors."""
     verdicts = [None] * len(chart.baseline) + list(chart.verdicts)
     t2 = [None] * len(chart.baseline) + chart.shewhart.t2.tolist()
     runs = [
         MonitoredRun(
             run=run.name, began=run.when.isoformat(),
-            values={
-                name: ValuePart(value=float(v), u=float(u))
-                for name, v, u in zip(run.names, run.value, np.sqrt(np.diag(run.covariance)), strict=True)
-            },
-            t2=own, accepted=None if verdict is None else verdict.accepted,
-            reasons=[] if verdict is None else list(verdict.reasons),
+            values=by_name(run.names, ValuePart, value=run.value, u=u_of(run.covariance)),
+            t2=own, accepted=verdict and verdict.accepted, reasons=[] if verdict is None else verdict.reasons,
         )
         for run, verdict, own in zip((*chart.baseline, *chart.later), verdicts, t2, strict=True)
     ]  # fmt: skip
     return MonitorResult(
-        order=list(chart.names), baseline=len(chart.baseline), limit_t2=chart.limit_t2, runs=runs,
-        in_control=chart.in_control, notes=[*chart.notes, *notes],
+        order=chart.names, baseline=len(chart.baseline), limit_t2=chart.limit_t2, runs=runs,
+        in_control=chart.in_control, notes=chart.notes,
     )  # fmt: skip
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from functools import partial
 from typing import Any, Final, TypeVar
 
 from pydantic import Field
@@ -16,19 +17,22 @@ from bench.model.geometry import COEFFICIENTS
 Part = TypeVar("Part", bound=ResultModel)
 
 
-def by_coefficient(part: type[Part], **columns: Iterable[Any]) -> dict[str, Part]:
-    """Return a part for each of the twelve coefficients, by name.
+def by_name(names: Sequence[str], part: type[Part], of: object = None, /, **columns: Any) -> dict[str, Part]:
+    """Return a part for each of m names.
 
-    Each column has the values (12,) of one member of the part.
+    A column has the values (m,) of one member of the part, or one number for all. Members without a column are
+    attributes (m,) of `of`.
     """
-    return by_name(COEFFICIENTS, part, **columns)
+    columns |= {
+        name: getattr(of, name) for name in part.model_fields if name not in columns and hasattr(of, name)
+    }
+    whole = [value if isinstance(value, Iterable) else [value] * len(names) for value in columns.values()]
+    rows = zip(names, zip(*whole, strict=True), strict=True)
+    return {name: part(**dict(zip(columns, row, strict=True))) for name, row in rows}
 
 
-def by_name(names: Sequence[str], part: type[Part], **columns: Iterable[Any]) -> dict[str, Part]:
-    """Return a part for each of m names; each column has the values (m,) of one member of the part."""
-    rows = zip(*columns.values(), strict=True)
-    named = zip(names, rows, strict=True)
-    return {name: part(**dict(zip(columns, row, strict=True))) for name, row in named}
+by_coefficient: Final = partial(by_name, COEFFICIENTS)
+"""`by_name` for the twelve coefficients."""
 
 
 REPEATS: Final = "lack of fit against the repeats"
@@ -178,12 +182,6 @@ def uncertainty_source(source: SourceOfError) -> UncertaintySourcePart:
 def named(values: Floats) -> dict[str, float]:
     """Return values (12,) as a dictionary by coefficient name."""
     return dict(zip(COEFFICIENTS, values.tolist(), strict=True))
-
-
-def values_with_u(values: Floats, u: Floats) -> dict[str, Any]:
-    """Return values (m,) and their standard uncertainties by name, for the first m of the twelve coefficients."""
-    rows = zip(COEFFICIENTS, values.tolist(), u.tolist(), strict=False)
-    return {name: {"value": value, "u": size} for name, value, size in rows}
 
 
 def by_channel(values: Floats) -> dict[str, float]:

@@ -92,9 +92,7 @@ def stability_result(found: Stability, bench: BenchPart) -> StabilityResult:
         record,
         samples=len(record.signal),
         channels={channel: _channel(found, i) for i, channel in enumerate(record.channels)},
-        reading=None
-        if advice is None
-        else ReadingPart(samples=advice.samples, nplc=advice.nplc, averaging_s=advice.tau_s),
+        reading=advice and ReadingPart.from_object(advice, averaging_s=advice.tau_s),
         no_reading=found.no_advice or None,
         bench=bench,
     )

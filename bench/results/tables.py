@@ -199,15 +199,15 @@ def _ratio(calibration: Calibration, j: int, own: int) -> tuple[float, float]:
     return float(ratio), float(np.sqrt(max(variance, 0.0)) / abs(vector[own]))
 
 
-def strongest_correlations(calibration: Calibration, count: int = 5) -> list[tuple[Markup, Markup, str]]:
-    """Return the `count` pairs of coefficients with the largest correlations, as names and text."""
+def strongest_correlations(calibration: Calibration) -> list[tuple[Markup, Markup, str]]:
+    """Return the five pairs of coefficients with the largest correlations, as names and text."""
     r = correlation_of(calibration.covariance)
     pairs = sorted(
         ((i, j) for i in range(12) for j in range(i)), key=lambda pair: (-abs(r[pair]), pair[1], pair[0])
     )
     return [
         (symbol(COEFFICIENTS[j]), symbol(COEFFICIENTS[i]), fixed(float(r[i, j]), 2, sign=True))
-        for i, j in pairs[:count]
+        for i, j in pairs[:5]
     ]
 
 

@@ -143,6 +143,8 @@ class ValidationResult(ResultModel):
         if self.against is not None:
             self._print_against(self.against, out)
         out.print(self.headline, style="bold")
+        for file in self.files:
+            out.print(f"  {file}")
 
     @staticmethod
     def _print_against(against: AgainstPart, out: Console) -> None:

@@ -17,7 +17,6 @@ from bench.config.bench_file.learned import LearnedFile, load_learned
 from bench.config.shipped import find_bench
 from bench.results.parts import BenchPart
 from bench.run.events import sha256
-from bench.run.events import sha256 as sha256_of
 from bench.run.folder import BENCH, IMPORTED, LEARNED, Run
 from drivers.interfaces import NO_SERIAL
 
@@ -271,12 +270,12 @@ class BenchTaken:
         return BenchPart(name=self.file.name, file=self.where, why=self.reason, sha256=self.sha256)
 
 
-def bench_path(given: str | None) -> Path:
+def bench_path(given: str | Path | BenchFile | None) -> Path:
     """Return the path of the bench file `given`, else of the one in BENCH_FILE, else of the shipped one."""
-    return find_bench(given or os.environ.get("BENCH_FILE") or DEFAULT_BENCH)
+    return find_bench(str(given or "") or os.environ.get("BENCH_FILE") or DEFAULT_BENCH)
 
 
-def why_taken(given: str | None) -> str:
+def why_taken(given: str | Path | BenchFile | None) -> str:
     """Return the reason why `bench_path` chooses this file."""
     if given:
         return message("as asked for")
@@ -285,14 +284,12 @@ def why_taken(given: str | None) -> str:
 
 def find_bench_file(given: str | Path | BenchFile | BenchTaken | None) -> BenchTaken:
     """Return the bench file `given` (content, path or name), else that of BENCH_FILE, else the shipped one."""
-    if isinstance(given, Path):
-        given = str(given)
     if isinstance(given, BenchTaken):
         return given
     if isinstance(given, BenchFile):
-        return BenchTaken(given, given.name, sha256_of(given.model_dump_json().encode()), "as given")
+        return BenchTaken(given, given.name, sha256(given.model_dump_json().encode()), "as given")
     path = bench_path(given)
-    return BenchTaken(load_bench(path), str(path), sha256_of(read_regular(path)), why_taken(given))
+    return BenchTaken(load_bench(path), str(path), sha256(read_regular(path)), why_taken(given))
 
 
 def bench_for_record(file: BenchFile, path: Path) -> dict[str, bytes]:
@@ -306,11 +303,11 @@ def bench_for_record(file: BenchFile, path: Path) -> dict[str, bytes]:
 
 def recorded_sha256(run: Run) -> str:
     """Return the SHA-256 of the bench file that a run recorded."""
-    return sha256_of(read_regular(run.folder / BENCH))
+    return sha256(read_regular(run.folder / BENCH))
 
 
 def bench_of(
-    name: str, run: Run | None, told: OriginBeside, given: str | BenchFile | None
+    name: str, run: Run | None, told: OriginBeside, given: str | Path | BenchFile | None
 ) -> tuple[BenchTaken, tuple[str, ...]]:
     """Return the bench file for readings, with notes: the requested file, else the one that the run recorded.
 
@@ -338,7 +335,7 @@ def bench_of(
     return BenchTaken(load_recorded_bench(path), str(path), origin.bench.sha256, why), ()
 
 
-def _of_run(run: Run, given: str | BenchFile | None) -> tuple[BenchTaken, tuple[str, ...]]:
+def _of_run(run: Run, given: str | Path | BenchFile | None) -> tuple[BenchTaken, tuple[str, ...]]:
     if given is not None:
         taken = find_bench_file(given)
         return taken, (f"evaluated with {taken.where} instead of the bench file that the run recorded",)

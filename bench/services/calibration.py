@@ -14,7 +14,6 @@ from bench.base.arrays import Floats
 from bench.base.files import write_whole
 from bench.base.languages import message
 from bench.base.tables import as_html, as_text
-from bench.calibration.budget.sources import assumed_stand
 from bench.calibration.budget.whole import sign
 from bench.calibration.calibrate import calibrate as estimate
 from bench.calibration.estimators import CLOSED_FORM, GLS
@@ -358,7 +357,7 @@ def calibration_of(
         source.stand_u,
         source.g_m_s2,
         estimator,
-        assumed_u={name: size.u for name, size in assumed_stand(source.bench).items()},
+        assumed_u=source.assumed_u,
         nominal_angles=nominal_angles,
         join_free=join_free,
         join_verification=join_verification,

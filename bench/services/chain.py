@@ -17,7 +17,8 @@ from typing import Any, ClassVar, Final, TypeVar
 from filelock import FileLock, Timeout
 
 from bench.base.files import open_regular, read_json, read_regular, write_whole
-from bench.services.errors import Refused, reading
+from bench.services.errors import Refused, refusing
+from drivers.clock import utc_now
 
 LINES: Final = "register.jsonl"
 MADE_FROM: Final = "made-from"
@@ -41,6 +42,11 @@ class Entry:
     def files(self) -> dict[str, str]:
         """The SHA-256 of each issued file, by name."""
         return dict(self.data.get("files", {}))
+
+
+def civil_now() -> str:
+    """Return the civil time of an entry, ISO 8601 with offset, to the second."""
+    return utc_now().astimezone().isoformat(timespec="seconds")
 
 
 def first_head(of: str) -> str:
@@ -81,10 +87,11 @@ class Chain:
 
     def kept(self, digest: str) -> bytes:
         """Return a stored input of an entry. Raises `Refused` if it is missing or changed."""
-        with reading(self.folder / MADE_FROM / digest):
-            content = read_regular(self.folder / MADE_FROM / digest)
+        file = self.folder / MADE_FROM / digest
+        with refusing("check name and permissions", file, verb="read"):
+            content = read_regular(file)
         if hashlib.sha256(content).hexdigest() != digest:
-            raise Refused(f"{self.folder / MADE_FROM / digest}: was changed; restore it from a copy")
+            raise Refused(f"{file}: was changed; restore it from a copy")
         return content
 
     def append(self, entry: Entry) -> None:
@@ -118,7 +125,7 @@ class Chain:
         Raises `Refused` for a changed line, and for a file that cannot be read.
         """
         path = self.folder / LINES
-        with reading(self.folder):
+        with refusing("check name and permissions", self.folder, verb="read"):
             if (path.stat().st_size if path.exists() else 0) < self.length:
                 raise Refused(f"{path}: its last lines are missing; restore it from a copy")
             if path.exists():

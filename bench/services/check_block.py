@@ -7,13 +7,13 @@ import json
 import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime, time
+from datetime import datetime, time
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from bench.base.arrays import Floats, u_of
+from bench.base.arrays import HOUR, Floats, u_of
 from bench.base.files import cache_folder, from_text, read_regular, write_whole
 from bench.base.text import duration
 from bench.base.yaml_files import load_document, part
@@ -29,10 +29,10 @@ from bench.run.folder import BENCH, Run, all_runs, find_run
 from bench.services.arguments import python_call
 from bench.services.bench_selection import find_bench_file, own_bench
 from bench.services.calibration import CalibrationResult, calibration_of
-from bench.services.coefficients import coefficients_of
+from bench.services.coefficients import coefficients_of, date_of
 from bench.services.errors import NoCheckBlock, Refused
 from bench.services.requests.history import Chart
-from bench.services.requests.shared import runs_folder
+from bench.services.requests.shared import Bench, runs_folder
 from bench.services.source import Request, load_sources
 from bench.stats.control_charts import BASES, DEFAULT_ARL, Basis, ChartDesign, least_runs, shewhart_arl
 from drivers.clock import utc_now
@@ -124,11 +124,12 @@ def check_values(run: Run) -> CheckValues:
 def _of(run: Run, result: CalibrationResult) -> CheckValues:
     found = result.calibration
     nothing = np.zeros((len(COEFFICIENTS),) * 2)
-    when = datetime.fromisoformat(run.created)
+    when = date_of(run.created, run.name)
+    assert when is not None  # noqa: S101 - every record has one
     return CheckValues(
         name=run.name,
         block=result.source.block_name,
-        when=when if when.tzinfo else when.replace(tzinfo=UTC),
+        when=when,
         unit=found.unit,
         g_m_s2=found.g_m_s2,
         simulated=run.simulated,
@@ -347,16 +348,16 @@ def _reference(path: Path, g_m_s2: float) -> Reference:
             f"check_block: reference: {path}: not a result of 'bench calibrate --json' ({error})"
         ) from error
     found = coefficients_of(data[0] if isinstance(data, list) and data else data, str(path))
-    if not found.made_at:
+    when = date_of(found.made_at, str(path))
+    if when is None:
         raise Refused(
             f"check_block: reference: {path}: has no date (made_at), which its drift needs; "
             "make it with 'bench calibrate --json'"
         )
     factor = np.where(np.arange(len(COEFFICIENTS)) < 9, g_m_s2 / found.g_m_s2, 1.0)
-    when = datetime.fromisoformat(found.made_at)
     return Reference(
         path.name,
-        when if when.tzinfo else when.replace(tzinfo=UTC),
+        when,
         found.block.vector * factor,
         found.covariance * np.outer(factor, factor),
     )
@@ -407,13 +408,12 @@ def charted(request: Chart) -> CheckBlockChart:
     """
     folder = runs_folder(request.folder)
     named = [request.runs] if isinstance(request.runs, str | Path) else request.runs or [folder]
-    bench = None if request.bench is None else str(request.bench)
     place = Path(named[0])
     if len(named) == 1 and place.is_dir() and not (place / MANIFEST).is_file():
-        runs, section, path = _in_folder(place, bench, request.real)
+        runs, section, path = _in_folder(place, request.bench, request.real)
     else:
         runs = [find_run(str(name), folder) for name in named]
-        file, path = _bench_file(bench, runs[-1])
+        file, path = _bench_file(request.bench, runs[-1])
         section = file.check_block or CheckBlockSection(serial=file.unit_under_test.serial, drift={})
     return chart_of(runs, _with_options(section, request), of_bench=path, folder=folder)
 
@@ -421,16 +421,14 @@ def charted(request: Chart) -> CheckBlockChart:
 chart = python_call(Chart, charted, "chart")
 
 
-def _bench_file(bench: str | None, run: Run) -> tuple[BenchFile, Path]:
+def _bench_file(bench: Bench, run: Run) -> tuple[BenchFile, Path]:
     if bench or os.environ.get("BENCH_FILE"):
         taken = find_bench_file(bench)
         return taken.file, Path(taken.where)
     return own_bench(run)
 
 
-def _in_folder(
-    folder: Path, bench: str | None, real: bool | None
-) -> tuple[list[Run], CheckBlockSection, Path]:
+def _in_folder(folder: Path, bench: Bench, real: bool | None) -> tuple[list[Run], CheckBlockSection, Path]:
     kinds = (True, False) if real is None else (not real,)
     file, path, latest = _of_folder(folder, bench, kinds)
     section = file.check_block
@@ -446,7 +444,7 @@ def _in_folder(
     return runs, section, path
 
 
-def _of_folder(folder: Path, bench: str | None, kinds: Sequence[bool]) -> tuple[BenchFile, Path, Run | None]:
+def _of_folder(folder: Path, bench: Bench, kinds: Sequence[bool]) -> tuple[BenchFile, Path, Run | None]:
     """Return the bench file, its path, and the latest run of its check block (None if there is none)."""
     asked = bench or os.environ.get("BENCH_FILE")
     given = find_bench_file(bench) if asked else None
@@ -470,7 +468,6 @@ def _of_folder(folder: Path, bench: str | None, kinds: Sequence[bool]) -> tuple[
 
 # --- whether the check block lets a run begin ----------------------------------------------------------
 
-HOUR_S: Final = 3600.0
 IN_CONTROL: Final = "in control"
 
 
@@ -500,7 +497,7 @@ class CheckBefore:
         told: CheckedBefore = {"rule": rule, "state": self.state, "said": self.sentence}
         if self.run:
             told["run"] = self.run
-            told["age_h"] = round(self.age_s / HOUR_S, 3)
+            told["age_h"] = round(self.age_s / HOUR, 3)
         if reason is not None and not self.fine:
             told["despite"] = reason
         return told
@@ -546,7 +543,7 @@ def _judged(
             "missing",
             f"the last run of the check block, {newest}, gives no calibration: {'; '.join(chart.notes)}",
         )
-    hours = f"{age_s / HOUR_S:.1f} h"
+    hours = f"{age_s / HOUR:.1f} h"
     if age_s > section.max_age:
         counts = duration(section.max_age)
         said = f"the last run of the check block, {last.run}, is {hours} old; it is valid for {counts}"

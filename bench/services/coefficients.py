@@ -19,7 +19,8 @@ from bench.exchange.result import BlockResult
 from bench.model.effects import TEMPERATURE_EFFECTS
 from bench.model.geometry import COEFFICIENTS, Block
 from bench.readings.table import UNITS
-from bench.services.errors import Refused
+from bench.run.events import MANIFEST
+from bench.services.errors import Refused, refusing
 
 if TYPE_CHECKING:
     from bench.exchange.forms import ExportForm
@@ -326,11 +327,15 @@ def impossible(covariance: Floats) -> str:
 
 def _read(path: Path) -> Any:
     try:
-        return from_text(read_given(path).decode())
-    except OSError as error:
-        raise Refused(f"{path}: cannot be read ({error.strerror}); check the name") from error
+        with refusing("check the name", path, verb="read"):
+            return from_text(read_given(path).decode())
     except ValueError as error:
         raise Refused(f"{path}: not a result of 'bench calibrate --json' ({error})") from error
+
+
+def is_result(path: Path) -> bool:
+    """Return whether a path names a file of results, and neither readings nor a run."""
+    return path.is_file() and path.suffix.lower() == ".json" and path.name != MANIFEST
 
 
 def results_in(path: Path) -> list[tuple[Any, str]]:

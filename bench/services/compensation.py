@@ -12,7 +12,6 @@ import numpy as np
 from bench.base.arrays import Floats
 from bench.base.files import to_text
 from bench.base.text import repeated
-from bench.calibration.budget.sources import assumed_stand
 from bench.calibration.budget.whole import sign
 from bench.calibration.calibrate import calibrate
 from bench.calibration.result import SourceOfError
@@ -26,10 +25,9 @@ from bench.model.geometry import COEFFICIENTS
 from bench.readings.centrifuge import CentrifugePoints, read_centrifuge
 from bench.results.compensation import CompensateResult, compensate_result
 from bench.results.tumble import TumbleResult, tumble_result
-from bench.run.events import MANIFEST
 from bench.services.arguments import python_call
 from bench.services.calibration import calibration_of
-from bench.services.coefficients import block_result, results_in
+from bench.services.coefficients import block_result, is_result, results_in
 from bench.services.errors import Refused
 from bench.services.requests.evaluation import Compensate, Tumble
 from bench.services.source import Request, Source, load_sources, reading
@@ -58,9 +56,13 @@ def sign_model(model: TemperatureModel, source: Source) -> SignedModel:
 
     They are computed from one `source`, because they act equally at all temperatures.
     """
-    assumed = {name: size.u for name, size in assumed_stand(source.bench).items()}
     found = calibrate(
-        source.readings, source.model, source.stand_u, source.g_m_s2, assumed_u=assumed, find_shared=False
+        source.readings,
+        source.model,
+        source.stand_u,
+        source.g_m_s2,
+        assumed_u=source.assumed_u,
+        find_shared=False,
     )
     signed = sign(found, source.readings, source.bench, source.model, source.traced.day, source.known_meters)
     sources = tuple(s for s in signed.sources if s.name not in OVER_TEMPERATURE)
@@ -175,9 +177,14 @@ def tumble_of(
 
     Points `above` 1 g join the fit. Raises `CalibrationError` if the readings do not determine them.
     """
-    assumed = {name: size.u for name, size in assumed_stand(source.bench).items()}
     view = tumble_view(
-        source.readings, source.model, source.stand_u, source.g_m_s2, terms, assumed_u=assumed, above=above
+        source.readings,
+        source.model,
+        source.stand_u,
+        source.g_m_s2,
+        terms,
+        assumed_u=source.assumed_u,
+        above=above,
     )
     return combine(view, source.bench, source.model, terms, source.traced.day)
 
@@ -237,7 +244,7 @@ def results_of(request: Request) -> list[CalibrationToWrite]:
 
     Raises `Refused` for options that result files do not accept, and for sources with the same output files.
     """
-    names = [name for name in request.sources if isinstance(name, str) and _is_result(Path(name))]
+    names = [name for name in request.sources if isinstance(name, str) and is_result(Path(name))]
     asked = (request.bench, request.model, request.g_m_s2)
     if names and (any(value is not None for value in asked) or request.skip_bad_rows):
         raise Refused(
@@ -255,10 +262,6 @@ def results_of(request: Request) -> list[CalibrationToWrite]:
     for file in repeated(map(str, files)):
         raise Refused(f"--out: two sources would write {file}*; give each its own folder")
     return found
-
-
-def _is_result(path: Path) -> bool:
-    return path.is_file() and path.suffix.lower() == ".json" and path.name != MANIFEST
 
 
 def _read(path: Path, out: Path | None) -> list[CalibrationToWrite]:

@@ -20,7 +20,7 @@ from bench.run.interrupts import Interrupts
 from bench.run.record import Record
 from bench.services.bench_selection import SUFFIX, BenchTaken, bench_of, is_told, origin_beside, own_bench
 from bench.services.calibration import CalibrationResult, calibration_of, report_page
-from bench.services.errors import Refused
+from bench.services.errors import Refused, refusing
 from bench.services.requests import records as asked
 from bench.services.requests.shared import runs_folder
 from bench.services.source import Request, Source, load_sources
@@ -97,15 +97,11 @@ def conclude(run: Run) -> Conclusion:
     written.
     """
     (source,) = load_sources(Request([str(run.folder)], run.folder.parent))
-    try:
+    again = f"free disk space, then 'bench resume {run.name}' computes its results"
+    with refusing(f"the run is finished and kept; {again}"):
         found = {**_evaluated(source), **charted(run)}
         made = [name for name in _MADE if (run.folder / name).is_file()]
         write_whole(run.folder / RESULTS, to_text({"made": made}))
-    except OSError as error:
-        raise Refused(
-            f"{error.filename}: cannot be written ({error.strerror}); the run is finished and kept; free "
-            f"disk space, then 'bench resume {run.name}' computes its results"
-        ) from error
     return Conclusion(run, source, _looks(run), _is_short(run), **found)
 
 
@@ -213,10 +209,8 @@ COLUMNS: Final = "columns.yaml"
 
 def _given(file: Path) -> bytes:
     """Return the content of a file, read once: a pipe cannot be read again. Raises `Refused`."""
-    try:
+    with refusing("check the name", file, verb="read"):
         return read_given(file)
-    except OSError as error:
-        raise Refused(f"{file}: cannot be read ({error.strerror}); check the name") from error
 
 
 def _converted(request: asked.ImportReadings, content: bytes) -> ConvertedLog:
@@ -244,12 +238,12 @@ def import_readings(
     Raises `Refused` for a file that cannot be read, `ReadingsError` for bad rows, `FileMistakes` for a mapping
     of columns with mistakes, `RecordError` for a name that is taken.
     """
-    file, bench = request.file, None if request.bench is None else str(request.bench)
+    file = request.file
     content = _given(file)
     log = None if request.columns is None else _converted(request, content)
     content = content if log is None else log.text.encode()
     told = origin_beside(file)
-    taken, notes = bench_of(str(file), None, told, bench)
+    taken, notes = bench_of(str(file), None, told, request.bench)
     announce(taken, notes)
     path = Path(taken.where)
     readings = read_csv(file, taken.file.installation_models(), content=content)

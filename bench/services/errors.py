@@ -8,10 +8,11 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Final
 
 from bench.base.computing import missing
-from bench.base.languages import message
 from bench.base.numbers import read_number
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from bench.base.units import QuantityKind
 
 _OPTION: Final = re.compile(r"--([a-z][a-z-]*)( (?=[0-9.-]))?")
@@ -30,17 +31,6 @@ class Refused(Exception):
     def __str__(self) -> str:
         """Return the text with the options written as in Python."""
         return _OPTION.sub(_in_python, self.typed)
-
-
-@contextmanager
-def reading(of: object) -> Iterator[None]:
-    """Turn an `OSError` within the context into `Refused`: `of`, such as a file's name, cannot be read."""
-    try:
-        yield
-    except OSError as error:
-        raise Refused(
-            message(f"{of}: cannot be read ({error.strerror}); check name and permissions")
-        ) from error
 
 
 class NoCheckBlock(Refused):
@@ -81,6 +71,15 @@ def sentence(error: Exception) -> str:
     if isinstance(error, OSError):
         return f"{error.filename or 'a file'}: {error.strerror or error}"
     return f"stopped by an error of the program ({kind_and_words(error)})"
+
+
+@contextmanager
+def refusing(remedy: str, place: Path | None = None, *, verb: str = "written") -> Iterator[None]:
+    """Turn an `OSError` within the context into a `Refused`, which names `place` (or the file) and the remedy."""
+    try:
+        yield
+    except OSError as error:
+        raise Refused(f"{place or error.filename}: cannot be {verb} ({error.strerror}); {remedy}") from error
 
 
 def quantity(option: str, text: str, kind: QuantityKind, *, plain: bool = True) -> float:

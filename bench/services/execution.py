@@ -102,8 +102,7 @@ def new_run(request: RunRequest) -> NewRun:
     """
     dry_run, unit = request.dry_run, request.unit
     operator, person = operator_of(request.operator, request.laboratory, needed=not dry_run)
-    bench = None if request.bench is None else str(request.bench)
-    procedure_path, bench_file_path = find_procedure(str(request.procedure)), bench_path(bench)
+    procedure_path, bench_file_path = find_procedure(str(request.procedure)), bench_path(request.bench)
     verdict = _judged(request, bench_file_path)
     loaded = load_procedure(procedure_path)
     plan = loaded.expand()
@@ -143,7 +142,7 @@ def new_run(request: RunRequest) -> NewRun:
         "operator": operator,
         "procedure": str(procedure_path),
         "bench": str(bench_file_path),
-        "bench_why": why_taken(bench),
+        "bench_why": why_taken(request.bench),
         "plan_hash": plan.hash,
         "unit_under_test": {"type": stated.type, "serial": serial},
         "versions": versions(),
@@ -202,33 +201,16 @@ def _free_name(procedure: str, runs: Path) -> str:
     return name
 
 
-@dataclass(frozen=True)
-class AnswerChannels:
-    """The channels between people and a run.
-
-    `wishes` reads the requests (pause, skip, …) left in the run's folder. `asker` puts questions to a person; it
-    is None for a run that asks nobody.
-    """
-
-    wishes: WishListener
-    asker: Asker | None = None
-
-
-def heard_in(
-    run: Run,
-    record: Record,
-    history: History | None,
-    wishes: WishListener,
-    out: Console,
-    who: WishAuthor | None,
-) -> AnswerChannels:
-    """Return the channels between people and a run, which is new or (with its `history`) resumed.
+def asker_of(
+    run: Run, record: Record, history: History | None, out: Console, who: WishAuthor | None
+) -> Asker | None:
+    """Return what puts the questions of a run, new or (with its `history`) resumed; None for one that asks nobody.
 
     `who` answers at the terminal; with None, no questions are asked there. A resumed dry run asks the person who
     resumes it.
     """
     if not run.asks_somebody and history is None:
-        return AnswerChannels(wishes)
+        return None
     last_s = history.events[-1].bench_s if history is not None and history.events else 0.0
 
     def tell(kind: EventType, data: dict[str, Any]) -> Event:
@@ -239,7 +221,7 @@ def heard_in(
 
     terminal = None if who is None else TerminalPerson(sys.stdin, out, wishes=(), who=who)
     heard_before = history.progress.answers_heard if history is not None else 0
-    return AnswerChannels(wishes, Asker(run.folder, record, tell, terminal=terminal, heard=heard_before))
+    return Asker(run.folder, record, tell, terminal=terminal, heard=heard_before)
 
 
 @contextmanager
@@ -258,9 +240,9 @@ def started(
         with logged_wire(request.wire_log) as wire, WishListener(ControlFile(new.folder)) as wishes:
             record = new.record(interrupts.shield)
             run = Run(new.folder)
-            heard = heard_in(run, record, None, wishes, out, who)
-            agree_to_expired(run, record, heard.asker)
-            carry_out(run, record, out, wire=wire, interrupts=interrupts, heard=heard)
+            asker = asker_of(run, record, None, out, who)
+            agree_to_expired(run, record, asker)
+            carry_out(run, record, out, wire=wire, interrupts=interrupts, wishes=wishes, asker=asker)
         yield Run(new.folder), interrupts
 
 
@@ -287,9 +269,18 @@ def resumed(
             if history.torn and not quiet.get():
                 print("note: the last line of the record was incomplete and was dropped", file=sys.stderr)
             if history.state is not RunState.FINISHED:
-                heard = heard_in(run, record, history, wishes, out, who)
-                accept_changes(run, heard.asker, out)
-                carry_out(run, record, out, history=history, wire=wire, interrupts=interrupts, heard=heard)
+                asker = asker_of(run, record, history, out, who)
+                accept_changes(run, asker, out)
+                carry_out(
+                    run,
+                    record,
+                    out,
+                    history=history,
+                    wire=wire,
+                    interrupts=interrupts,
+                    wishes=wishes,
+                    asker=asker,
+                )
         yield Run(run.folder), interrupts
 
 
@@ -315,16 +306,17 @@ def carry_out(
     history: History | None = None,
     wire: WireLog | None = None,
     interrupts: Interrupts | None = None,
-    heard: AnswerChannels | None = None,
+    wishes: WishListener | None = None,
+    asker: Asker | None = None,
 ) -> None:
     """Carry out a run to its end. If it stops early, raise `Refused` with the number of readings kept.
 
-    A resumed run has a `history`. `interrupts` handles signals during the run, `heard` are the channels to
-    people.
+    A resumed run has a `history`. `interrupts` handles signals during the run, `wishes` reads the requests (pause,
+    skip, …) left in its folder, `asker` puts questions to a person.
     """
     signals = interrupts or Interrupts()
     write_whole(run.folder / RESULTS, to_text({"made": None}))
-    heard = heard or AnswerChannels(WishListener(ControlFile(run.folder)))
+    wishes = wishes or WishListener(ControlFile(run.folder))
     resume = resume_point(run.plan, history) if history else None
     if history and resume and not run.simulated:
         resume = replace(resume, bench_s=_elapsed_s(history))
@@ -341,12 +333,12 @@ def carry_out(
         )
         out.print(f"procedure {run.manifest.get('procedure')}, bench file {run.manifest.get('bench')}")
     try:
-        with _assembly(run, bench, history, wire, out, signals.haste, heard.asker) as (assembly, bar):
+        with _assembly(run, bench, history, wire, out, signals.haste, asker) as (assembly, bar):
             bar.recall(history.progress.chosen if history else ())
             # a stopped dry run is resumed by a person, who can be asked
-            decider = heard.asker if history else None
-            people = People(assembly.person, decider, heard.asker, heard.wishes, hold_signals=signals.hold)
-            live = _live(run, bench, watcher, heard.asker)
+            decider = asker if history else None
+            people = People(assembly.person, decider, asker, wishes, hold_signals=signals.hold)
+            live = _live(run, bench, watcher, asker)
             recorder = Recorder(
                 record,
                 observers=(*assembly.observers, watcher.observe, *live, bar, RunLog(run.folder, run.plan)),

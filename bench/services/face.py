@@ -59,13 +59,12 @@ def read_readings(
     The bench file states the installations. Raises `ReadingsError` with every bad row. With `skip_bad_rows`, bad
     rows are instead left out and listed in `Readings.skipped`.
     """
-    given = str(bench) if isinstance(bench, Path) else bench
     if isinstance(readings, str | Path):
         path = Path(readings)
-        taken, _ = bench_of(str(path), None, origin_beside(path), given)
+        taken, _ = bench_of(str(path), None, origin_beside(path), bench)
         return read_csv(path, taken.file.installation_models(), skip_bad_rows=skip_bad_rows)
     return read_frame(
-        readings, find_bench_file(given).file.installation_models(), skip_bad_rows=skip_bad_rows
+        readings, find_bench_file(bench).file.installation_models(), skip_bad_rows=skip_bad_rows
     )
 
 

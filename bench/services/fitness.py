@@ -26,14 +26,14 @@ REMINDED_DAYS: Final = 30
 """How long before a certificate expires a reminder appears, days."""
 
 
-def expired(bench: BenchFile, day: datetime.date | None = None) -> list[Standing]:
-    """Return the certificates of a bench that have expired on a day, by default today."""
-    return [one for one in standings(bench, day or utc_now().date()) if one.expired]
+def expired(bench: BenchFile) -> list[Standing]:
+    """Return the certificates of a bench that have expired today."""
+    return [one for one in standings(bench, utc_now().date()) if one.expired]
 
 
-def reminders(bench: BenchFile, day: datetime.date | None = None) -> Iterator[str]:
+def reminders(bench: BenchFile) -> Iterator[str]:
     """Yield a sentence for each certificate that expires within the next 30 days."""
-    today = day or utc_now().date()
+    today = utc_now().date()
     for one in standings(bench, today):
         until = one.certificate.valid_until
         if until is not None and today <= until <= today + datetime.timedelta(days=REMINDED_DAYS):

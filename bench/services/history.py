@@ -16,7 +16,6 @@ from bench.base.arrays import CHANNELS, Floats
 from bench.base.files import to_text
 from bench.base.tables import as_text
 from bench.calibration.budget.meters import may_move
-from bench.calibration.budget.sources import assumed_stand
 from bench.calibration.intrinsic import least_dof
 from bench.calibration.noise import METERS_DRIFT
 from bench.calibration.result import CalibrationError
@@ -39,11 +38,10 @@ from bench.model import CATALOGUE, AppliedEffect, ForwardModel
 from bench.model.effects import Subsystem
 from bench.results.compare import BenchOfSource, CompareResult, compare_result, history_figure, print_compare
 from bench.results.learning import LearnResult, RecordPart, learn_result, print_learned
-from bench.run.events import MANIFEST
 from bench.services.arguments import python_call
 from bench.services.bench_selection import BenchTaken
 from bench.services.calibration import calibration_of
-from bench.services.coefficients import date_of, snapshots_in
+from bench.services.coefficients import date_of, is_result, snapshots_in
 from bench.services.errors import Refused
 from bench.services.requests import history as asked
 from bench.services.requests.history import Learn
@@ -204,7 +202,7 @@ def learning_of(request: Learn, sources: Sequence[Source] | None = None) -> Lear
     sources = load_sources(reading(request, *request.sources)) if sources is None else sources
     _require_one_bench(sources)
     first = sources[0]
-    stand_u = first.stand_u | {name: size.u for name, size in assumed_stand(first.bench).items()}
+    stand_u = first.stand_u | first.assumed_u
     asked = _effects_of_model(sources)
     certified = first.bench.instruments.head.certificate is not None
     waves = not certified and not {a.effect.name for a in asked} & set(HEAD_EFFECTS)
@@ -447,9 +445,8 @@ def _snapshots(name: str, request: asked.Compare, taken: list[tuple[str, BenchTa
 
     The bench file used for readings is appended to `taken`.
     """
-    path = Path(name)
-    if path.is_file() and path.suffix.lower() == ".json" and path.name != MANIFEST:
-        return snapshots_in(path)
+    if is_result(Path(name)):
+        return snapshots_in(Path(name))
     (source,) = load_sources(reading(request, name))
     taken.append((name, source.taken))
     found = calibration_of(source).calibration

@@ -29,7 +29,7 @@ from bench.run.commission.session import CommissioningSession, SessionEnded, sta
 from bench.run.instruments import leave_safe
 from bench.run.interrupts import Interrupts
 from bench.run.workbench import QUICK_NPLC
-from bench.services.errors import Refused
+from bench.services.errors import Refused, refusing
 from bench.services.own_effects import simulated_truth
 from drivers.angles import format_dms
 from drivers.clock import Clock, Haste, utc_now
@@ -68,7 +68,7 @@ class _HasScale(Protocol):
         ...
 
 
-class _Nobody:
+class Nobody:
     """A `Person` that answers no question, so that manual instruments are left alone."""
 
     def ask(self, prompt: Prompt) -> Answer:
@@ -129,7 +129,7 @@ def look_at(file: BenchFile, wire: WireLog | None, haste: Haste | None = None) -
 
     `haste` ends the wait for instruments that do not answer.
     """
-    assembly = real_bench(file, _Nobody(), wire, haste)
+    assembly = real_bench(file, Nobody(), wire, haste)
     instruments = assembly.instruments.all()
     rows = [_row(file, instrument) for instrument in instruments]
     _look_at_all(instruments, rows, file.voltmeter_range_v, assembly.clock)
@@ -286,14 +286,9 @@ def commission(setting: CommissioningPlan) -> dict[str, Any]:
             took_s = evening.clock.now_s() - begun_s
             to_do = leave_safe(evening.instruments, None)
         result = _result(setting, evening, began, took_s, ended, to_do)
-        try:
+        with refusing("the bench is safe; the findings are on the screen only"):
             write_whole(setting.folder / RESULT, to_text(result))
             write_whole(setting.folder / PAGE, render_commissioning(result))
-        except OSError as error:
-            raise Refused(
-                f"{error.filename}: cannot be written ({error.strerror}); the bench is safe; the findings "
-                "are on the screen only"
-            ) from error
     return result
 
 
@@ -301,13 +296,9 @@ def _take(folder: Path) -> None:
     """Create the folder of a commissioning. Raises `Refused` if that fails or it holds another commissioning."""
     if (folder / PAGE).exists() or (folder / WIRE_LOG).exists():
         raise Refused(f"{folder}: already holds a commissioning; name another folder with --out")
-    try:
+    with refusing("name another folder with --out", folder):
         folder.mkdir(parents=True, exist_ok=True)
         (folder / WIRE_LOG).touch()
-    except OSError as error:
-        raise Refused(
-            f"{folder}: cannot be written ({error.strerror}); name another folder with --out"
-        ) from error
 
 
 def _gone_through(

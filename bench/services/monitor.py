@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +14,7 @@ from bench.history.monitor import monitor_chart, monitor_run
 from bench.model.geometry import STAND_ANGLES, Block
 from bench.results.monitor import MonitorResult, monitor_figures, monitor_result
 from bench.services.arguments import python_call
+from bench.services.coefficients import date_of
 from bench.services.errors import Refused
 from bench.services.requests.history import Monitor
 from bench.services.source import Source, load_sources, reading
@@ -49,15 +49,13 @@ def monitored(request: Monitor) -> Monitored:
 
 
 def _run(source: Source) -> CheckRun:
-    if source.made_at is None:
+    when = date_of(source.made_at, source.name)
+    if when is None:
         raise Refused(f"{source.name}: has no date; use runs, or a file that 'bench export' wrote")
     conditions = source.readings.conditions()
     stand = np.zeros((len(conditions.mounts), len(STAND_ANGLES)))
     force = source.model.specific_force(conditions, stand, Block(np.eye(3), np.zeros(3)))
-    when = datetime.fromisoformat(source.made_at)
-    return monitor_run(
-        source.name, when if when.tzinfo else when.replace(tzinfo=UTC), source.readings.signal, force
-    )
+    return monitor_run(source.name, when, source.readings.signal, force)
 
 
 monitor = python_call(Monitor, monitored)

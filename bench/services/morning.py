@@ -31,7 +31,7 @@ def morning(
 
     Without a `person` the bench is simulated. Raises `Refused` for a folder that cannot be used, `FileMistakes`.
     """
-    path = bench_path(None if request.bench is None else str(request.bench))
+    path = bench_path(request.bench)
     file = load_bench(path)
     folder = request.out or free_folder(utc_now(), "morning-check")
     course = _course(file, path, request, simulated=person is None)

@@ -18,7 +18,7 @@ from bench.model import ForwardModel
 from bench.model.effects import CATALOGUE
 from bench.model.effects.base import PASS
 from bench.run.folder import EFFECTS, Run
-from bench.services.errors import Refused
+from bench.services.errors import Refused, refusing
 from bench.services.requests.evaluation import Accept
 
 if TYPE_CHECKING:
@@ -85,19 +85,14 @@ def accept_terms(request: Accept) -> tuple[Path, Path]:
         if path.exists():
             raise Refused(f"{path}: this file exists and was not overwritten; give --out FILE or move it")
     effects = [replace(a, effect=effect) if a.effect is accepted.effect else a for a in accepted.effects]
+    text = yaml.safe_dump(effects_text([effect]), sort_keys=False, allow_unicode=True)
     try:
-        place.write_text(yaml.safe_dump(effects_text([effect]), sort_keys=False, allow_unicode=True), "utf-8")
-        write_model_file(
-            beside,
-            f"{file.parent} + {name}",
-            effects,
-            parent=file.parent,
-            data_sha256=file.data_sha256,
-            evidence=file.evidence,
-            dark_uncertainty=file.dark_uncertainty,
-        )
-    except OSError as error:
-        raise Refused(f"{error.filename}: cannot be written ({error.strerror}); give --out FILE") from None
+        with refusing("give --out FILE"):
+            place.write_text(text, "utf-8")
+            write_model_file(
+                beside, f"{file.parent} + {name}", effects, parent=file.parent, data_sha256=file.data_sha256,
+                evidence=file.evidence, dark_uncertainty=file.dark_uncertainty,
+            )  # fmt: skip
     except FileMistakes as mistakes:
         raise Refused(str(mistakes)) from None
     return place, beside

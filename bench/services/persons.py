@@ -22,11 +22,10 @@ from bench.base.text import visible
 from bench.results.persons import PersonChange, PersonPart, PersonsResult
 from bench.run.events import OperatorPerson, RecordError
 from bench.run.person import WishAuthor, at_the_shell
-from bench.services.chain import LINES, Chain, Entry, first_head, opened
+from bench.services.chain import LINES, Chain, Entry, civil_now, first_head, opened
 from bench.services.errors import Refused
 from bench.services.requests.documents import ChangePersons, PersonsCommand, Right
-from bench.services.validated import laboratory_known
-from drivers.clock import utc_now
+from bench.services.validated import laboratory_known, laboratory_needed
 
 FOLDER: Final = "persons"
 TOKEN: Final = "BENCH_TOKEN"
@@ -198,9 +197,7 @@ def persons(request: ChangePersons) -> PersonsResult:
     The first line adds an administrator. Raises `Refused` for a change by nobody who may administer, for one that
     leaves no administrator, and where something is missing.
     """
-    laboratory = laboratory_known(request.laboratory)
-    if laboratory is None:
-        raise Refused("say --laboratory FILE: the register of persons is a folder beside it")
+    laboratory = laboratory_needed(request.laboratory, "the register of persons is a folder beside it")
     if request.what is None:
         return _listed(persons_of(laboratory) or Persons(laboratory.absolute().parent / FOLDER))
     needed = {"NAME": request.name, "--by NAME": request.by}
@@ -229,7 +226,7 @@ def _entry(register: Persons, request: ChangePersons, name: str, by: str, token:
     if present == (request.what is PersonsCommand.ADD):
         raise Refused(f"{name}: {'is a person of' if present else 'is no person of'} {register.folder}; "
                       f"{'change or end' if present else 'add'} instead")  # fmt: skip
-    now, why = utc_now().astimezone().isoformat(timespec="seconds"), {"reason": request.reason or ""}
+    now, why = civil_now(), {"reason": request.reason or ""}
     if request.what is PersonsCommand.END:
         return Entry(ENDED, name, now, by, why)
     old = before if before is not None and present else Person(name, "", frozenset())
@@ -263,13 +260,14 @@ def _listed(register: Persons, token: str | None = None) -> PersonsResult:
         head=register.head,
         token=token,
         persons=[
-            PersonPart(name=one.name, role=one.role, may=sorted(one.may), has_token=bool(one.token),
-                       public_key=one.public_key, since=one.since, ended=one.ended)
+            PersonPart.from_object(one, may=sorted(one.may), has_token=bool(one.token))
             for one in register.everyone.values()
         ],
         changes=[
-            PersonChange(time=one.time, kind=one.kind, name=one.number, by=one.by,
-                         reason=str(one.data.get("reason", "")), role=one.data.get("role"), may=one.data.get("may"))
+            PersonChange.from_object(
+                one, name=one.number, reason=str(one.data.get("reason", "")),
+                role=one.data.get("role"), may=one.data.get("may"),
+            )
             for one in register.entries
         ],
     )  # fmt: skip

@@ -32,7 +32,7 @@ from bench.run.seal import (
     signed,
     write_seal,
 )
-from bench.services.errors import Refused
+from bench.services.errors import Refused, refusing
 from bench.services.requests.records import SealRun, ShowRun
 from bench.services.requests.shared import runs_folder
 from drivers.clock import utc_now
@@ -148,12 +148,8 @@ def seal_run(request: SealRun, passphrase: Callable[[], bytes]) -> SealResult:
             seal = replace(seal, time_stamp=ask_time_stamp(server, seal.stamped_bytes))
         except NoTimeStamp as reason:
             missing = str(reason)
-    try:
+    with refusing("nothing was sealed"):
         return SealResult(seal, write_seal(run.folder, seal), missing)
-    except OSError as error:
-        raise Refused(
-            f"{error.filename}: cannot be written ({error.strerror}); nothing was sealed"
-        ) from error
 
 
 def proof_of(run: Run, request: ShowRun) -> tuple[list[str], list[str]]:

@@ -14,10 +14,10 @@ from bench.run.assembly.instruments import Surroundings, meter_of
 from bench.run.assembly.served import held_instruments
 from bench.run.workbench import QUICK_NPLC
 from bench.services.errors import Refused
+from bench.services.instruments import Nobody
 from drivers.clock import SystemClock
 from drivers.interfaces import BenchError, Identity, VoltmeterSettings
 from drivers.making_safe import let_go
-from drivers.person import Answer, Prompt
 from drivers.wire.resources import discover
 from drivers.wire.visa import MessageSession
 
@@ -114,7 +114,7 @@ def _reading(device: Device, resource: str) -> str:
     section = device.section.model_validate(stated)
     if not isinstance(section, VoltmeterForm):
         return ""
-    meter = meter_of(section, Surroundings(_Nobody(), SystemClock(), 50.0, holding=held_instruments()))
+    meter = meter_of(section, Surroundings(Nobody(), SystemClock(), 50.0, holding=held_instruments()))
     try:
         meter.open()
         least = section.kind.limits.least_samples
@@ -133,11 +133,3 @@ def _interface(resource: str) -> str:
     if is_serial(resource):
         return "rs232"
     return "gpib" if resource.startswith(("GPIB", "PRLGX", "prologix")) else "lan"
-
-
-class _Nobody:
-    """A `Person` whom nobody asks: instruments that a person operates are not searched for."""
-
-    def ask(self, prompt: Prompt) -> Answer:
-        """Raise `NotImplementedError`."""
-        raise NotImplementedError

@@ -34,7 +34,7 @@ from bench.services.bench_selection import (
     recorded_sha256,
 )
 from bench.services.errors import Refused, sentence
-from bench.services.requests.shared import OnReadings, runs_folder
+from bench.services.requests.shared import Bench, OnReadings, runs_folder
 from bench.services.traceability import (
     NOTHING_LEARNED,
     LearnedTaken,
@@ -72,7 +72,7 @@ class Request:
 
     sources: Sequence[Given]
     runs: Path
-    bench: str | BenchFile | None = None
+    bench: Bench = None
     model: Path | None = None
     g_m_s2: float | None = None
     out: Path | None = None
@@ -85,7 +85,7 @@ def reading(asked: OnReadings, *sources: Given | Path, out: Path | None = None) 
     return Request(
         [str(source) if isinstance(source, Path) else source for source in sources],
         runs_folder(asked.runs),
-        str(asked.bench) if isinstance(asked.bench, Path) else asked.bench,
+        asked.bench,
         None if model is None else Path(model),
         asked.g,
         None if place is None else Path(place),
@@ -171,6 +171,13 @@ class Source:
         """
         sizes = {name: d.u for name, d in self.bench.stand_distributions().items()}
         return sizes if self.readings.unit == VOLTS else sizes | {"voltmeter_error": 0.0}
+
+    @property
+    def assumed_u(self) -> dict[str, float]:
+        """Standard uncertainties, rad, of the stand's errors that no bench file need state, by name."""
+        from bench.calibration.budget.sources import assumed_stand  # a diagnosis does without the budget
+
+        return {name: size.u for name, size in assumed_stand(self.bench).items()}
 
     def made_from(self) -> dict[str, Any]:
         """Return the members by which a result states its source, bench, date, unit and certificates."""

@@ -111,11 +111,10 @@ def _bench_of(record: str, runs: Path, bench: Bench) -> tuple[BenchTaken, tuple[
 
     It is the bench file `bench` of the request, else that of the run or of the origin file, else the default.
     """
-    given = str(bench) if isinstance(bench, Path) else bench
     if Path(record).is_file():
-        return bench_of(record, None, origin_beside(Path(record)), given)
+        return bench_of(record, None, origin_beside(Path(record)), bench)
     run = next((Run(folder) for folder in (runs / record, Path(record)) if (folder / BENCH).is_file()), None)
-    return bench_of(record, run, OriginBeside(), given)
+    return bench_of(record, run, OriginBeside(), bench)
 
 
 def _known_input(request: asked.Stability, runs: Path) -> Source | None:
@@ -126,9 +125,8 @@ def _known_input(request: asked.Stability, runs: Path) -> Source | None:
             return None
     elif not any(Run(folder).imported for folder in (runs / request.record, path) if folder.is_dir()):
         return None
-    bench = str(request.bench) if isinstance(request.bench, Path) else request.bench
     model = None if request.model is None else Path(request.model)
-    (source,) = load_sources(Request([request.record], runs, bench, model))
+    (source,) = load_sources(Request([request.record], runs, request.bench, model))
     return source if is_record(source.readings) else None
 
 

@@ -333,20 +333,19 @@ def look_ahead(request: Check) -> Findings:
 
     Raises `Refused` with the mistakes of both files, and for goals that cannot be reached.
     """
-    bench = None if request.bench is None else str(request.bench)
     if request.procedure is None:
         raise Refused("name a procedure to check, or give --morning to check the bench")
-    plan, file = _load(request.procedure, bench)
+    plan, file = _load(request.procedure, request.bench)
     found = findings_of(plan, file, runs_folder(request.runs))
     if not request.until:
         return found
-    learned = learned_for_run(file, bench_path(bench), utc_now().isoformat(), simulated=None)
+    learned = learned_for_run(file, bench_path(request.bench), utc_now().isoformat(), simulated=None)
     until = outlook_until(plan, file, request.until, learned)
     result = found.result.model_copy(update={"until": until_part(until)})
     return replace(found, result=result, until=until)
 
 
-def _load(procedure: str, bench_name: str | None) -> tuple[Plan, BenchFile]:
+def _load(procedure: str, bench_name: str | Path | BenchFile | None) -> tuple[Plan, BenchFile]:
     plan: Plan | None = None
     bench: BenchFile | None = None
     mistakes = []

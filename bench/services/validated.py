@@ -152,6 +152,14 @@ def laboratory_known(given: Path | None) -> Path | None:
     return given or (Path(named) if named else None)
 
 
+def laboratory_needed(given: Path | None, why: str) -> Path:
+    """Return the laboratory file as `laboratory_known` does. Raises `Refused`, with the reason, without one."""
+    laboratory = laboratory_known(given)
+    if laboratory is None:
+        raise Refused(f"say --laboratory FILE: {why}")
+    return laboratory
+
+
 def demanded_by(laboratory: Path | None) -> bool:
     """Return whether a laboratory file demands validated programs. Raises `FileMistakes` if it cannot be read."""
     if laboratory is None:
@@ -202,8 +210,3 @@ def _refuse(laboratory: Path | None, by: str, bench: Path | None) -> None:
     else:
         why = f"the program was changed since {register.standing()[-1].number} was accepted"
     raise Refused(f"{by} demands a validated program (require_validation), and {why}; {way}")
-
-
-def kept_result(register: Validations, entry: Entry) -> bytes:
-    """Return the result, as JSON, of an accepted validation. Raises `Refused` if it is missing or changed."""
-    return register.kept(str(entry.data["result_sha256"]))

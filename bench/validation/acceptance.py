@@ -11,15 +11,15 @@ from bench.certificate.laboratory import Person, load_laboratory
 from bench.results.validation import RegisteredValidation, ValidationRegisterResult, ValidationResult
 from bench.run.events import sha256
 from bench.run.seal import read_seal
-from bench.services.chain import Entry, opened
-from bench.services.errors import Refused
+from bench.services.chain import Entry, civil_now, opened
+from bench.services.errors import Refused, refusing
 from bench.services.requests.documents import Validate
 from bench.services.validated import (
     ACCEPTED,
     WITHDRAWN,
     Validations,
     fingerprint,
-    laboratory_known,
+    laboratory_needed,
     read_validations,
     register_beside,
 )
@@ -57,7 +57,7 @@ def accept(request: Validate, folder: Path) -> ValidationRegisterResult:
             "changes": [one.name for one in result.changes],
         }
         now = utc_now()
-        register.append(Entry(ACCEPTED, f"V{now:%Y}-{count + 1:04d}", _moment(), person.name, data))
+        register.append(Entry(ACCEPTED, f"V{now:%Y}-{count + 1:04d}", civil_now(), person.name, data))
         return listed(register)
 
 
@@ -72,7 +72,7 @@ def withdraw(request: Validate, number: str) -> ValidationRegisterResult:
                 f"{number}: no validation of that number holds in {register.folder}; the latest are: {known}"
             )
         told = {**found.data, "role": person.role, "reason": reason}
-        register.append(Entry(WITHDRAWN, number, _moment(), person.name, told))
+        register.append(Entry(WITHDRAWN, number, civil_now(), person.name, told))
         return listed(register)
 
 
@@ -91,11 +91,8 @@ def listed(register: Validations) -> ValidationRegisterResult:
         holding[one.data["fingerprint"], one.data["bench_sha256"]] = one.number
     latest = set(holding.values())
     rows = [
-        RegisteredValidation(
-            number=one.number,
-            kind=ACCEPTED if one.kind == ACCEPTED else WITHDRAWN,
-            time=one.time,
-            by=one.by,
+        RegisteredValidation.from_object(
+            one,
             holds=one.kind == ACCEPTED and one.number in latest,
             **{
                 name: one.data[name]
@@ -108,10 +105,7 @@ def listed(register: Validations) -> ValidationRegisterResult:
 
 
 def _laboratory(request: Validate) -> Path:
-    laboratory = laboratory_known(request.laboratory)
-    if laboratory is None:
-        raise Refused("say --laboratory FILE: it names who may accept, and its folder holds the register")
-    return laboratory
+    return laboratory_needed(request.laboratory, "it names who may accept, and its folder holds the register")
 
 
 def _authority(request: Validate) -> tuple[Path, Person, str]:
@@ -130,18 +124,11 @@ def _authority(request: Validate) -> tuple[Path, Person, str]:
 def _sealed(folder: Path) -> tuple[bytes, ValidationResult]:
     """Return the result in a folder, as bytes and read. Raises `Refused` if it is not what was sealed."""
     try:
-        content, seal = read_regular(folder / RESULT), read_seal(folder)
+        with refusing("name the folder of a validation", folder / RESULT, verb="read"):
+            content, seal = read_regular(folder / RESULT), read_seal(folder)
         result = ValidationResult.model_validate_json(content)
-    except OSError as error:
-        raise Refused(
-            f"{folder / RESULT}: cannot be read ({error.strerror}); name the folder of a validation"
-        ) from error
     except ValidationError as error:
         raise Refused(f"{folder / RESULT}: not the result of a validation; validate again") from error
     if seal is None or (wrong := damage_of(folder, seal)):
         raise Refused(f"{folder}: {'; '.join(wrong) if seal else 'it has no seal'}; validate again")
     return content, result
-
-
-def _moment() -> str:
-    return utc_now().astimezone().isoformat(timespec="seconds")

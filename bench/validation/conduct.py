@@ -30,7 +30,7 @@ from bench.results.validation import (
 from bench.run.events import sha256
 from bench.run.seal import Seal, private_key, sign, signed, write_seal
 from bench.services.bench_selection import bench_path
-from bench.services.errors import Refused, sentence
+from bench.services.errors import Refused, refusing, sentence
 from bench.services.requests.documents import Validate
 from bench.services.requests.shared import runs_folder
 from bench.services.validated import (
@@ -39,9 +39,8 @@ from bench.services.validated import (
     read_validations,
     register_beside,
 )
-from bench.validation.families import every
 from bench.validation.machine import description
-from bench.validation.registry import Context, carry_out
+from bench.validation.registry import Context, carry_out, every
 from drivers.clock import SystemClock, utc_now
 
 RESULT: Final = "validation.json"
@@ -120,14 +119,10 @@ def _cpu_s() -> float:
 def _take(folder: Path) -> None:
     if (folder / RESULT).exists():
         raise Refused(f"{folder}: holds a validation already; name another folder with --out")
-    try:
+    with refusing("name another folder with --out", folder):
         folder.mkdir(parents=True, exist_ok=True)
         (folder / RESULT).touch()
         (folder / RESULT).unlink()
-    except OSError as error:
-        raise Refused(
-            f"{folder}: cannot be written ({error.strerror}); name another folder with --out"
-        ) from error
 
 
 def _accepted(laboratory: Path | None, bench: Path) -> tuple[str, dict[str, Any] | None]:

@@ -13,12 +13,12 @@ from bench.results.failures import Failure, FailuresResult, NotedRemedy
 from bench.run.events import EventType, RecordError
 from bench.run.folder import Run, all_runs
 from bench.run.sentences import sentence
-from bench.services.chain import Chain, Entry, first_head, opened
+from bench.services.chain import Chain, Entry, civil_now, first_head, opened
 from bench.services.errors import Refused
 from bench.services.persons import persons_of
 from bench.services.requests.documents import Failures, FailureState, Right
 from bench.services.requests.shared import runs_folder
-from bench.services.validated import laboratory_known
+from bench.services.validated import laboratory_needed
 from drivers.clock import utc_now
 
 FOLDER: Final = "failures"
@@ -67,16 +67,14 @@ def failures(request: Failures) -> FailuresResult:
     Raises `Refused` without a laboratory file, for an unknown number, and for a remedy without text or without a
     person.
     """
-    laboratory = laboratory_known(request.laboratory)
-    if laboratory is None:
-        raise Refused("say --laboratory FILE: the register of failures is a folder beside it")
+    laboratory = laboratory_needed(request.laboratory, "the register of failures is a folder beside it")
     with opened(FailureRegister(laboratory.absolute().parent / FOLDER)) as register:
         new = 0
         known = register.keys()
         for data in _in_records(runs_folder(request.runs)):
             if (data["created"], data["run"], data["event"]) not in known:
                 number = f"F{data['when'][:4] or utc_now().year}-{len(register.seen) + 1:04d}"
-                register.append(Entry(SEEN, number, _moment(), "bench failures", data))
+                register.append(Entry(SEEN, number, civil_now(), "bench failures", data))
                 new += 1
         if request.number is not None:
             _note(register, request, laboratory)
@@ -138,7 +136,7 @@ def _note(register: FailureRegister, request: Failures, laboratory: Path) -> Non
     elif (persons := persons_of(laboratory)) is not None:
         persons.chosen(by, Right.OPERATE, "--by")
     told = {"state": str(request.state), "remedy": request.remedy}
-    register.append(Entry(NOTED, number, _moment(), by, told))
+    register.append(Entry(NOTED, number, civil_now(), by, told))
 
 
 def _result(register: FailureRegister, year: int | None, new: int) -> FailuresResult:
@@ -156,7 +154,3 @@ def _result(register: FailureRegister, year: int | None, new: int) -> FailuresRe
     return FailuresResult(
         register_=str(register.folder), head=register.head, year=year, collected=new, failures=found
     )
-
-
-def _moment() -> str:
-    return utc_now().astimezone().isoformat(timespec="seconds")

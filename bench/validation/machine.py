@@ -23,6 +23,8 @@ from pathlib import Path
 from typing import Final
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
+from packaging.requirements import Requirement
+
 from bench.base.files import cache_folder, write_whole
 from bench.readings.csv import read_csv
 from bench.services.errors import sentence
@@ -36,10 +38,6 @@ check = partial(enter, family="machine")
 _FREE_BYTES: Final = 500_000_000
 _NOT_BEFORE: Final = datetime(2026, 11, 1, tzinfo=UTC)
 """The program is not older than this: an earlier clock is wrong."""
-_REQUIREMENT: Final = re.compile(
-    r"^([A-Za-z0-9][A-Za-z0-9._-]*)\s*(?:\[[^\]]*\])?\s*\(?([^;)]*)\)?\s*(;.*)?$"
-)
-_STEP: Final = re.compile(r"(~=|===?|!=|<=?|>=?)\s*([0-9][0-9A-Za-z.*+-]*)")
 
 
 def description() -> dict[str, str]:
@@ -92,8 +90,8 @@ def _differing(one: metadata.Distribution) -> tuple[list[str], int]:
     wrong, count = [], 0
     for name, stated, _ in csv.reader((one.read_text("RECORD") or "").splitlines()):
         kind, _, value = stated.partition("=")
-        if not value or name.endswith((".pyc", "direct_url.json")) or _is_script(name):
-            continue
+        if not value or name.endswith((".pyc", "direct_url.json")) or name.startswith("../"):
+            continue  # "../": a script or data outside the package, whose first line may be the installer's
         file = Path(str(one.locate_file(name)))
         if one.name == DISTRIBUTION and file.suffix == ".pth":
             continue
@@ -112,11 +110,6 @@ def _differing(one: metadata.Distribution) -> tuple[list[str], int]:
     return wrong, count
 
 
-def _is_script(name: str) -> bool:
-    """Return whether a file is a script or data outside the package, whose first line may be the installer's."""
-    return name.startswith("../")
-
-
 @check("package versions", "7.11.2", "within the stated bounds", source="requirements of the program")
 def package_versions(context: Context) -> Iterator[Finding]:
     """Compare the versions of the packages with the bounds that the program states."""
@@ -127,37 +120,19 @@ def package_versions(context: Context) -> Iterator[Finding]:
         return
     wrong, count = [], 0
     for text in dict.fromkeys(wanted):
-        match = _REQUIREMENT.match(text)
-        if match is None:
-            continue
+        stated = Requirement(text)
         try:
-            version = metadata.version(match[1])
+            version = metadata.version(stated.name)
         except metadata.PackageNotFoundError:
-            if "extra ==" not in text:
-                wrong.append(f"{match[1]} is not installed; install it with pip")
+            if stated.marker is None or stated.marker.evaluate():
+                wrong.append(f"{stated.name} is not installed; install it with pip")
             continue
         count += 1
-        if not all(_keeps(version, sign, bound) for sign, bound in _STEP.findall(match[2])):
-            wrong.append(f"{match[1]} {version} is not {match[2].strip()}; install such a version with pip")
+        if not stated.specifier.contains(version, prereleases=True):
+            wrong.append(
+                f"{stated.name} {version} is not {stated.specifier}; install such a version with pip"
+            )
     yield Finding(not wrong, "; ".join(wrong) or f"{count} packages", where="; ".join(wrong))
-
-
-def _keeps(version: str, sign: str, bound: str) -> bool:
-    """Return whether a version keeps a bound; only numbers of releases are compared."""
-
-    def numbers(text: str) -> tuple[int, ...]:
-        found = tuple(int(part) for part in re.findall(r"\d+", text.split("+", maxsplit=1)[0])[:4])
-        return found + (0,) * (4 - len(found))
-
-    mine, theirs = numbers(version), numbers(bound)
-    known = {
-        "<": mine < theirs,
-        "<=": mine <= theirs,
-        ">": mine > theirs,
-        ">=": mine >= theirs,
-        "!=": mine != theirs,
-    }
-    return known.get(sign, True)
 
 
 # --- time -------------------------------------------------------------------------------------------

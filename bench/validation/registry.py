@@ -14,6 +14,7 @@ from __future__ import annotations
 import traceback
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
+from importlib import import_module
 from pathlib import Path
 from typing import Any, Final
 
@@ -128,6 +129,17 @@ class Check:
 
 TABLE: Final[list[Check]] = []
 """All checks, in the order in which their modules were imported."""
+
+MODULES: Final = (
+    "reference", "gum", "statistics", "instruments", "records", "certificates", "machine", "changes",
+)  # fmt: skip
+"""The modules that define checks, in the order of the page."""
+
+
+def every() -> list[Check]:
+    """Return all checks, after importing the modules that define them."""
+    places = [import_module(f"bench.validation.{name}").__name__ for name in MODULES]
+    return sorted(TABLE, key=lambda one: places.index(one.act.__module__))
 
 
 def check(name: str, clause: str, expected: str, *, family: str, **more: Any) -> Callable[[Act], Act]:

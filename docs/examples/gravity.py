@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from bench.base.requests import Option
-from bench.cli.options import app, requested
+from bench.base.requests import Option, option
+from bench.cli.options import command
 from bench.services.errors import Refused
 
 
@@ -15,11 +15,10 @@ class Gravity:
     """A place whose gravity is asked for."""
 
     latitude: Annotated[float, Option("Degrees, north positive.", argument=True)]
-    height: Annotated[float, Option("Metres above the ellipsoid.")] = 0.0
+    height: float = option(0.0, "Metres above the ellipsoid.")
 
 
-@app.command(epilog="Example: bench gravity 50.449 --height 180")
-@requested
+@command("bench gravity 50.449 --height 180")
 def gravity(request: Gravity) -> int:
     """Normal gravity of a place, by the WGS 84 formula."""
     from math import radians

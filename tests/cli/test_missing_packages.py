@@ -112,6 +112,7 @@ def test_every_package_that_is_imported_comes_with_the_program_or_is_known_with_
         "matplotlib",
         "jinja2",
         "openpyxl",
+        "packaging",
     }
     brought |= {
         "pyvisa",

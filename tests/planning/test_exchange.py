@@ -41,7 +41,9 @@ def by_hand(settings, wider=1.0):
 def test_the_covariance_of_a_plan_is_that_of_another_calculation():
     """The paper's 54 settings tell the noise by 36 repeats: 108 degrees of freedom widen u by sqrt(72/70)."""
     wider = math.sqrt(72 / 70)
-    np.testing.assert_allclose(STAND.covariance(PAPER), by_hand(PAPER, wider), rtol=1e-4, atol=1e-13)
+    np.testing.assert_allclose(
+        STAND.promise(PAPER, ()).combined, by_hand(PAPER, wider), rtol=1e-4, atol=1e-13
+    )
 
 
 def test_the_design_has_the_covariance_of_the_estimator():

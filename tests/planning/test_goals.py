@@ -22,7 +22,7 @@ from tests.support.planning_bench import PAPER, SIZES, STAND
 def test_goals_against_draws():
     """u of the vector error and of moduli against 20,000 draws of the coefficients, within 3 %."""
     rng = np.random.default_rng(8)
-    covariance = STAND.covariance(PAPER)
+    covariance = STAND.promise(PAPER, ()).combined
     draws = rng.multivariate_normal(np.zeros(12), covariance, 20_000)
     force = rng.normal(size=(20_000, 3))
     force *= 5.0 / np.linalg.norm(force, axis=1, keepdims=True)

@@ -23,7 +23,7 @@ from tests.support.planning_bench import COST, PAPER, SIZES, STAND, sites, whole
 @pytest.mark.slow
 def test_what_the_papers_settings_give_takes_hardly_fewer():
     """Spread evenly and repeated, they are within a percent of the best 54 for the whole error vector."""
-    asked = vector_goal(STAND.block).u(STAND.covariance(PAPER))
+    asked = vector_goal(STAND.block).u(STAND.promise(PAPER, ()).combined)
     goals = [vector_goal(STAND.block, 1.0, asked)]
     fewer = cheapest(STAND, sites(), goals, COST, 100, 2)
     assert fewer.reached

@@ -18,7 +18,7 @@ from bench.run.listening import Asker, WishListener
 from bench.run.live import LIVE, LiveSignals, LiveValue
 from bench.run.person import ControlFile
 from bench.run.terminal import TerminalPerson
-from bench.services.execution import AnswerChannels, carry_out, new_run
+from bench.services.execution import carry_out, new_run
 from bench.services.requests.measuring import RunRequest
 from drivers.interfaces import BadReading, InstrumentLost
 from drivers.person import Prompt, PromptKind
@@ -61,7 +61,7 @@ def run_of(folder, bench, looks):
             new.folder, record, lambda kind, data: record.append(kind, 0.0, **data), looks=looks
         )
         asker._answers_folder = new.folder
-        carry_out(Run(new.folder), record, Console(file=io.StringIO()), heard=AnswerChannels(wishes, asker))
+        carry_out(Run(new.folder), record, Console(file=io.StringIO()), wishes=wishes, asker=asker)
     return Run(new.folder), asker
 
 

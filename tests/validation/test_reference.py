@@ -7,9 +7,8 @@ from fractions import Fraction
 
 import pytest
 
-from bench.validation.families import every
 from bench.validation.reference import strd
-from bench.validation.registry import Context, carry_out
+from bench.validation.registry import Context, carry_out, every
 
 QUICK = ("reference data", "statistics of own results")
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from bench.run.seal import read_seal
-from bench.validation import conduct, families
+from bench.validation import conduct, registry
 from bench.validation.certificates import write_files
 from bench.validation.registry import TABLE, Check, Finding
 from tests.support.commands import printed, refused
@@ -21,7 +21,7 @@ BY = ("--by", "A. Example", "--reason", "first use")
 @pytest.fixture
 def few(monkeypatch):
     """Let a validation be of a few checks; return the list of those beside them."""
-    families.every()
+    registry.every()
     others = []
     chosen = [
         one for one in TABLE if one.family in FEW or one.name in {"locale", "run length of an EWMA chart"}

@@ -25,7 +25,7 @@ from bench.certificate.signatures import ORIGINAL, SIGNATURE, NotIntact, check_x
 from bench.config.devices.device import ChamberCertificate, HeadCertificate
 from bench.model.geometry import COEFFICIENTS
 from bench.services.coefficients import coefficients_of, impossible
-from bench.services.errors import Refused, reading
+from bench.services.errors import Refused, refusing
 
 MOST_BYTES: Final = 64_000_000
 OURS: Final = "bench_coefficients"
@@ -50,7 +50,7 @@ def document_in(path: Path) -> tuple[Node, tuple[str, ...]]:
     a DCC, or has an invalid signature.
     """
     try:
-        with reading(path):
+        with refusing("check name and permissions", path, verb="read"):
             content = read_regular(path, MOST_BYTES)
         if content.startswith(b"%PDF"):
             content = _attached(path, content)

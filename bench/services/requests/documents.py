@@ -7,7 +7,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
-from bench.base.requests import Option
+from bench.base.requests import Option, option
 from bench.services.requests.shared import (
     EstimatorField,
     GuardBandField,
@@ -45,13 +45,10 @@ class Sync:
         list[Path], Option("Folders that contain run folders, at any depth.", metavar="DIR…", argument=True)
     ]
     _: KW_ONLY
-    verify: Annotated[
-        bool, Option("Check each event of each record, not only the line hashes.", common=True)
-    ] = False
-    due: Annotated[
-        bool,
-        Option("Compute the due dates of changed units now, so that 'due' answers at once.", common=True),
-    ] = False
+    verify: bool = option(False, "Check each event of each record, not only the line hashes.", common=True)
+    due: bool = option(
+        False, "Compute the due dates of changed units now, so that 'due' answers at once.", common=True
+    )
     catalogue: CatalogueField = None
 
 
@@ -61,33 +58,25 @@ class Ask:
 
     query: QueryField = None
     _: KW_ONLY
-    of: Annotated[
-        str,
-        Option(
-            "runs, coefficients, units, benches, operators, instruments, certificates, issued or folders.",
-            metavar="WHAT",
-            common=True,
-        ),
-    ] = "runs"
-    csv: Annotated[Path | None, Option("Write all rows and columns as CSV.", metavar="FILE", common=True)] = (
-        None
+    of: str = option(
+        "runs",
+        "runs, coefficients, units, benches, operators, instruments, certificates, issued or folders.",
+        metavar="WHAT",
+        common=True,
     )
-    parquet: Annotated[
-        Path | None, Option("Write all rows and columns as Parquet.", metavar="FILE", common=True)
-    ] = None
+    csv: Path | None = option(None, "Write all rows and columns as CSV.", metavar="FILE", common=True)
+    parquet: Path | None = option(None, "Write all rows and columns as Parquet.", metavar="FILE", common=True)
     catalogue: CatalogueField = None
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Dated:
-    limit: Annotated[
-        float | None,
-        Option("Allowed error, in g at 1 g (default: of the last verification).", metavar="G", common=True),
-    ] = None
-    interval: Annotated[
-        float | None,
-        Option("Interval for units with a short history (default: 365).", metavar="DAYS", common=True),
-    ] = None
+    limit: float | None = option(
+        None, "Allowed error, in g at 1 g (default: of the last verification).", metavar="G", common=True
+    )
+    interval: float | None = option(
+        None, "Interval for units with a short history (default: 365).", metavar="DAYS", common=True
+    )
     catalogue: CatalogueField = None
 
 
@@ -97,7 +86,7 @@ class Unit(_Dated):
 
     name: Annotated[str, Option("Serial number, or type and serial number.", metavar="UNIT", argument=True)]
     _: KW_ONLY
-    page: Annotated[Path | None, Option("Write an HTML page.", metavar="FILE", common=True)] = None
+    page: Path | None = option(None, "Write an HTML page.", metavar="FILE", common=True)
 
 
 @dataclass(frozen=True)
@@ -106,9 +95,9 @@ class DueUnits(_Dated):
 
     query: QueryField = None
     _: KW_ONLY
-    before: Annotated[
-        str | None, Option("List only units due before this day.", metavar="YYYY-MM-DD", common=True)
-    ] = None
+    before: str | None = option(
+        None, "List only units due before this day.", metavar="YYYY-MM-DD", common=True
+    )
 
 
 # --- batches: the same work over many runs ------------------------------------------------------------
@@ -130,16 +119,12 @@ class Batch(OnReadings):
         Path, Option("Folder of the batch; the same command resumes it.", metavar="FOLDER", common=True)
     ]
     model: ModelField = None
-    workers: Annotated[
-        int | None, Option("Number of processes (default: one per core).", metavar="N", least=1, common=True)
-    ] = None
-    scheduler: Annotated[
-        str | None,
-        Option(
-            "Dask scheduler (tcp://host:8786) to use instead of local processes.",
-            metavar="ADDRESS",
-        ),
-    ] = None
+    workers: int | None = option(
+        None, "Number of processes (default: one per core).", metavar="N", least=1, common=True
+    )
+    scheduler: str | None = option(
+        None, "Dask scheduler (tcp://host:8786) to use instead of local processes.", metavar="ADDRESS"
+    )
     catalogue: CatalogueField = None
 
 
@@ -154,14 +139,14 @@ class BatchCalibrate(Batch):
     limit: LimitField = None
     rule: RuleField = None
     guard_band: GuardBandField = None
-    strict: Annotated[bool, Option("Accept no changed judgement of a fit.", common=True)] = False
+    strict: bool = option(False, "Accept no changed judgement of a fit.", common=True)
 
 
 @dataclass(frozen=True, kw_only=True)
 class BatchDiagnose(Batch):
     """Diagnoses of many runs, computed again."""
 
-    strict: Annotated[bool, Option("Accept no changed effect under the same verdict.", common=True)] = False
+    strict: bool = option(False, "Accept no changed effect under the same verdict.", common=True)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -197,21 +182,17 @@ class Issuing:
     """The laboratory, order, signatory and key with which certificates are issued."""
 
     laboratory: LaboratoryField = None
-    order: Annotated[
-        Path | None, Option("Order file; 'bench init' copies an example.", metavar="FILE", common=True)
-    ] = None
+    order: Path | None = option(
+        None, "Order file; 'bench init' copies an example.", metavar="FILE", common=True
+    )
     authorised_by: AuthorisedField = None
-    key: Annotated[
-        str | None,
-        Option("Key to sign with: a PEM file, or pkcs11:… for a token.", metavar="KEY", common=True),
-    ] = None
-    chain: Annotated[
-        Path | None, Option("Certificates of the key (PEM), if not beside it.", metavar="FILE")
-    ] = None
-    schema: Annotated[
-        Path | None,
-        Option("Folder of schemas (DCC 3.3.0, D-SI 2.2.1) to check against.", metavar="DIR"),
-    ] = None
+    key: str | None = option(
+        None, "Key to sign with: a PEM file, or pkcs11:… for a token.", metavar="KEY", common=True
+    )
+    chain: Path | None = option(None, "Certificates of the key (PEM), if not beside it.", metavar="FILE")
+    schema: Path | None = option(
+        None, "Folder of schemas (DCC 3.3.0, D-SI 2.2.1) to check against.", metavar="DIR"
+    )
     runs: RunsField = None
 
 
@@ -223,12 +204,10 @@ class IssueCertificates(Issuing):
         list[str], Option("Runs, by name or path.", metavar="RUN…", argument=True, completes="runs")
     ]
     _: KW_ONLY
-    draft: Annotated[
-        bool, Option("Write a draft with a watermark; needs no laboratory or order file.", common=True)
-    ] = False
-    out: Annotated[Path | None, Option("Folder for drafts (default: the run's folder).", metavar="DIR")] = (
-        None
+    draft: bool = option(
+        False, "Write a draft with a watermark; needs no laboratory or order file.", common=True
     )
+    out: Path | None = option(None, "Folder for drafts (default: the run's folder).", metavar="DIR")
 
 
 @dataclass(frozen=True)
@@ -239,9 +218,7 @@ class AmendCertificate(Issuing):
     run: RunField
     _: KW_ONLY
     reason: ReasonField
-    replace: Annotated[
-        bool, Option("Replace the whole certificate: another run, other results.", common=True)
-    ] = False
+    replace: bool = option(False, "Replace the whole certificate: another run, other results.", common=True)
 
 
 @dataclass(frozen=True)
@@ -259,16 +236,15 @@ class RevokeCertificate:
 class CheckRegister:
     """A check of the register of issued certificates."""
 
-    number: Annotated[str | None, Option("Number of a certificate (default: all).", argument=True)] = None
+    number: str | None = option(None, "Number of a certificate (default: all).", argument=True)
     _: KW_ONLY
     laboratory: LaboratoryField = None
-    out: Annotated[
-        Path | None,
-        Option("Copy the files of certificate NUMBER into this folder.", metavar="DIR", common=True),
-    ] = None
-    again: Annotated[
-        bool, Option("Regenerate the unsigned certificates from their records and compare.", common=True)
-    ] = False
+    out: Path | None = option(
+        None, "Copy the files of certificate NUMBER into this folder.", metavar="DIR", common=True
+    )
+    again: bool = option(
+        False, "Regenerate the unsigned certificates from their records and compare.", common=True
+    )
     runs: RunsField = None
 
 
@@ -278,16 +254,12 @@ class VerifyCertificate:
 
     file: Annotated[Path, Option("Certificate, PDF or XML; the other form must be beside it.", argument=True)]
     _: KW_ONLY
-    trust: Annotated[
-        Path | None,
-        Option("Trusted certificates of signers or authorities (PEM).", metavar="FILE", common=True),
-    ] = None
-    laboratory: Annotated[
-        Path | None,
-        Option(
-            "Laboratory file with the register (default: the one beside FILE).", metavar="FILE", common=True
-        ),
-    ] = None
+    trust: Path | None = option(
+        None, "Trusted certificates of signers or authorities (PEM).", metavar="FILE", common=True
+    )
+    laboratory: Path | None = option(
+        None, "Laboratory file with the register (default: the one beside FILE).", metavar="FILE", common=True
+    )
     runs: RunsField = None
 
 
@@ -300,10 +272,8 @@ class PlanKit:
     laboratory: Annotated[
         list[str], Option("A laboratory, the pilot first (repeatable).", metavar="NAME", common=True)
     ]
-    block: Annotated[str, Option("Type and serial number of the block.", metavar="TEXT", common=True)] = (
-        "block"
-    )
-    seed: Annotated[int, Option("Draws the order and the blind codes.", least=0, common=True)] = 1
+    block: str = option("block", "Type and serial number of the block.", metavar="TEXT", common=True)
+    seed: int = option(1, "Draws the order and the blind codes.", least=0, common=True)
 
 
 @dataclass(frozen=True)
@@ -321,9 +291,9 @@ class EvaluateKit(SealKit):
     """The evaluation of all sealed results."""
 
     _: KW_ONLY
-    g: Annotated[
-        float | None, Option("Local gravity of the stated K, for a foreign certificate.", metavar="M/S2")
-    ] = None
+    g: float | None = option(
+        None, "Local gravity of the stated K, for a foreign certificate.", metavar="M/S2"
+    )
 
 
 @dataclass(frozen=True)
@@ -335,33 +305,22 @@ class ReadCertificate:
         Option("Digital calibration certificate: XML, or PDF with the XML inside.", argument=True),
     ]
     _: KW_ONLY
-    out: Annotated[
-        Path | None,
-        Option(
-            "File for the coefficients, for verify --coefficients and compare.", metavar="FILE", common=True
-        ),
-    ] = None
-    into: Annotated[
-        Path | None,
-        Option(
-            "Bench file into which the certificate of --instrument is written.", metavar="FILE", common=True
-        ),
-    ] = None
-    instrument: Annotated[
-        str | None,
-        Option("With --into: its instrument, such as head or chamber.", metavar="NAME", common=True),
-    ] = None
-    by: Annotated[
-        str | None,
-        Option("With --into: who accepts the certificate.", metavar="NAME", common=True),
-    ] = None
-    g: Annotated[
-        float | None, Option("Local gravity of the stated K, for a foreign certificate.", metavar="M/S2")
-    ] = None
-    noise: Annotated[
-        str | None,
-        Option("Noise of a reading, such as '50 uV', for a foreign certificate.", metavar="VOLTAGE"),
-    ] = None
+    out: Path | None = option(
+        None, "File for the coefficients, for verify --coefficients and compare.", metavar="FILE", common=True
+    )
+    into: Path | None = option(
+        None, "Bench file into which the certificate of --instrument is written.", metavar="FILE", common=True
+    )
+    instrument: str | None = option(
+        None, "With --into: its instrument, such as head or chamber.", metavar="NAME", common=True
+    )
+    by: str | None = option(None, "With --into: who accepts the certificate.", metavar="NAME", common=True)
+    g: float | None = option(
+        None, "Local gravity of the stated K, for a foreign certificate.", metavar="M/S2"
+    )
+    noise: str | None = option(
+        None, "Noise of a reading, such as '50 uV', for a foreign certificate.", metavar="VOLTAGE"
+    )
 
 
 # --- validation ---------------------------------------------------------------------------------------
@@ -371,48 +330,43 @@ class ReadCertificate:
 class Validate:
     """The validation of an installation: to be made, accepted, withdrawn or listed."""
 
-    bench: Annotated[
-        str | None,
-        Option(
-            "Bench file, by path or name (default: BENCH_FILE, else paper-stand).",
-            metavar="FILE",
-            completes="bench_files",
-            common=True,
-        ),
-    ] = None
-    quick: Annotated[bool, Option("Take a minute: fewer simulated files, one kill.", common=True)] = False
-    against: Annotated[
-        str | None,
-        Option("Also recompute past runs (a path pattern or catalogue query) and list changes beyond 0.1 u.",
-               metavar="OLD", common=True),
-    ] = None  # fmt: skip
-    out: Annotated[
-        Path | None,
-        Option("Folder for page, PDF and result (default: validation-DATE).", metavar="DIR"),
-    ] = None
-    key: Annotated[Path | None, Option("Private key (Ed25519) that signs the seal.", metavar="FILE")] = None
-    release: Annotated[
-        Path | None,
-        Option("Manifest of a release: the program and its packages must be those.", metavar="FILE"),
-    ] = None
-    release_key: Annotated[
-        Path | None, Option("Public key (Ed25519) that must have signed the manifest.", metavar="FILE")
-    ] = None
-    laboratory: LaboratoryField = None
-    accept: Annotated[
-        Path | None,
-        Option(
-            "Accept the validation in DIR as authorised person: it is registered.", metavar="DIR", common=True
-        ),
-    ] = None
-    withdraw: Annotated[str | None, Option("Withdraw the accepted validation NUMBER.", metavar="NUMBER")] = (
-        None
+    bench: str | None = option(
+        None,
+        "Bench file, by path or name (default: BENCH_FILE, else paper-stand).",
+        metavar="FILE",
+        completes="bench_files",
+        common=True,
     )
-    by: Annotated[
-        str | None, Option("Authorised person, as named in the laboratory file.", metavar="NAME", common=True)
-    ] = None
-    reason: Annotated[str | None, Option("Reason, for the register.", metavar="TEXT")] = None
-    register: Annotated[bool, Option("List the register of validations.")] = False
+    quick: bool = option(False, "Take a minute: fewer simulated files, one kill.", common=True)
+    against: str | None = option(
+        None,
+        "Also recompute past runs (a path pattern or catalogue query) and list changes beyond 0.1 u.",
+        metavar="OLD",
+        common=True,
+    )
+    out: Path | None = option(
+        None, "Folder for page, PDF and result (default: validation-DATE).", metavar="DIR"
+    )
+    key: Path | None = option(None, "Private key (Ed25519) that signs the seal.", metavar="FILE")
+    release: Path | None = option(
+        None, "Manifest of a release: the program and its packages must be those.", metavar="FILE"
+    )
+    release_key: Path | None = option(
+        None, "Public key (Ed25519) that must have signed the manifest.", metavar="FILE"
+    )
+    laboratory: LaboratoryField = None
+    accept: Path | None = option(
+        None,
+        "Accept the validation in DIR as authorised person: it is registered.",
+        metavar="DIR",
+        common=True,
+    )
+    withdraw: str | None = option(None, "Withdraw the accepted validation NUMBER.", metavar="NUMBER")
+    by: str | None = option(
+        None, "Authorised person, as named in the laboratory file.", metavar="NAME", common=True
+    )
+    reason: str | None = option(None, "Reason, for the register.", metavar="TEXT")
+    register: bool = option(False, "List the register of validations.")
     runs: RunsField = None
     catalogue: CatalogueField = None
 
@@ -430,21 +384,18 @@ class Failures:
     """The register of failures: to be brought up to date from the records, amended, or shown for a year."""
 
     laboratory: LaboratoryField = None
-    number: Annotated[
-        str | None, Option("Failure whose state and remedy are noted.", metavar="NUMBER", common=True)
-    ] = None
-    state: Annotated[
-        FailureState | None,
-        Option("Its state: open, remedied or closed (by an authorised person).", common=True),
-    ] = None
-    remedy: Annotated[str | None, Option("Cause and remedy, in words.", metavar="TEXT", common=True)] = None
-    by: Annotated[str | None, Option("Who notes it.", metavar="NAME", common=True)] = None
-    year: Annotated[
-        int | None, Option("Show the failures of this year only.", metavar="YYYY", common=True)
-    ] = None
-    page: Annotated[
-        Path | None, Option("Write an HTML page, as for the management review.", metavar="FILE", common=True)
-    ] = None
+    number: str | None = option(
+        None, "Failure whose state and remedy are noted.", metavar="NUMBER", common=True
+    )
+    state: FailureState | None = option(
+        None, "Its state: open, remedied or closed (by an authorised person).", common=True
+    )
+    remedy: str | None = option(None, "Cause and remedy, in words.", metavar="TEXT", common=True)
+    by: str | None = option(None, "Who notes it.", metavar="NAME", common=True)
+    year: int | None = option(None, "Show the failures of this year only.", metavar="YYYY", common=True)
+    page: Path | None = option(
+        None, "Write an HTML page, as for the management review.", metavar="FILE", common=True
+    )
     runs: RunsField = None
 
 
@@ -476,31 +427,21 @@ class PersonsCommand(StrEnum):
 class ChangePersons:
     """The register of persons of a laboratory, to be listed or changed."""
 
-    what: Annotated[
-        PersonsCommand | None,
-        Option("add, change, or end (the rights of) a person (default: list all).", argument=True),
-    ] = None
-    name: Annotated[str | None, Option("Name of the person.", argument=True)] = None
+    what: PersonsCommand | None = option(
+        None, "add, change, or end (the rights of) a person (default: list all).", argument=True
+    )
+    name: str | None = option(None, "Name of the person.", argument=True)
     _: KW_ONLY
-    role: Annotated[str | None, Option("Role in words, as on certificates.", metavar="TEXT", common=True)] = (
-        None
+    role: str | None = option(None, "Role in words, as on certificates.", metavar="TEXT", common=True)
+    may: str | None = option(
+        None, "Rights, with commas: operate, supervise, authorise, administer.", metavar="RIGHTS", common=True
     )
-    may: Annotated[
-        str | None,
-        Option(
-            "Rights, with commas: operate, supervise, authorise, administer.", metavar="RIGHTS", common=True
-        ),
-    ] = None
-    token: Annotated[bool, Option("Make a new token and print it, this once.", ("--token",), common=True)] = (
-        False
+    token: bool = option(False, "Make a new token and print it, this once.", flags=("--token",), common=True)
+    public_key: Path | None = option(
+        None, "Public key of the person (Ed25519, the .pub of 'bench key').", metavar="FILE"
     )
-    public_key: Annotated[
-        Path | None, Option("Public key of the person (Ed25519, the .pub of 'bench key').", metavar="FILE")
-    ] = None
-    by: Annotated[str | None, Option("Administrator who makes the change.", metavar="NAME", common=True)] = (
-        None
-    )
-    reason: Annotated[str | None, Option("Reason, for the register.", metavar="TEXT", common=True)] = None
+    by: str | None = option(None, "Administrator who makes the change.", metavar="NAME", common=True)
+    reason: str | None = option(None, "Reason, for the register.", metavar="TEXT", common=True)
     laboratory: LaboratoryField = None
 
 
@@ -520,35 +461,23 @@ class PeopleCommand(StrEnum):
 class ServePanel:
     """The operator's panel over a folder of runs, to be served; or a command on access to it."""
 
-    what: Annotated[
-        PeopleCommand | None,
-        Option(
-            "token NAME makes a token, tokens lists tokens, revoke NAME revokes one, "
-            "link makes a one-time link (for NAME) (default: serve the panel).",
-            argument=True,
-        ),
-    ] = None
-    name: Annotated[str | None, Option("Name of the person.", argument=True)] = None
+    what: PeopleCommand | None = option(
+        None,
+        "token NAME makes a token, tokens lists tokens, revoke NAME revokes one, "
+        "link makes a one-time link (for NAME) (default: serve the panel).",
+        argument=True,
+    )
+    name: str | None = option(None, "Name of the person.", argument=True)
     _: KW_ONLY
-    role: Annotated[str, Option("Role of the person: viewer, operator or supervisor.", common=True)] = (
-        "operator"
+    role: str = option("operator", "Role of the person: viewer, operator or supervisor.", common=True)
+    host: str = option("127.0.0.1", "Address to listen on; other than loopback needs tokens.", common=True)
+    port: int = option(8741, "Port to listen on; 0 for a free one.", least=0, most=65535, common=True)
+    address: str = option("", "Address of a TLS proxy in front, such as https://bench.lab.", metavar="URL")
+    laboratory: Path | None = option(
+        None,
+        "Laboratory file, beside which persons and certificates are registered.",
+        metavar="FILE",
+        environment="BENCH_LABORATORY",
     )
-    host: Annotated[str, Option("Address to listen on; other than loopback needs tokens.", common=True)] = (
-        "127.0.0.1"
-    )
-    port: Annotated[int, Option("Port to listen on; 0 for a free one.", least=0, most=65535, common=True)] = (
-        8741
-    )
-    address: Annotated[
-        str, Option("Address of a TLS proxy in front, such as https://bench.lab.", metavar="URL")
-    ] = ""
-    laboratory: Annotated[
-        Path | None,
-        Option(
-            "Laboratory file, beside which persons and certificates are registered.",
-            metavar="FILE",
-            environment="BENCH_LABORATORY",
-        ),
-    ] = None
-    catalogue: Annotated[str, Option("Catalogue for the pages on units; read only.", metavar="FILE|URL")] = ""
+    catalogue: str = option("", "Catalogue for the pages on units; read only.", metavar="FILE|URL")
     runs: RunsField = None

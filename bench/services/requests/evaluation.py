@@ -7,7 +7,7 @@ from dataclasses import KW_ONLY, dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Protocol
 
-from bench.base.requests import Option
+from bench.base.requests import Option, option
 from bench.services.requests.shared import (
     Data,
     Effects,
@@ -62,10 +62,9 @@ class Calibrate(OnReadings):
     nominal_angles: NominalField = False
     join_free: JoinFreeField = True
     join_verification: JoinVerificationField = False
-    prior: Annotated[
-        str | Path | None,
-        Option("Prior for units of this type, from 'bench fleet prior'.", metavar="FILE", typed=Path | None),
-    ] = None
+    prior: str | Path | None = option(
+        None, "Prior for units of this type, from 'bench fleet prior'.", metavar="FILE"
+    )
 
     @property
     def otherwise(self) -> bool:
@@ -92,15 +91,13 @@ class Verify(Judging):
     source: SeveralField
     _: KW_ONLY
     effects: Effects = None
-    coefficients: Annotated[
-        Given,
-        Option(
-            "Earlier result of 'calibrate --json' to verify with.",
-            metavar="FILE",
-            typed=Path | None,
-            common=True,
-        ),
-    ] = None
+    coefficients: Given = option(
+        None,
+        "Earlier result of 'calibrate --json' to verify with.",
+        metavar="FILE",
+        typed=Path | None,
+        common=True,
+    )
 
 
 @dataclass(frozen=True)
@@ -125,27 +122,23 @@ class Coefficients(OnReadings):
     ]
     _: KW_ONLY
     model: ModelField = None
-    forms: Annotated[
-        Sequence[str] | None,
-        Option(
-            "json, csv, c, excel, kalibr, px4, ardupilot or all; repeatable (default: json).",
-            ("--as",),
-            metavar="FORM",
-            typed=list[str] | None,
-            common=True,
-        ),
-    ] = None
-    nominal: Annotated[
-        str | None,
-        Option(
-            "Nominal scale factors, unit/g (9.80665 m/s²), for kalibr, px4 and ardupilot "
-            "(default: the block's, rounded).",
-            metavar="X,Y,Z",
-        ),
-    ] = None
-    without_temperature: Annotated[
-        bool, Option("Write a result whose model takes temperature out without it; the file says so.")
-    ] = False
+    forms: Sequence[str] | None = option(
+        None,
+        "json, csv, c, excel, kalibr, px4, ardupilot or all; repeatable (default: json).",
+        flags=("--as",),
+        metavar="FORM",
+        typed=list[str] | None,
+        common=True,
+    )
+    nominal: str | None = option(
+        None,
+        "Nominal scale factors, unit/g (9.80665 m/s²), for kalibr, px4 and ardupilot "
+        "(default: the block's, rounded).",
+        metavar="X,Y,Z",
+    )
+    without_temperature: bool = option(
+        False, "Write a result whose model takes temperature out without it; the file says so."
+    )
 
 
 @dataclass(frozen=True)
@@ -154,15 +147,11 @@ class Compensate(OnReadings):
 
     sources: SourcesField
     _: KW_ONLY
-    reference: Annotated[
-        float, Option("Reference temperature of the polynomials.", metavar="DEGC", common=True)
-    ] = 23.0
-    degree: Annotated[
-        str, Option("Degree of all polynomials, or chosen from the data.", metavar="auto|N", common=True)
-    ] = "auto"
-    step: Annotated[float | None, Option("Temperature step of the table (default: from u).", metavar="K")] = (
-        None
+    reference: float = option(23.0, "Reference temperature of the polynomials.", metavar="DEGC", common=True)
+    degree: str = option(
+        "auto", "Degree of all polynomials, or chosen from the data.", metavar="auto|N", common=True
     )
+    step: float | None = option(None, "Temperature step of the table (default: from u).", metavar="K")
 
 
 @dataclass(frozen=True)
@@ -171,22 +160,17 @@ class Tumble(OnReadings):
 
     sources: SourcesField
     _: KW_ONLY
-    terms: Annotated[
-        str,
-        Option(
-            "Nonlinear terms from K2, K3, Koq, Kip, Kio, Kpo, Kpp, Koo, K0p (K0′), K1p (K1′).",
-            metavar="TERM,…",
-            common=True,
-        ),
-    ] = "K2,K3,Koq"
-    centrifuge: Annotated[
-        str | Path | None,
-        Option(
-            "Points above 1 g that join the fit (CSV: ax_ms2, …, u_ms2, u_relative, ux_v, …).",
-            metavar="FILE",
-            typed=Path | None,
-        ),
-    ] = None
+    terms: str = option(
+        "K2,K3,Koq",
+        "Nonlinear terms from K2, K3, Koq, Kip, Kio, Kpo, Kpp, Koo, K0p (K0′), K1p (K1′).",
+        metavar="TERM,…",
+        common=True,
+    )
+    centrifuge: str | Path | None = option(
+        None,
+        "Points above 1 g that join the fit (CSV: ax_ms2, …, u_ms2, u_relative, ux_v, …).",
+        metavar="FILE",
+    )
 
 
 @dataclass(frozen=True)
@@ -221,25 +205,19 @@ class Diagnose(OnReadings):
 
     source: Annotated[Data | Sequence[Data], _SOURCES]
     _: KW_ONLY
-    one_block: Annotated[
-        bool | None,
-        Option(
-            "With --together: runs of one block, or of a block each (default: by names and readings).",
-            ("--one-block/--a-block-each",),
-        ),
-    ] = None
-    accept_first: Annotated[
-        bool, Option("If the data cannot decide, write the model with the likeliest effect.", common=True)
-    ] = False
-    report: Annotated[
-        bool | None,
-        Option("Write the HTML page (default: for a single source).", ("--report/--no-report",)),
-    ] = None
+    one_block: bool | None = option(
+        None,
+        "With --together: runs of one block, or of a block each (default: by names and readings).",
+        flags=("--one-block/--a-block-each",),
+    )
+    accept_first: bool = option(
+        False, "If the data cannot decide, write the model with the likeliest effect.", common=True
+    )
+    report: bool | None = option(
+        None, "Write the HTML page (default: for a single source).", flags=("--report/--no-report",)
+    )
     model: ModelField = None
-    out: Annotated[
-        str | Path | None,
-        Option("Folder for the result files.", metavar="DIR", typed=Path | None, common=True),
-    ] = None
+    out: str | Path | None = option(None, "Folder for the result files.", metavar="DIR", common=True)
     effects: Effects = None
     write: bool = False
 
@@ -260,12 +238,10 @@ class Accept:
     _: KW_ONLY
     name: Annotated[str, Option("Name of the effect: lower-case letters, digits, _.", common=True)]
     sentence: Annotated[str, Option("Description of the effect, for reports.", common=True)]
-    term: Annotated[
-        list[str] | None,
-        Option("Term of the effect; repeatable (default: all unnamed terms).", common=True),
-    ] = None
-    shown_by: Annotated[str | None, Option("Measurement that would show the effect.", metavar="TEXT")] = None
-    out: Annotated[
-        Path | None,
-        Option("File for the effect (default: NAME.yaml beside MODEL).", metavar="FILE", common=True),
-    ] = None
+    term: list[str] | None = option(
+        None, "Term of the effect; repeatable (default: all unnamed terms).", common=True
+    )
+    shown_by: str | None = option(None, "Measurement that would show the effect.", metavar="TEXT")
+    out: Path | None = option(
+        None, "File for the effect (default: NAME.yaml beside MODEL).", metavar="FILE", common=True
+    )

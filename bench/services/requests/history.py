@@ -8,7 +8,7 @@ from datetime import date
 from pathlib import Path
 from typing import Annotated
 
-from bench.base.requests import Option
+from bench.base.requests import Option, option
 from bench.services.requests.shared import BenchField, Data, ModelField, OnReadings, RunsField
 
 
@@ -16,35 +16,29 @@ from bench.services.requests.shared import BenchField, Data, ModelField, OnReadi
 class Chart:
     """The control charts of a check block."""
 
-    runs: Annotated[
-        str | Path | Sequence[str | Path] | None,
-        Option(
-            "Runs of the check block, or a folder of runs.",
-            metavar="RUN…|DIR",
-            argument=True,
-            typed=list[str] | None,
-        ),
-    ] = None
+    runs: str | Path | Sequence[str | Path] | None = option(
+        None,
+        "Runs of the check block, or a folder of runs.",
+        metavar="RUN…|DIR",
+        argument=True,
+        typed=list[str] | None,
+    )
     _: KW_ONLY
     bench: BenchField = None
-    baseline: Annotated[int | None, Option("Number of runs in control for the baseline.", least=1)] = None
-    arl: Annotated[float | None, Option("Mean number of runs between false alarms.")] = None
-    smoothing: Annotated[float | None, Option("Smoothing factor λ of the EWMA.")] = None
-    limits: Annotated[str | None, Option("Origin of the limits: stated, scaled or scatter.")] = None
-    real: Annotated[
-        bool | None,
-        Option("Use only real or only simulated runs (default: as the latest).", ("--real/--simulated",)),
-    ] = None
-    folder: Annotated[
-        str | Path | None,
-        Option(
-            "Folder of the runs (default: ./runs).",
-            ("--runs",),
-            metavar="DIR",
-            environment="BENCH_RUNS",
-            typed=Path | None,
-        ),
-    ] = None
+    baseline: int | None = option(None, "Number of runs in control for the baseline.", least=1)
+    arl: float | None = option(None, "Mean number of runs between false alarms.")
+    smoothing: float | None = option(None, "Smoothing factor λ of the EWMA.")
+    limits: str | None = option(None, "Origin of the limits: stated, scaled or scatter.")
+    real: bool | None = option(
+        None, "Use only real or only simulated runs (default: as the latest).", flags=("--real/--simulated",)
+    )
+    folder: str | Path | None = option(
+        None,
+        "Folder of the runs (default: ./runs).",
+        flags=("--runs",),
+        metavar="DIR",
+        environment="BENCH_RUNS",
+    )
 
 
 @dataclass(frozen=True)
@@ -61,15 +55,13 @@ class Compare(OnReadings):
         ),
     ]
     _: KW_ONLY
-    date: Annotated[
-        Sequence[str] | None,
-        Option(
-            "Date of each source, in order, if it has none.",
-            metavar="YYYY-MM-DD",
-            typed=list[str] | None,
-            common=True,
-        ),
-    ] = None
+    date: Sequence[str] | None = option(
+        None,
+        "Date of each source, in order, if it has none.",
+        metavar="YYYY-MM-DD",
+        typed=list[str] | None,
+        common=True,
+    )
 
 
 @dataclass(frozen=True)
@@ -81,7 +73,7 @@ class Monitor(OnReadings):
         Option("Runs of monitor-2 or monitor-4.", metavar="RUN…", argument=True, typed=list[str]),
     ]
     _: KW_ONLY
-    baseline: Annotated[int, Option("Number of first runs that set the limits.", least=3, common=True)] = 5
+    baseline: int = option(5, "Number of first runs that set the limits.", least=3, common=True)
 
 
 @dataclass(frozen=True)
@@ -99,18 +91,16 @@ class Learn(OnReadings):
     ]
     _: KW_ONLY
     model: ModelField = None
-    by_installation: Annotated[
-        bool, Option("Estimate mean angles for each installation (brackets).", ("--by-installation",))
-    ] = False
-    expires: Annotated[
-        date | str | None,
-        Option(
-            "Date or days until the file expires (default: 365 days).",
-            metavar="DATE|DAYS",
-            typed=str | None,
-            common=True,
-        ),
-    ] = None
+    by_installation: bool = option(
+        False, "Estimate mean angles for each installation (brackets).", flags=("--by-installation",)
+    )
+    expires: date | str | None = option(
+        None,
+        "Date or days until the file expires (default: 365 days).",
+        metavar="DATE|DAYS",
+        typed=str | None,
+        common=True,
+    )
 
 
 @dataclass(frozen=True)
@@ -126,20 +116,15 @@ class Stability:
         ),
     ]
     _: KW_ONLY
-    size: Annotated[
-        float | None,
-        Option(
-            "Allowed noise of a reading, in the signals' unit (default: where it levels off).", common=True
-        ),
-    ] = None
-    integration: Annotated[
-        float | None,
-        Option(
-            "Integration time of the meter per sample (default: the whole interval).",
-            metavar="S",
-            common=True,
-        ),
-    ] = None
+    size: float | None = option(
+        None, "Allowed noise of a reading, in the signals' unit (default: where it levels off).", common=True
+    )
+    integration: float | None = option(
+        None,
+        "Integration time of the meter per sample (default: the whole interval).",
+        metavar="S",
+        common=True,
+    )
     model: ModelField = None
     bench: BenchField = None
     runs: RunsField = None
@@ -149,52 +134,42 @@ class Stability:
 class OfFleet:
     """Calibrations selected from a catalogue."""
 
-    query: Annotated[
-        Sequence[str] | None,
-        Option(
-            "Conditions KEY=VALUE, as in 'bench catalogue' (default: all).",
-            metavar="QUERY…",
-            argument=True,
-            typed=list[str] | None,
-        ),
-    ] = None
+    query: Sequence[str] | None = option(
+        None,
+        "Conditions KEY=VALUE, as in 'bench catalogue' (default: all).",
+        metavar="QUERY…",
+        argument=True,
+        typed=list[str] | None,
+    )
     _: KW_ONLY
-    catalogue: Annotated[
-        str | None,
-        Option(
-            "Catalogue (default: TRIAXIAL_BENCH_CATALOGUE, or your own).", metavar="FILE|URL", common=True
-        ),
-    ] = None
+    catalogue: str | None = option(
+        None, "Catalogue (default: TRIAXIAL_BENCH_CATALOGUE, or your own).", metavar="FILE|URL", common=True
+    )
 
 
 @dataclass(frozen=True)
 class CompareBenches(OfFleet):
     """A comparison of benches by units that several of them measured."""
 
-    reference: Annotated[
-        str | None,
-        Option(
-            "weighted-mean, mandel-paule or dersimonian-laird (default: the first if consistent, "
-            "else the second).",
-            common=True,
-        ),
-    ] = None
+    reference: str | None = option(
+        None,
+        "weighted-mean, mandel-paule or dersimonian-laird (default: the first if consistent, "
+        "else the second).",
+        common=True,
+    )
 
 
 @dataclass(frozen=True)
 class DriftOfUnit(OfFleet):
     """The drift of a unit."""
 
-    at: Annotated[
-        str | None, Option("Predict the coefficients at this date.", metavar="YYYY-MM-DD", common=True)
-    ] = None
+    at: str | None = option(None, "Predict the coefficients at this date.", metavar="YYYY-MM-DD", common=True)
 
 
 @dataclass(frozen=True)
 class Capability(OfFleet):
     """The calibration and measurement capability of the laboratory."""
 
-    quantile: Annotated[
-        float,
-        Option("Share of everyday calibrations that reach the CMC.", least=0.01, most=0.99, common=True),
-    ] = 0.5
+    quantile: float = option(
+        0.5, "Share of everyday calibrations that reach the CMC.", least=0.01, most=0.99, common=True
+    )

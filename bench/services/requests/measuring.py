@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated
 
 from bench.base.languages import message
-from bench.base.requests import Option
+from bench.base.requests import Option, option
 from bench.services.requests.shared import (
     BenchField,
     GuardBandField,
@@ -62,9 +62,7 @@ class DryRunRequest:
     _: KW_ONLY
     seed: SeedField = 1
     model: ModelField = None
-    name: Annotated[
-        str | None, Option(message("Name of the run (default: procedure and time)."), common=True)
-    ] = None
+    name: str | None = option(None, message("Name of the run (default: procedure and time)."), common=True)
     runs: RunsField = None
 
 
@@ -72,39 +70,34 @@ class DryRunRequest:
 class RunRequest(DryRunRequest):
     """A procedure to be run on a bench, or dry on simulated instruments."""
 
-    dry_run: Annotated[
-        bool, Option("Simulate instruments and clock; touch no hardware.", ("--dry-run",), common=True)
-    ] = False
+    dry_run: bool = option(
+        False, "Simulate instruments and clock; touch no hardware.", flags=("--dry-run",), common=True
+    )
     operator: OperatorField = ""
-    unit: Annotated[
-        str | None,
-        Option(
-            message("Serial number of the block, instead of the bench file's."), metavar="SERIAL", common=True
-        ),
-    ] = None
+    unit: str | None = option(
+        None,
+        message("Serial number of the block, instead of the bench file's."),
+        metavar="SERIAL",
+        common=True,
+    )
     limit: LimitField = None
     rule: RuleField = None
     guard_band: GuardBandField = None
     until: UntilField = None
     wire_log: WireLogField = None
-    check_block: Annotated[bool, Option("Require the check block in a dry run, too.", ("--check-block",))] = (
-        False
+    check_block: bool = option(False, "Require the check block in a dry run, too.", flags=("--check-block",))
+    despite_check: str | None = option(
+        None, "Start although the check block is out of control; REASON is recorded.", metavar="REASON"
     )
-    despite_check: Annotated[
-        str | None,
-        Option("Start although the check block is out of control; REASON is recorded.", metavar="REASON"),
-    ] = None
-    laboratory: Annotated[
-        Path | None,
-        Option(
-            "Laboratory file, which may demand a validated program.",
-            metavar="FILE",
-            environment="BENCH_LABORATORY",
-        ),
-    ] = None
-    follow: Annotated[
-        bool, Option("Diagnose the run, then run the procedure that the diagnosis proposes.", ("--follow",))
-    ] = False
+    laboratory: Path | None = option(
+        None,
+        "Laboratory file, which may demand a validated program.",
+        metavar="FILE",
+        environment="BENCH_LABORATORY",
+    )
+    follow: bool = option(
+        False, "Diagnose the run, then run the procedure that the diagnosis proposes.", flags=("--follow",)
+    )
     answers: AnswersField = None
     panel: PanelField = False
 
@@ -132,20 +125,21 @@ class InstrumentsRequest:
     """The instruments of a bench, to be tested or commissioned."""
 
     bench: BenchNameField = None
-    discover: Annotated[
-        bool,
-        Option("List the resources of the interfaces; address no instrument.", ("--discover",), common=True),
-    ] = False
-    commission: Annotated[
-        bool, Option("Commission new hardware step by step.", ("--commission",), common=True)
-    ] = False
-    out: Annotated[
-        Path | None,
-        Option("With --commission: folder for page and wire log (default: new).", metavar="DIR"),
-    ] = None
-    dry_run: Annotated[
-        bool, Option("With --commission: use the simulated bench and a scripted operator.", ("--dry-run",))
-    ] = False
+    discover: bool = option(
+        False,
+        "List the resources of the interfaces; address no instrument.",
+        flags=("--discover",),
+        common=True,
+    )
+    commission: bool = option(
+        False, "Commission new hardware step by step.", flags=("--commission",), common=True
+    )
+    out: Path | None = option(
+        None, "With --commission: folder for page and wire log (default: new).", metavar="DIR"
+    )
+    dry_run: bool = option(
+        False, "With --commission: use the simulated bench and a scripted operator.", flags=("--dry-run",)
+    )
     seed: SeedField = 1
     wire_log: WireLogField = None
 
@@ -154,32 +148,24 @@ class InstrumentsRequest:
 class SimulateRequest:
     """Simulated instruments, to be served."""
 
-    command: Annotated[
-        str | None,
-        Option("With --control: command to the served bench, such as 'turn 45 deg'.", argument=True),
-    ] = None
+    command: str | None = option(
+        None, "With --control: command to the served bench, such as 'turn 45 deg'.", argument=True
+    )
     _: KW_ONLY
     bench: BenchNameField = None
     model: ModelField = None
-    seed: Annotated[int, Option("Seed of the random numbers.", least=0)] = 1
-    speed: Annotated[float, Option("Speed of the clock, as a multiple of real time.", common=True)] = 1.0
-    host: Annotated[str, Option("Address to listen on; only loopback is closed to others.")] = "127.0.0.1"
-    port: Annotated[
-        int | None, Option("First TCP port; the others follow (default: free ports).", common=True)
-    ] = None
-    ready_file: Annotated[
-        Path | None,
-        Option("Write all addresses as JSON when all instruments listen.", metavar="FILE", common=True),
-    ] = None
-    hands: Annotated[
-        Path | None,
-        Option(
-            "Have simulated hands turn the head and mount the block as the runs in FOLDER ask.",
-            metavar="FOLDER",
-            common=True,
-        ),
-    ] = None
-    no_pty: Annotated[bool, Option("Serve TCP only, without pseudo-terminals.", ("--no-pty",))] = False
-    control: Annotated[
-        str | None, Option("Send COMMAND to a served bench.", metavar="HOST:PORT", common=True)
-    ] = None
+    seed: int = option(1, "Seed of the random numbers.", least=0)
+    speed: float = option(1.0, "Speed of the clock, as a multiple of real time.", common=True)
+    host: str = option("127.0.0.1", "Address to listen on; only loopback is closed to others.")
+    port: int | None = option(None, "First TCP port; the others follow (default: free ports).", common=True)
+    ready_file: Path | None = option(
+        None, "Write all addresses as JSON when all instruments listen.", metavar="FILE", common=True
+    )
+    hands: Path | None = option(
+        None,
+        "Have simulated hands turn the head and mount the block as the runs in FOLDER ask.",
+        metavar="FOLDER",
+        common=True,
+    )
+    no_pty: bool = option(False, "Serve TCP only, without pseudo-terminals.", flags=("--no-pty",))
+    control: str | None = option(None, "Send COMMAND to a served bench.", metavar="HOST:PORT", common=True)

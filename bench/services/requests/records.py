@@ -6,7 +6,7 @@ from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Annotated
 
-from bench.base.requests import Option
+from bench.base.requests import Option, option
 from bench.services.requests.shared import BenchField, LatestField, OperatorField, RunField, RunsField
 
 
@@ -23,16 +23,12 @@ class ShowRun:
 
     run: RunField
     _: KW_ONLY
-    verify: Annotated[bool, Option("Check the record for changed lines.", ("--verify",), common=True)] = False
-    head: Annotated[
-        str | None, Option("Check that the chain ends with this head, noted elsewhere.", metavar="SHA256")
-    ] = None
-    key: Annotated[
-        Path | None, Option("Check the signature of the seal with this public key.", metavar="PUB")
-    ] = None
-    authority: Annotated[
-        Path | None, Option("Check the time stamp with this certificate.", metavar="PEM")
-    ] = None
+    verify: bool = option(False, "Check the record for changed lines.", flags=("--verify",), common=True)
+    head: str | None = option(
+        None, "Check that the chain ends with this head, noted elsewhere.", metavar="SHA256"
+    )
+    key: Path | None = option(None, "Check the signature of the seal with this public key.", metavar="PUB")
+    authority: Path | None = option(None, "Check the time stamp with this certificate.", metavar="PEM")
     runs: RunsField = None
 
     @property
@@ -47,13 +43,10 @@ class SealRun:
 
     run: RunField
     _: KW_ONLY
-    key: Annotated[
-        Path | None,
-        Option("Private key for the signature; 'bench key' makes one.", metavar="FILE", common=True),
-    ] = None
-    timestamp: Annotated[
-        str | None, Option("Server for the time stamp (RFC 3161).", metavar="URL", common=True)
-    ] = None
+    key: Path | None = option(
+        None, "Private key for the signature; 'bench key' makes one.", metavar="FILE", common=True
+    )
+    timestamp: str | None = option(None, "Server for the time stamp (RFC 3161).", metavar="URL", common=True)
     runs: RunsField = None
 
 
@@ -65,17 +58,15 @@ class MakeKey:
         Path, Option("File for the private key; the public key is written to FILE.pub.", argument=True)
     ]
     _: KW_ONLY
-    passphrase: Annotated[
-        bool, Option("Ask for a passphrase to encrypt the private key.", ("--passphrase",), common=True)
-    ] = False
-    certificate: Annotated[
-        str | None,
-        Option(
-            "Make a key for certificates (P-256) and FILE.crt, a self-signed X.509 certificate with this name.",
-            metavar="NAME",
-            common=True,
-        ),
-    ] = None
+    passphrase: bool = option(
+        False, "Ask for a passphrase to encrypt the private key.", flags=("--passphrase",), common=True
+    )
+    certificate: str | None = option(
+        None,
+        "Make a key for certificates (P-256) and FILE.crt, a self-signed X.509 certificate with this name.",
+        metavar="NAME",
+        common=True,
+    )
 
 
 @dataclass(frozen=True)
@@ -84,10 +75,9 @@ class ExportReadings:
 
     run: RunField
     _: KW_ONLY
-    csv: Annotated[
-        str | None,
-        Option("Readings file (default: RUN.csv); - for standard output.", metavar="FILE", common=True),
-    ] = None
+    csv: str | None = option(
+        None, "Readings file (default: RUN.csv); - for standard output.", metavar="FILE", common=True
+    )
     runs: RunsField = None
 
 
@@ -97,15 +87,12 @@ class ImportReadings:
 
     file: Annotated[Path, Option("Readings file.", argument=True)]
     _: KW_ONLY
-    name: Annotated[str | None, Option("Name of the run (default: the file's).", common=True)] = None
-    columns: Annotated[
-        Path | None,
-        Option("Mapping of the columns of a stranger's log, as YAML.", metavar="FILE", common=True),
-    ] = None
-    preview: Annotated[bool, Option("Show the first rows as they would be imported, and import nothing.")] = (
-        False
+    name: str | None = option(None, "Name of the run (default: the file's).", common=True)
+    columns: Path | None = option(
+        None, "Mapping of the columns of a stranger's log, as YAML.", metavar="FILE", common=True
     )
-    skip_bad_rows: Annotated[bool, Option("Leave out rows of a log that cannot be read.")] = False
+    preview: bool = option(False, "Show the first rows as they would be imported, and import nothing.")
+    skip_bad_rows: bool = option(False, "Leave out rows of a log that cannot be read.")
     bench: BenchField = None
     runs: RunsField = None
 
@@ -129,7 +116,7 @@ class ControlRun:
         str,
         Option("pause, continue, redo (the point), redo-pass, remount, skip, stop or abort.", argument=True),
     ]
-    reason: Annotated[str, Option("Reason, for the record; required for skip.", argument=True)] = ""
+    reason: str = option("", "Reason, for the record; required for skip.", argument=True)
     _: KW_ONLY
     operator: OperatorField = ""
     runs: RunsField = None
