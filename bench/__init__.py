@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from bench.services.diagnosis import DiagnosisResult as DiagnosisResult
     from bench.services.diagnosis import FreeDiagnosisResult as FreeDiagnosisResult
     from bench.services.diagnosis import MistakesResult as MistakesResult
+    from bench.services.diagnosis import RecordDiagnosisResult as RecordDiagnosisResult
     from bench.services.errors import Refused as Refused
     from bench.services.face import DryRun as DryRun
     from bench.services.face import calibrate as calibrate
@@ -51,7 +52,6 @@ if TYPE_CHECKING:
     from bench.services.monitor import monitor as monitor
     from bench.services.planning import budget as budget
     from bench.services.record_calibration import RecordCalibrationResult as RecordCalibrationResult
-    from bench.services.record_diagnosis import RecordDiagnosisResult as RecordDiagnosisResult
     from bench.services.stability import RecordAtRest as RecordAtRest
     from bench.services.stability import stability as stability
     from bench.services.verification import VerificationResult as VerificationResult
@@ -65,9 +65,10 @@ _HOMES: Final = {
     "bench.services.check_block": ("chart",),
     "bench.services.compensation": ("tumble",),
     "bench.services.confirmation": ("ConfirmationResult",),
-    "bench.services.diagnosis": ("DiagnosisResult", "FreeDiagnosisResult", "MistakesResult"),
+    "bench.services.diagnosis": (
+        "DiagnosisResult", "FreeDiagnosisResult", "MistakesResult", "RecordDiagnosisResult",
+    ),
     "bench.services.record_calibration": ("RecordCalibrationResult",),
-    "bench.services.record_diagnosis": ("RecordDiagnosisResult",),
     "bench.services.errors": ("Refused",),
     "bench.services.face": (
         "DryRun", "calibrate", "confirm", "diagnose", "diagnose_each", "dry_run", "load_bench",

@@ -182,7 +182,7 @@ def _now(linear: LinearSystem, diagnosis: Diagnosis | FreeDiagnosis) -> tuple[Ef
     whole = [not isinstance(model.effects[one.effect].effect, InPart) for one in linear.problem.effects]
     unknowns = list(compress(linear.problem.effects, whole))
     places = np.arange(linear.own.start, linear.own.stop)[np.array(whole, dtype=bool)]
-    plausible = np.array([_plausible(model, unknown) for unknown in unknowns])
+    plausible = np.array([plausible_size(model, unknown) for unknown in unknowns])
     found = np.array([unknown.prior_mean for unknown in unknowns]) / plausible
     u = np.array([unknown.prior_u if unknown.stated else 0.0 for unknown in unknowns]) / plausible
     own = linear.random[:, places] * (plausible / [unknown.prior_u for unknown in unknowns])
@@ -325,7 +325,8 @@ def square(part: Floats, covariance: Floats) -> float:
     return float(part @ np.linalg.solve(covariance, part)) if len(part) else 0.0
 
 
-def _plausible(model: ForwardModel, unknown: EffectUnknown) -> float:
+def plausible_size(model: ForwardModel, unknown: EffectUnknown) -> float:
+    """Return the plausible size of an unknown of a model's effect, in SI units."""
     effect = model.effects[unknown.effect].effect
     return next(p.plausible for p in effect.parameters if p.name == unknown.parameter)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 from scipy import special, stats
@@ -41,7 +41,7 @@ from bench.diagnosis.free_records import (
     place_of,
 )
 from bench.diagnosis.gap import LEAST_FREEDOM, measure_gap
-from bench.diagnosis.levels import BY_CHANCE, HARDLY_EVER
+from bench.diagnosis.levels import BY_CHANCE, FOLDS, HARDLY_EVER
 from bench.diagnosis.linear import LinearSystem
 from bench.diagnosis.naming import Naming, name
 from bench.diagnosis.noise_grid import NoiseGrid, make_noise_grid
@@ -54,8 +54,6 @@ from bench.model.effects.base import Subsystem
 from bench.model.forward import ForwardModel
 from bench.model.geometry import Block
 from bench.readings.table import FREE, Readings
-
-FOLDS: Final = 5
 
 
 def diagnose_free(
@@ -87,8 +85,8 @@ def diagnose_free(
         naming=naming,
         apart=apart,
         left_out=left_out,
-        of_rest=verdict_of(effects, (), gap),
-        found=tuple(_of_records(one, between) for one in effects),
+        of_copy=verdict_of(effects, (), gap),
+        effects=tuple(_of_records(one, between) for one in effects),
         gap=gap,
         noise=noise,
         stated_g=stated(rows),
@@ -230,41 +228,33 @@ def _prepared(linear: FreeSystem) -> tuple[NoiseGrid, Candidates]:
 
     The noise is the scatter that remains when each record has zeros and scale factors of its own.
     """
-    fit = _Loose.of(linear)
-    if fit.freedom < LEAST_FREEDOM:
+    left, _, freedom = _loose(linear)
+    if freedom < LEAST_FREEDOM:
         raise CalibrationError(
-            f"{len(linear)} free positions leave {max(fit.freedom, 0)} to tell the noise, beside coefficients, and "
-            f"zeros and scale factors of each record; measure {LEAST_FREEDOM - fit.freedom} more, all round"
+            f"{len(linear)} free positions leave {max(freedom, 0)} to tell the noise, beside coefficients, and "
+            f"zeros and scale factors of each record; measure {LEAST_FREEDOM - freedom} more, all round"
         )
-    sigma = max(float(np.sqrt(fit.left @ fit.left / fit.freedom)), 1e-9)
+    sigma = max(float(np.sqrt(left @ left / freedom)), 1e-9)
     return make_noise_grid(linear, sigma, 0.0), _candidates(linear, sigma)
 
 
-class _Loose(NamedTuple):
-    """The residuals of a fit of positions, `left` (N,), the part of each position in its residual, `free` (N,).
+def _loose(linear: FreeSystem, *, drifting: bool = False) -> tuple[Floats, Floats, int]:
+    """Fit zeros and scale factors of each record; `drifting` zeros also change linearly with the row number.
 
-    `freedom` are the degrees of freedom.
+    Return the residuals (N,), the part of each position in its residual (N,), and the degrees of freedom.
     """
-
-    left: Floats
-    free: Floats
-    freedom: int
-
-    @classmethod
-    def of(cls, linear: FreeSystem, *, drifting: bool = False) -> _Loose:
-        """Fit zeros and scale factors of each record; `drifting` zeros also change linearly with the row number."""
-        rows = linear.positions
-        cells = sorted(set(zip(rows.sensor.tolist(), rows.record.tolist(), strict=True)))
-        late = np.concatenate([np.arange(len(table)) / len(table) for table in rows.tables])
-        more = []
-        for sensor, record in cells:
-            mine = rows.record == record
-            more += [rows.change(of, sensor, c) * mine for of in (ZEROS, SCALES) for c in range(3)]
-            more += [rows.change(ZEROS, sensor, c) * mine * late for c in range(3) if drifting]
-        u, size, _ = np.linalg.svd(np.column_stack([linear.fixed, linear.random, *more]), full_matrices=False)
-        u = u[:, size > 1e-9 * size[0]]
-        left = linear.response - u @ (u.T @ linear.response)
-        return cls(left, np.maximum(1.0 - np.sum(u**2, axis=1), 1e-9), len(left) - u.shape[1])
+    rows = linear.positions
+    cells = sorted(set(zip(rows.sensor.tolist(), rows.record.tolist(), strict=True)))
+    late = np.concatenate([np.arange(len(table)) / len(table) for table in rows.tables])
+    more = []
+    for sensor, record in cells:
+        mine = rows.record == record
+        more += [rows.change(of, sensor, c) * mine for of in (ZEROS, SCALES) for c in range(3)]
+        more += [rows.change(ZEROS, sensor, c) * mine * late for c in range(3) if drifting]
+    u, size, _ = np.linalg.svd(np.column_stack([linear.fixed, linear.random, *more]), full_matrices=False)
+    u = u[:, size > 1e-9 * size[0]]
+    left = linear.response - u @ (u.T @ linear.response)
+    return left, np.maximum(1.0 - np.sum(u**2, axis=1), 1e-9), len(left) - u.shape[1]
 
 
 def without_outliers(rows: FreeRows) -> tuple[FreeRows, tuple[str, ...], Ints]:
@@ -275,19 +265,19 @@ def without_outliers(rows: FreeRows) -> tuple[FreeRows, tuple[str, ...], Ints]:
     apart: list[str] = []
     origin: list[Ints] = []
     for _ in range(int(MOST_APART * len(rows))):
-        fit = _Loose.of(make_system(rows), drifting=True)
-        freedom = fit.freedom - 1
+        left, free, freedom = _loose(make_system(rows), drifting=True)
+        freedom -= 1
         if freedom < LEAST_FREEDOM:
             break
-        without = np.maximum(fit.left @ fit.left - fit.left**2 / fit.free, 1e-300) / freedom
-        t = np.abs(fit.left) / np.sqrt(fit.free * without)
+        without = np.maximum(left @ left - left**2 / free, 1e-300) / freedom
+        t = np.abs(left) / np.sqrt(free * without)
         row = int(np.argmax(t))
         if t[row] < FAR or 2.0 * float(stats.t.sf(t[row], freedom)) * len(rows) > HARDLY_EVER:
             break
         table, at = rows.tables[rows.sensor[row]], int(np.sum(rows.sensor[:row] == rows.sensor[row]))
         apart.append(
             f"{rows.place(row)}pass {table.pass_number[at]}, point {table.point[at]}: |a| is "
-            f"{fit.left[row] / fit.free[row] * 1e3:+.3g} mg off what the others let expect ({t[row]:.1f} standard "
+            f"{left[row] / free[row] * 1e3:+.3g} mg off what the others let expect ({t[row]:.1f} standard "
             "deviations); not at rest? It is left out"
         )
         origin.append(rows.origin[row])

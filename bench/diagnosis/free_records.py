@@ -22,6 +22,7 @@ from bench.diagnosis.posterior import NoiseSize
 from bench.diagnosis.result import NamedEffect, Verdict
 from bench.diagnosis.where import ResidualPattern
 from bench.model import AppliedEffect, Block
+from bench.model.effects import CATALOGUE, Subsystem
 from bench.model.forward import ForwardModel
 from bench.model.geometry import modulus_slopes
 from bench.readings.table import JoinedPart, Readings, together
@@ -411,7 +412,7 @@ class FreeDiagnosis:
 
     `noise` (g) is the noise of a position, fitted with all effects found. `stated_g` is the noise expected from
     the scatter of the samples, NaN if the table has none. `apart` gives the reason for each position left out,
-    `left_out` (k, 2) its table and row. `of_rest` is the verdict on the positions kept. `before` is the fit of the
+    `left_out` (k, 2) its table and row. `of_copy` is the verdict on the positions kept. `before` is the fit of the
     given model, `after` the fit with the effects found.
     """
 
@@ -421,8 +422,8 @@ class FreeDiagnosis:
     naming: Naming
     apart: tuple[str, ...]
     left_out: Ints
-    of_rest: Verdict
-    found: tuple[NamedEffect, ...]
+    of_copy: Verdict
+    effects: tuple[NamedEffect, ...]
     gap: Gap
     noise: NoiseSize
     stated_g: float
@@ -445,22 +446,27 @@ class FreeDiagnosis:
         "agrees": nothing was found; "named": effects were found; "confounded": they are tied with others, or not
         confirmed on positions held out; "unknown": what was found is not in the catalogue.
         """
-        return "mistake" if self.apart else self.of_rest
+        return "mistake" if self.apart else self.of_copy
 
     @property
     def records(self) -> int:
         """The number of records."""
         return len(np.unique(self.rows.record))
 
-    def applied_to(self, sensor: int) -> tuple[AppliedEffect, ...]:
-        """Return the effects found for a sensor, counted from 0: those of all sensors and its own."""
-        mine = ((), (f"sensor {sensor + 1}",))
-        return tuple(a for one in self.found for a in one.applied if a.installations in mine)
+    @property
+    def models(self) -> tuple[tuple[AppliedEffect, ...], ...]:
+        """The effects found, for a model file of each sensor; one entry if they are the same in all sensors."""
+        applied = [a for one in self.effects for a in one.applied]
+        sensors = self.rows.sensors if any(a.installations for a in applied) else 1
+        return tuple(
+            tuple(replace(a, installations=()) for a in applied if a.installations in ((), (label,)))
+            for label in (f"sensor {number + 1}" for number in range(sensors))
+        )
 
     @property
-    def alike(self) -> bool:
-        """Whether all effects found are the same in all sensors."""
-        return not any(a.installations for one in self.found for a in one.applied)
+    def hidden(self) -> tuple[str, ...]:
+        """The effects that free positions can never show: all except those of the block."""
+        return tuple(name for name, one in CATALOGUE.items() if one.subsystem is not Subsystem.BLOCK)
 
 
 def place_of(sensor: int) -> slice:

@@ -28,8 +28,8 @@ from bench.diagnosis.candidates import (
     add_free_patterns,
     make_candidates,
 )
-from bench.diagnosis.evidence import Data, Threshold, Whitened
-from bench.diagnosis.levels import HARDLY_EVER
+from bench.diagnosis.evidence import FALSE_ALARMS, Data, Threshold, Whitened
+from bench.diagnosis.levels import BY_CHANCE, HARDLY_EVER
 from bench.diagnosis.linear import LinearSystem, Rows, make_linear
 from bench.diagnosis.mistakes.search import Mistake, MistakeSearch, find_mistakes
 from bench.diagnosis.naming import FoundEffect, Naming, Scored, name
@@ -391,11 +391,9 @@ def _phase(readings: Readings) -> Floats:
 # --- what one of several runs has alone: looked for in each, beside what was found in all of them together ----
 
 
-TOGETHER: Final = 0.004
-"""Probability of a false alarm in the joint search over several runs."""
-
-ALONE: Final = 0.002
-"""Probability of a false alarm in the searches of single runs, all runs together."""
+ALONE: Final = FALSE_ALARMS / 3
+TOGETHER: Final = FALSE_ALARMS - ALONE
+"""Probability of a false alarm in the searches of single runs, all runs together, and in the joint search."""
 
 
 @dataclass(frozen=True)
@@ -414,9 +412,6 @@ class _Run:
 
 COMMON: Final = 5
 """If more than one run in this many has finds of its own, they do not count as effects of single runs."""
-
-UNLIKELY: Final = 5.0
-"""ln odds that an effect of a single run must exceed, beside the common effects, to be kept."""
 
 
 def search_runs(task: SearchTask, readings: Readings) -> tuple[Prepared, Naming]:
@@ -496,7 +491,9 @@ def _stays(whitened: Whitened, data: Data, naming: Naming, one: FoundEffect) -> 
         return True
     others = [i for found in naming.found if found.variant != one.variant for i in found.variant.columns]
     scores = Scored.beside(whitened, data, others).scores
-    return float(scores.variants[whitened.candidates.variants.index(one.variant), 0]) > UNLIKELY
+    return float(scores.variants[whitened.candidates.variants.index(one.variant), 0]) > -float(
+        np.log(BY_CHANCE)
+    )
 
 
 def _common(linear: LinearSystem, whitened: Whitened, data: Data, naming: Naming) -> Floats:

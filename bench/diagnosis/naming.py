@@ -278,7 +278,7 @@ def in_place(scored: Scored, one: FoundEffect, among: Among | None = None) -> Fo
     logs = np.array([scored.log_odds[f] for f in ranked])
     share = np.exp(logs - logsumexp(logs))
     odds = [FamilyOdds(f, float(p)) for f, p in zip(ranked, share, strict=True)]
-    likely = _holding(odds)
+    likely = holding(odds)
     explained = scored.explained(one.variant)
     aliases = _aliases(scored, one.variant, explained - ALIAS**2) if explained > (2 * ALIAS) ** 2 else {}
     fewest = min(len(one.variant.columns), aliases.pop(family, len(one.variant.columns)))
@@ -303,7 +303,7 @@ LEAST_SAID: Final = 1e-3
 """Posterior probability below which a family is not listed."""
 
 
-def _holding(odds: Sequence[FamilyOdds]) -> list[str]:
+def holding(odds: Sequence[FamilyOdds]) -> list[str]:
     """Return the first family if its probability reaches `ALONE`, else the first ones that together reach `SET`."""
     if odds[0].probability >= ALONE:
         return [odds[0].name]

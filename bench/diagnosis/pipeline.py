@@ -308,7 +308,7 @@ def effects_of(
             order = order_of(applied[0])
             effect = replace(
                 effect,
-                parameters=tuple(_values(applied)),
+                parameters=tuple(values_of(applied)),
                 applied=applied,
                 together=together,
                 aliases=() if order is None else looking_like(angle_rad, order),
@@ -352,7 +352,7 @@ def _in_words(variant: Variant) -> str:
     return UNNAMED_WORDS[variant.family] + (f" ({variant.where})" if variant.where else "")
 
 
-def _values(applied: tuple[AppliedEffect, ...]) -> Iterator[EffectValue]:
+def values_of(applied: tuple[AppliedEffect, ...]) -> Iterator[EffectValue]:
     """Yield parameters with u in the units of the catalogue; with their mountings where there are several sets."""
     for one in applied:
         mounts = "+".join(one.installations) if len(applied) > 1 else ""

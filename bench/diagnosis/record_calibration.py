@@ -13,7 +13,8 @@ from typing import Final
 import numpy as np
 
 from bench.base.arrays import CHANNELS, Floats, Ints, u_of
-from bench.diagnosis.record_model import LEAST, Noise, Record, Whitening, make_record
+from bench.diagnosis.levels import FOLDS
+from bench.diagnosis.record_model import LEAST, Noise, NoiseTrials, Record, make_record, solved
 from bench.model.conditions import Conditions
 from bench.model.effects import AppliedEffect
 from bench.readings.columns import numbers
@@ -24,8 +25,6 @@ LEVELS: Final = 0.01
 """A reference that changes by more than this part of its largest value tells gain from offset."""
 ZERO_V: Final = 1e-3
 """At a single level below this, V, the record gives the offset alone."""
-PARTS: Final = 5
-"""Parts of a record, each calibrated by itself, whose scatter is compared with u."""
 
 
 @dataclass(frozen=True)
@@ -90,8 +89,8 @@ def calibrate_record(readings: Readings, effects: Sequence[AppliedEffect] = ()) 
     `CalibrationError` for a record that cannot be evaluated.
     """
     record = make_record(readings)
-    known = np.sum([record.added(one) for one in effects], axis=0) + np.zeros_like(record.deviation_v)
-    left = replace(record, deviation_v=record.deviation_v - known)
+    known = record.added_by(effects)
+    left = record.less(known)
     scatter, note = _scatter(readings, record)
     errors = [np.repeat(scatter[:, None], len(record.channels), axis=1)]
     errors += [_one_u(record, one) for one in effects if one.u]
@@ -116,9 +115,9 @@ def _levels_apart(record: Record) -> bool:
 
 def _parts(record: Record, several_levels: bool) -> Repeats | None:
     """Return equal parts of a record compared as repeats; None if it is short, or a part lacks its levels."""
-    if len(record) < PARTS * LEAST:
+    if len(record) < FOLDS * LEAST:
         return None
-    parts = [_part(record, rows) for rows in np.array_split(np.arange(len(record)), PARTS)]
+    parts = [_part(record, rows) for rows in np.array_split(np.arange(len(record)), FOLDS)]
     if several_levels and not all(map(_levels_apart, parts)):
         return None
     each = [_channels(part, np.zeros((0, *part.deviation_v.shape)), [], several_levels) for part in parts]
@@ -143,7 +142,7 @@ def _channels(
 
     `errors` (e, n, c) are one u of errors common to all readings, `again` the effects (n, c) to estimate again.
     """
-    whitening, level = Whitening.of(record), float(record.reference_v.mean())
+    trials, level = NoiseTrials.of(record), float(record.reference_v.mean())
     reference = [record.reference_v - level] if several_levels else []
     found = []
     for number, channel in enumerate(record.channels):
@@ -152,7 +151,7 @@ def _channels(
         targets = (
             np.column_stack([record.deviation_v[:, number], *errors[:, :, number]]) / record.scale[:, None]
         )
-        mean, spread, noise = averaged(whitening, design, targets)
+        mean, spread, noise = averaged(trials, design, targets)
         left = (targets[:, 0] - design @ mean[:, 0]) * record.scale
         count = 2 + several_levels
         found.append(
@@ -175,43 +174,40 @@ def _channel(
     whole = own + of_errors @ of_errors.T
     made = [Estimate(*map(float, one)) for one in zip(value, u_of(whole), u_of(own), strict=True)]
     gain = replace(made[0], value=1.0 + made[0].value) if has_gain else None
-    white = float(np.sqrt(noise.variance))
     return ChannelCalibration(
         channel=channel,
         gain=gain,
         offset_v=made[1] if several else None if has_gain else made[0],
         covariance_v=float(whole[0, 1]) if several else 0.0,
         drift_v_h=made[-1],
-        white_v=white,
-        slow_v=white * float(np.sqrt(noise.ratio)),
+        white_v=noise.white,
+        slow_v=noise.white * noise.ratio**0.5,
         residual_v=left,
     )
 
 
-def averaged(whitening: Whitening, design: Floats, targets: Floats) -> tuple[Floats, Floats, Noise]:
+def averaged(trials: NoiseTrials, design: Floats, targets: Floats) -> tuple[Floats, Floats, Noise]:
     """Return estimates (p, d) of the columns (n, p) in targets (n, d), averaged over the noise of the first.
 
     The covariance (p, p) is that of the first target: within each noise, and between them. The noise is the
     likeliest.
     """
-    none = np.zeros((len(design), 0))
-    products = whitening.products(design[:, whitening.trend.shape[1] :], none, targets[:, :1])
+    count = design.shape[1]
+    products = trials.products(design[:, trials.trend.shape[1] :], np.zeros((len(design), 0)), targets[:, :1])
     log = products.likelihood[:, 0]
     weight = np.exp(log - log.max())
     weight /= weight.sum()
-    means, spreads = [], []
-    for (number, ratio), left in zip(whitening.settings, products.left[:, 0], strict=True):
-        slow = whitening.slow[number]
-        size = 1.0 / np.sqrt(1.0 + ratio * slow.variance)
-        turned = (slow.vectors.T @ np.column_stack([design, targets])) * size[:, None]
-        columns = turned[:, : design.shape[1]]
-        inverse = np.asarray(np.linalg.pinv(columns.T @ columns, hermitian=True), dtype=np.float64)
-        means.append(inverse @ columns.T @ turned[:, design.shape[1] :])
-        spreads.append(inverse * left / products.freedom)
-    mean = np.tensordot(weight, np.array(means), axes=1)
-    off = np.array(means)[:, :, 0] - mean[:, 0]
+    whitened = trials.whitened(np.column_stack([design, targets]))
+    solutions = [solved(white[:, :count], white[:, count:]) for _, white in whitened]
+    means = np.array([mean for mean, _, _ in solutions])
+    spreads = [
+        spread * left / products.freedom
+        for (_, spread, _), left in zip(solutions, products.left[:, 0], strict=True)
+    ]
+    mean = np.tensordot(weight, means, axes=1)
+    off = means[:, :, 0] - mean[:, 0]
     spread = np.tensordot(weight, np.array(spreads) + off[:, :, None] * off[:, None, :], axes=1)
-    return mean, spread, products.noise(whitening.settings)
+    return mean, spread, products.noise
 
 
 def _scatter(readings: Readings, record: Record) -> tuple[Floats, tuple[str, ...]]:

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from scipy import special
 
-from bench.base.arrays import CHANNELS, Floats, rms
-from bench.calibration.result import CalibrationError
-from bench.diagnosis.confirm import Confirmation, EffectNow, Model, Word
-from bench.diagnosis.gap import BY_CHANCE
+from bench.base.arrays import rms
+from bench.calibration.design import make_problem
+from bench.diagnosis.confirm import Confirmation, EstimatedEffects, Model, judged, plausible_size
+from bench.diagnosis.evidence import KNOWN_SIZE
 from bench.diagnosis.record_diagnosis import diagnose_record
-from bench.diagnosis.record_model import Course, Courses, Whitening, course_of, make_courses, make_record
-from bench.diagnosis.record_search import RecordWork, values_of
+from bench.diagnosis.record_model import Course, Record, course_of, make_record
+from bench.diagnosis.record_search import RecordWork
 from bench.model.effects import AppliedEffect
+from bench.model.forward import ForwardModel
 from bench.readings.table import Readings
 
 
@@ -25,61 +26,43 @@ def confirm_record(readings: Readings, effects: Sequence[AppliedEffect]) -> Conf
     the effects.
     """
     record = make_record(readings)
-    known = np.sum([record.added(applied) for applied in effects], axis=0)
-    work = RecordWork(record, make_courses(record), Whitening.of(record))
-    left = RecordWork(record, Courses(()), work.whitening, record.deviation_v - known)
-    noises = work.noises_beside([course for one in effects if (course := _course(work, one)) is not None])
+    work = RecordWork.of(record)
+    left = work.less(record.added_by(effects))
+    courses = [_course(record, applied) for applied in effects]
+    noises = work.noises([course for course in courses if course is not None])
+    expected = float(np.sqrt(np.mean([noise.variance * (1.0 + noise.ratio) for noise in noises])))
     freedom = len(work.parts) * (len(record) - record.trend.shape[1])
-    sizes = []
-    for one in (work, left):
-        chi2 = sum(one.fitted(k, [], noises[k])[2] for k in one.parts)
-        plain = one.deviation_v - record.trend @ np.linalg.lstsq(record.trend, one.deviation_v, rcond=None)[0]
-        expected = np.sqrt(np.mean([noise.variance * (1.0 + noise.ratio) for noise in noises]))
-        sizes.append(Model(chi2 / freedom, rms(plain), float(expected)))
-    now = tuple(_now(left, effects))
-    if all(one.verdict is None for one in now):
-        raise CalibrationError(f"{readings.source}: this record could show none of the model's effects")
-    p_after = float(special.chdtrc(freedom, sizes[1].reduced * freedom))
-    before, after = sizes
-    return Confirmation(before, after, p_after, now, diagnose_record(readings, known), "V")
+    reduced = [sum(one.fitted(k, [], noises[k])[2] for k in one.parts) / freedom for one in (work, left)]
+    before, after = (
+        Model(of_fit, rms(one.record.beside_trend), expected)
+        for of_fit, one in zip(reduced, (work, left), strict=True)
+    )
+    model = ForwardModel({}, tuple(effects))
+    unknowns = [
+        one
+        for one in make_problem(model, record.conditions, {}).effects
+        if one.channel is None or one.channel in record.channels
+    ]
+    plausible = np.array([plausible_size(model, one) for one in unknowns])
+    found = np.array([one.prior_mean for one in unknowns]) / plausible
+    u = np.array([one.prior_u if one.stated else 0.0 for one in unknowns]) / plausible
+    now, known = found.copy(), np.full(len(found), KNOWN_SIZE)
+    for number, (applied, course) in enumerate(zip(effects, courses, strict=True)):
+        mine = [i for i, one in enumerate(unknowns) if one.effect == number]
+        if course is not None and mine:
+            # each effect as the record alone gives it, the others at the model's values
+            size, u_size = left.less(-record.added(applied)).sizes([course])
+            at = [0 if (c := unknowns[i].channel) is None else record.channels.index(c) for i in mine]
+            now[mine], known[mine] = size[at], u_size[at]
+    of = EstimatedEffects(plausible, found, u, now - found, np.diag(known**2))
+    p_after = float(special.chdtrc(freedom, after.reduced * freedom))
+    return Confirmation(
+        before, after, p_after, judged(model, unknowns, of), diagnose_record(readings, effects), "V"
+    )
 
 
-def _course(work: RecordWork, applied: AppliedEffect) -> Course | None:
+def _course(record: Record, applied: AppliedEffect) -> Course | None:
     """Return the course of an effect in its shape, or None if the record does not show it."""
     values = applied.complete_values()
     shape = {p.name: float(values[p.name]) for p in applied.effect.parameters if p.is_shape}
-    return course_of(work.record, applied.effect, shape)
-
-
-def _now(left: RecordWork, effects: Sequence[AppliedEffect]) -> Iterator[EffectNow]:
-    """Yield each effect as the record alone gives it, the others at the model's values."""
-    record = left.record
-    for applied in effects:
-        course = _course(left, applied)
-        read = {"", *(CHANNELS[channel] for channel in record.channels)}
-        found = tuple(v for v in values_of(applied) if v.u is not None and v.channel in read)
-        if course is None or not found:
-            yield EffectNow(applied, None, 1.0, 1.0, found, found)
-            continue
-        own = RecordWork(record, Courses(()), left.whitening, left.deviation_v + record.added(applied))
-        size, u = own.sizes_of(course)
-        here = course.applied(size, u, record.channels)
-        here = AppliedEffect(here.effect, here.values, applied.channels, u=here.u)
-        now = tuple(v for v in values_of(here) if v.u is not None and v.channel in read)
-        p_none = _chance([value.value for value in now], [value.u or 0.0 for value in now])
-        pairs = list(zip(now, found, strict=True))
-        p_same = _chance(
-            [a.value - b.value for a, b in pairs], [float(np.hypot(a.u or 0.0, b.u or 0.0)) for a, b in pairs]
-        )
-        yield EffectNow(applied, _word(p_same, p_none), p_same, p_none, found, now)
-
-
-def _word(p_same: float, p_none: float) -> Word:
-    if p_none >= BY_CHANCE:
-        return "gone"
-    return "confirmed" if p_same >= BY_CHANCE else "changed"
-
-
-def _chance(values: Sequence[float], u: Sequence[float]) -> float:
-    size: Floats = np.array(values) / np.array(u)
-    return float(special.chdtrc(len(size), float(size @ size)))
+    return course_of(record, applied.effect.name, shape)

@@ -10,10 +10,11 @@ from typing import Final
 import numpy as np
 from scipy import linalg
 
-from bench.base.arrays import Floats, Mask, rms
+from bench.base.arrays import Floats, Mask, least_squares, rms
 from bench.diagnosis.gap import Fold, Gap, HeldOut
+from bench.diagnosis.levels import FOLDS
 from bench.diagnosis.posterior import NoiseSize
-from bench.diagnosis.record_model import FOLLOWS, Course, Noise
+from bench.diagnosis.record_model import FOLLOWS, MOVE, Course, Noise, solved
 from bench.diagnosis.record_search import Find, RecordWork
 
 
@@ -29,75 +30,57 @@ class Rival:
 SWING: Final = 0.15
 """An excursion is where what is followed is further from its level at rest than this part of its range."""
 PLATEAU: Final = 0.1
-"""Part of the range within which what is followed counts as at one level."""
-COMMON: Final = 0.2
-"""Part of the record at one level from which on it is the level at rest; evenly spread it would be a tenth."""
-LEAST_ROWS: Final = 8
-TURNS: Final = 5
-"""Consecutive means that are held out together where an effect follows time alone."""
-LEAST_GAIN: Final = 4.0
-"""Least fall of the chi-square of the excursions held out that confirms an effect."""
+"""Part of the range that counts as one level; evenly spread, as large a part of the record would be at it."""
 
 
-def measure_record_gap(
-    work: RecordWork, finds: Sequence[Find]
-) -> tuple[Gap, tuple[Rival, ...], dict[str, str]]:
-    """Return the gap on excursions held out in turn, the rivals in shape, and what is not confirmed, with why."""
-    noises = work.noises(finds)
+def measure_record_gap(work: RecordWork, finds: Sequence[Find]) -> tuple[Gap, tuple[Rival, ...]]:
+    """Return the gap on excursions held out in turn, and the rivals in shape."""
+    noises = work.noises([one.course for one in finds])
     folds: list[Fold] = []
-    unconfirmed: dict[str, str] = {}
-    gained: dict[str, float] = {}
-    for number, find in enumerate(finds):
-        masks = list(_excursions(work, find))
-        if len(masks) < 2:
-            unconfirmed[find.family] = (
-                "there is one excursion of what it follows; a second one, at another time, would confirm it"
-            )
-            continue
-        for label, rows in masks:
-            others = [one for i, one in enumerate(finds) if i != number]
-            without = _predicted(work, [o.course for o in others], None, rows, noises)
-            after = _predicted(work, [o.course for o in others], _shapes_in_fold(work, find), rows, noises)
-            gain = without.chi2 - after.chi2
-            gained[find.family] = gained.get(find.family, 0.0) + gain
-            folds.append(Fold(label, {find.family: gain}, without, after))
-    unconfirmed |= {
-        name: f"readings held out do not confirm it (chi-square falls by {gain:.1f} in all)"
-        for name, gain in gained.items()
-        if gain < LEAST_GAIN
+    for number, (course, _, _) in enumerate(finds):
+        family = course.family
+        masks = list(_excursions(work, course))
+        others = [one.course for i, one in enumerate(finds) if i != number]
+        # a jump keeps its time, as a gap hides it
+        shapes = [course] if family == MOVE else work.shapes_of(family)
+        for label, rows in masks if len(masks) > 1 else ():
+            before, after = (_predicted(work, others, trials, rows, noises) for trials in ((), shapes))
+            folds.append(Fold(label, {family: before.chi2 - after.chi2}, before, after))
+    size = NoiseSize(noises[0].white / len(work.parts) ** 0.5, 0.0, len(work.record) - 2)
+    gap = Gap(tuple(folds), size, "V", size.freedom, tuple(one.course.family for one in finds))
+    return gap, tuple(_rivals(work, finds, noises))
+
+
+def why_unconfirmed(gap: Gap) -> dict[str, str]:
+    """Return the effects that readings held out do not confirm, and why."""
+    gains = {name: [fold.gains[name] for fold in gap.folds if name in fold.gains] for name in gap.unconfirmed}
+    return {
+        name: f"readings held out do not confirm it (chi-square falls by {sum(each):.1f} in all)"
+        if each
+        else "there is one excursion of what it follows; a second one, at another time, would confirm it"
+        for name, each in gains.items()
     }
-    part = noises[0]
-    size = NoiseSize(float(np.sqrt(part.variance / len(work.helmert))), 0.0, len(work.record) - 2)
-    gap = Gap(tuple(folds), size, "V", size.freedom, tuple(one.family for one in finds))
-    return gap, tuple(_rivals(work, finds, noises)), unconfirmed
 
 
-def _shapes_in_fold(work: RecordWork, find: Find) -> list[Course]:
-    """Return the shapes that the rest of a record chooses from; the time of a jump stays, as a gap hides it."""
-    if find.family == "voltmeter_move":
-        return [find.course]
-    return [work.courses.each[i] for i in work.courses.of_family(find.family)]
-
-
-def _excursions(work: RecordWork, find: Find) -> Iterator[tuple[str, Mask]]:
+def _excursions(work: RecordWork, course: Course) -> Iterator[tuple[str, Mask]]:
     """Yield what is held out in turn: the excursions of what an effect follows, or runs of means for time."""
     record, conditions = work.record, work.record.conditions
-    match FOLLOWS[find.family]:
+    match FOLLOWS[course.family]:
         case "meter":
             driver = conditions.meter_warmth_k
         case "rail":
-            driver = conditions.above_nominal_v[:, round(find.course.shape["rail"]) - 1]
+            driver = conditions.above_nominal_v[:, round(course.shape["rail"]) - 1]
         case _:
-            turn = np.arange(len(record)) // TURNS % 2
+            turn = np.arange(len(record)) // FOLDS % 2
             for number, which in enumerate(("first", "next")):
-                yield f"every other {TURNS} means, from the {which}", turn == number
+                yield f"every other {FOLDS} means, from the {which}", turn == number
             return
     from_rest = driver - _rest(driver)
     side = np.where(np.abs(from_rest) > SWING * np.ptp(driver), np.sign(from_rest), 0.0)
     turns = np.flatnonzero(np.diff(side)) + 1
     bounds: list[int] = [0, *turns.tolist(), len(side)]
     for start, end in pairwise(bounds):
-        if side[start] and end - start >= LEAST_ROWS:
+        if side[start] and end - start >= FOLDS:
             rows = np.zeros(len(side), dtype=bool)
             rows[start:end] = True
             word = "high" if side[start] > 0 else "low"
@@ -110,93 +93,59 @@ def _rest(driver: Floats) -> float:
     last = np.searchsorted(ordered, ordered + PLATEAU * np.ptp(driver), side="right")
     inside = last - np.arange(len(ordered))
     start = int(np.argmax(inside))
-    if inside[start] < COMMON * len(ordered):
-        return float(np.median(driver))
-    return float(np.median(ordered[start : last[start]]))
-
-
-@dataclass(frozen=True)
-class _Split:
-    """A component split into rows held out and the rest: the rest whitened, and what it predicts."""
-
-    lower: Floats
-    gain: Floats
-    spread: Floats
-    rows: Mask
-
-    @classmethod
-    def of(cls, covariance: Floats, rows: Mask) -> _Split:
-        rest = ~rows
-        lower = linalg.cholesky(covariance[np.ix_(rest, rest)], lower=True)
-        gain = linalg.cho_solve((lower, True), covariance[np.ix_(rest, rows)]).T
-        spread = covariance[np.ix_(rows, rows)] - gain @ covariance[np.ix_(rest, rows)]
-        return cls(lower, gain, spread, rows)
-
-    def fit(self, design: Floats, signal: Floats) -> tuple[Floats, Floats, float]:
-        """Return estimates from the rest, their covariance and chi-square."""
-        rest = np.column_stack([design, signal])[~self.rows]
-        white = linalg.solve_triangular(self.lower, rest, lower=True)
-        spread = np.asarray(np.linalg.pinv(white[:, :-1].T @ white[:, :-1], hermitian=True), dtype=np.float64)
-        mean = spread @ white[:, :-1].T @ white[:, -1]
-        return mean, spread, float(np.sum((white[:, -1] - white[:, :-1] @ mean) ** 2))
-
-    def predict(self, design: Floats, signal: Floats) -> tuple[Floats, float, Floats]:
-        """Return measured less model in the rows held out, chi-square of the prediction, and its variance."""
-        mean, spread, _ = self.fit(design, signal)
-        ahead = design[self.rows] - self.gain @ design[~self.rows]
-        error = signal[self.rows] - self.gain @ signal[~self.rows] - ahead @ mean
-        covariance = self.spread + ahead @ spread @ ahead.T
-        return (
-            signal[self.rows] - design[self.rows] @ mean,
-            float(error @ linalg.solve(covariance, error, assume_a="pos")),
-            np.diag(covariance),
-        )
+    common = inside[start] >= 2 * PLATEAU * len(ordered)
+    return float(np.median(ordered[start : last[start]] if common else driver))
 
 
 def _predicted(
     work: RecordWork,
     others: Sequence[Course],
-    shapes: Sequence[Course] | None,
+    shapes: Sequence[Course],
     rows: Mask,
     noises: Sequence[Noise],
 ) -> HeldOut:
     """Predict the rows held out, by the shape that the rest finds likeliest; without `shapes` by the others alone.
 
     Errors are those beside a straight line in the rows, as the level after an excursion is that of slow noise.
+    The chi-square is that of all rows less that of the rest: the prediction's, with all that was estimated.
     """
-    splits = [_Split.of(work.covariance(noise), rows) for noise in noises]
+    rest = np.flatnonzero(~rows)
+    lower = [linalg.cholesky(noise.covariance[np.ix_(rest, rest)], lower=True) for noise in noises]
 
-    def design(part: int, shape: Course | None) -> Floats:
-        courses = [*others, *([] if shape is None else [shape])]
-        return np.column_stack([work.trend, work.columns(courses, part)])
+    def fitted(courses: Sequence[Course]) -> list[tuple[Floats, Floats, float]]:
+        white = [
+            linalg.solve_triangular(half, work.design(courses, k)[rest], lower=True)
+            for k, half in enumerate(lower)
+        ]
+        return [solved(one[:, :-1], one[:, -1]) for one in white]
 
-    best = None
-    if shapes is not None:
-        chi2 = [sum(splits[k].fit(design(k, s), work.signal[:, k])[2] for k in work.parts) for s in shapes]
-        best = shapes[int(np.argmin(chi2))]
-    found = [splits[k].predict(design(k, best), work.signal[:, k]) for k in work.parts]
-    scale = work.record.scale[rows, None]
-    error = np.column_stack([one[0] for one in found]) @ work.helmert * scale
-    variance = np.column_stack([one[2] for one in found]) @ work.helmert**2 * scale**2
-    line = work.record.trend[rows]
-    error -= line @ np.linalg.lstsq(line, error, rcond=None)[0]
-    return HeldOut(error.ravel(), error.ravel(), np.sqrt(variance).ravel(), sum(one[1] for one in found))
+    trials = [[*others, shape] for shape in shapes] or [list(others)]
+    fits = [fitted(courses) for courses in trials]
+    best = int(np.argmin([sum(one[2] for one in parts) for parts in fits]))
+    chi2, error = 0.0, np.empty((int(rows.sum()), len(work.parts)))
+    for k, (mean, _, of_rest) in enumerate(fits[best]):
+        design = work.design(trials[best], k)[rows]
+        error[:, k] = design[:, -1] - design[:, :-1] @ mean
+        chi2 += work.fitted(k, trials[best], noises[k])[2] - of_rest
+    error_v = error @ work.helmert * work.record.scale[rows, None]
+    beside = least_squares(work.record.trend[rows], error_v)[1].ravel()
+    return HeldOut(beside, beside, np.full_like(beside, np.nan), chi2)
 
 
 def _rivals(work: RecordWork, finds: Sequence[Find], noises: Sequence[Noise]) -> Iterator[Rival]:
     """Yield how well each kind of shape of the first effect of the meter's temperature predicts excursions."""
-    thermal = next((one for one in finds if FOLLOWS[one.family] == "meter"), None)
-    if thermal is None:
+    thermal = next((one for one in finds if FOLLOWS[one.course.family] == "meter"), None)
+    masks = [] if thermal is None else list(_excursions(work, thermal.course))
+    if thermal is None or len(masks) < 2:
         return
     others = [one.course for one in finds if one is not thermal]
-    family = [work.courses.each[i] for i in work.courses.of_family(thermal.family)]
+    family = work.shapes_of(thermal.course.family)
     kinds = {
         "at once": [c for c in family if not c.shape["lag"] and not c.shape["width"]],
         "lag": [c for c in family if c.shape["lag"]],
         "hysteresis": [c for c in family if c.shape["width"]],
     }
-    masks = list(_excursions(work, thermal))
     for what, shapes in kinds.items():
-        if shapes and len(masks) > 1:
+        if shapes:
             held = [_predicted(work, others, shapes, rows, noises) for _, rows in masks]
             yield Rival(what, rms(np.concatenate([one.error for one in held])), sum(one.chi2 for one in held))

@@ -8,19 +8,20 @@ channels' mean and of their differences (Helmert contrasts), each with noise of 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 from scipy import linalg, ndimage, special
 
-from bench.base.arrays import HOUR, MINUTE, Floats, Ints, Mask
+from bench.base.arrays import CHANNELS, HOUR, MINUTE, Floats, Ints, Mask, least_squares
 from bench.calibration.result import CalibrationError
 from bench.diagnosis.evidence import LOG_SIZE_WEIGHTS, SIZES
+from bench.diagnosis.levels import FAR, NEGLIGIBLE
 from bench.model.conditions import Conditions
-from bench.model.effects import CATALOGUE, AppliedEffect, Effect, Seen
+from bench.model.effects import CATALOGUE, AppliedEffect, Effect, Parameter, Seen
 from bench.model.geometry import Block
 from bench.readings.columns import METER_C, ROOM_C, meter_c, numbers, rails_of, voltage_column
 from bench.readings.table import REFERENCE, REFERENCE_V, Readings
@@ -31,9 +32,7 @@ BINS: Final = 300
 """Largest number of means of a record; slow effects need no more."""
 LEAST: Final = 30
 """Fewest means that separate noise from effects."""
-APART: Final = 6.0
-"""A reading is left out of its mean from this many standard deviations (by the median deviation) on."""
-GAUSSIAN_MAD: Final = 1.4826
+OF_MEDIAN: Final = 1.0 / float(special.ndtri(0.75))
 """Standard deviation of a normal distribution over its median absolute deviation."""
 
 
@@ -73,6 +72,19 @@ class Record:
         time_h = self.time_h
         return np.column_stack([np.ones(len(self)), 2.0 * time_h / time_h[-1] - 1.0])
 
+    @property
+    def beside_trend(self) -> Floats:
+        """The deviations less zero and drift of each channel, V, shape (n, c)."""
+        return least_squares(self.trend, self.deviation_v)[1]
+
+    def less(self, added_v: Floats) -> Record:
+        """Return the record without known errors (n, c), V."""
+        return replace(self, deviation_v=self.deviation_v - added_v)
+
+    def added_by(self, effects: Sequence[AppliedEffect]) -> Floats:
+        """Return the voltages that effects add together, V, shape (n, c)."""
+        return np.asarray(sum((self.added(one) for one in effects), np.zeros_like(self.deviation_v)))
+
     def added(self, applied: AppliedEffect) -> Floats:
         """Return the voltages that an effect adds in the c channels of the record, V, shape (n, c)."""
         at_inputs = np.repeat(self.reference_v[:, None], 3, axis=1)
@@ -88,43 +100,51 @@ def make_record(readings: Readings) -> Record:
     time_s, reference_v, channels = _checked(readings)
     edges = np.linspace(time_s[0], time_s[-1], min(BINS, len(readings)) + 1)
     of_row = np.clip(np.searchsorted(edges, time_s, side="right") - 1, 0, len(edges) - 2)
-    used = np.flatnonzero(np.bincount(of_row, minlength=len(edges) - 1))
-    if len(used) < LEAST:
+    groups = [np.flatnonzero(of_row == number) for number in np.unique(of_row)]
+    if len(groups) < LEAST:
         raise CalibrationError(
-            f"{readings.source}: {len(used)} readings at different times are too few to tell an effect from "
+            f"{readings.source}: {len(groups)} readings at different times are too few to tell an effect from "
             f"noise; a record needs {LEAST}"
         )
-    groups = [np.flatnonzero(of_row == number) for number in used]
-    means, spread, stay = _robust_means(readings.signal[:, channels] - reference_v[:, None], groups)
-    warmth, notes = _meter_c(readings)
+    means, spread, used = _robust_means(readings.signal[:, channels] - reference_v[:, None], groups)
     begin = _settled(means)
-    groups, stay = groups[begin:], stay[begin:]
+    groups, first = groups[begin:], int(groups[begin][0])
+    used[:first] = False
+    notes, warmth, rails = [], meter_c(readings.extra), list(_rails(readings))
+    if warmth is None:
+        notes.append(
+            f"no column {METER_C} or {ROOM_C}: effects of the meter's temperature are not looked for"
+        )
+    elif not any(map(str.strip, readings.extra.get(METER_C, ()))):
+        notes.append(f"the temperature of the room ({ROOM_C}) is taken for that of the meter")
     if begin:
-        minutes = (time_s[groups[0][0]] - time_s[0]) / MINUTE
-        notes += (f"the first {minutes:.0f} min are left out: the input had not settled",)
-    rows = np.zeros(len(readings), dtype=bool)
-    rows[np.concatenate(groups)] = np.concatenate(stay)
-    if left_out := int(np.sum(~rows[groups[0][0] :])):
-        notes += (f"{left_out} of {len(readings)} readings lie far from their neighbours and are left out",)
+        minutes = (time_s[first] - time_s[0]) / MINUTE
+        notes.append(f"the first {minutes:.0f} min are left out: the input had not settled")
+    if left_out := int(np.sum(~used[first:])):
+        notes.append(f"{left_out} of {len(readings)} readings lie far from their neighbours and are left out")
 
     def mean(values: Floats) -> Floats:
-        return np.array([np.mean(values[rows]) for rows in groups])
+        known = np.isfinite(values)
+        complete = values if known.all() else np.interp(time_s, time_s[known], values[known])
+        return np.array([np.mean(complete[rows]) for rows in groups])
 
     conditions = Conditions.of(
         [REFERENCE] * len(groups),
         np.full(len(groups), np.nan),
         time_s=mean(time_s),
-        supply_v=_rails(readings, mean),
+        supply_v=np.stack([mean(rail) for rail in rails], axis=1) if rails else None,
         meter_c=None if warmth is None else mean(warmth),
     )
     at_inputs, size = mean(reference_v), _relative(spread[begin:])
-    return Record(readings.source, tuple(channels), means[begin:], at_inputs, size, conditions, rows, notes)
+    return Record(
+        readings.source, tuple(channels), means[begin:], at_inputs, size, conditions, used, tuple(notes)
+    )
 
 
 def _settled(means: Floats) -> int:
     """Return the number of first means (n, c) that are left out, at most a tenth of them."""
     steps = np.abs(np.diff(means, axis=0))
-    jumps = np.any(steps > APART * GAUSSIAN_MAD * np.median(steps, axis=0), axis=1)
+    jumps = np.any(steps > FAR * OF_MEDIAN * np.median(steps, axis=0), axis=1)
     early = np.flatnonzero(jumps[: len(means) // 10])
     return int(early[-1]) + 1 if len(early) else 0
 
@@ -150,29 +170,28 @@ def _checked(readings: Readings) -> tuple[Floats, Floats, list[int]]:
     return readings.time_s, reference_v, channels
 
 
-def _robust_means(deviation: Floats, groups: Sequence[Ints]) -> tuple[Floats, Floats, list[Mask]]:
-    """Return the means of groups of rows without those far from their median, the scatter, and which rows stay.
+def _robust_means(deviation: Floats, groups: Sequence[Ints]) -> tuple[Floats, Floats, Mask]:
+    """Return the means of groups of rows without those `FAR` from their median, the scatter, and the rows used.
 
     The means and the standard deviations of the rows, by their median deviation, are (n, c).
     """
-    middle = [np.median(deviation[rows], axis=0) for rows in groups]
+    middle = np.array([np.median(deviation[rows], axis=0) for rows in groups])
     off = [np.abs(deviation[rows] - at) for rows, at in zip(groups, middle, strict=True)]
-    spread = GAUSSIAN_MAD * np.array([np.median(one, axis=0) for one in off])
-    limit = APART * np.maximum(spread, np.median(spread, axis=0))
-    stay = [np.all((one <= most) | (most == 0.0), axis=1) for one, most in zip(off, limit, strict=True)]
-    means = [
-        deviation[rows][near].mean(axis=0) if near.any() else at
-        for rows, near, at in zip(groups, stay, middle, strict=True)
-    ]
-    return np.array(means), spread, stay
+    spread = OF_MEDIAN * np.array([np.median(one, axis=0) for one in off])
+    limit = FAR * np.maximum(spread, np.median(spread, axis=0))
+    used, means = np.zeros(len(deviation), dtype=bool), middle.copy()
+    for number, (rows, one, most) in enumerate(zip(groups, off, limit, strict=True)):
+        near = np.all((one <= most) | (most == 0.0), axis=1)
+        used[rows] = near
+        if near.any():
+            means[number] = deviation[rows[near]].mean(axis=0)
+    return means, spread, used
 
 
 SMOOTHED: Final = 41
 """Means over which the size of the noise is smoothed."""
 LIKE: Final = 2.0
-"""The noise counts as even where its size varies by less than this factor,"""
-MOST_UNLIKE: Final = 4.0
-"""and is taken to vary by no more than this factor from its median."""
+"""The noise counts as even where its size varies by less than this factor, and varies by its square at most."""
 
 
 def _relative(spread: Floats) -> Floats:
@@ -181,36 +200,17 @@ def _relative(spread: Floats) -> Floats:
     if np.any(middle == 0.0):
         return np.ones(len(spread))
     size = ndimage.median_filter(np.mean(spread / middle, axis=1), SMOOTHED, mode="reflect")
-    size = np.clip(size / np.median(size), 1.0 / MOST_UNLIKE, MOST_UNLIKE)
+    size = np.clip(size / np.median(size), LIKE**-2, LIKE**2)
     return np.ones(len(size)) if size.max() < LIKE * size.min() else np.asarray(size)
 
 
-def _meter_c(readings: Readings) -> tuple[Floats | None, tuple[str, ...]]:
-    found = meter_c(readings.extra)
-    if found is None:
-        return None, (
-            f"no column {METER_C} or {ROOM_C}: effects of the meter's temperature are not looked for",
-        )
-    known = np.isfinite(found)
-    whole = np.interp(readings.time_s, readings.time_s[known], found[known])
-    given = any(map(str.strip, readings.extra.get(METER_C, ())))
-    return whole, () if given else (f"the temperature of the room ({ROOM_C}) is taken for that of the meter",)
-
-
-def _rails(readings: Readings, mean: Callable[[Floats], Floats]) -> Floats | None:
-    """Return the means of the rails less their nominal voltage, or less their median where none is given."""
-    rails = rails_of(readings.extra)
-    if not rails:
-        return None
+def _rails(readings: Readings) -> Iterator[Floats]:
+    """Yield the voltages (m,) of the rails less their nominal, or less their median where none is given."""
     above = readings.conditions().supply_v
-    assert above is not None  # noqa: S101 - there are rails
-    columns = []
-    for number, rail in enumerate(rails):
+    for number, rail in enumerate(rails_of(readings.extra)):
         voltage = numbers(readings.extra[voltage_column(rail)])
-        volts = above[:, number] if np.isfinite(above[:, number]).any() else voltage - np.nanmedian(voltage)
-        known = np.isfinite(volts)
-        columns.append(mean(np.interp(readings.time_s, readings.time_s[known], volts[known])))
-    return np.stack(columns, axis=1)
+        given = None if above is None else above[:, number]
+        yield voltage - np.nanmedian(voltage) if given is None or np.isnan(given).all() else given
 
 
 # --- noise --------------------------------------------------------------------------------------------
@@ -223,8 +223,8 @@ CORRELATED: Final = (0.005, 0.02, 0.06)
 """Correlation times of the exponentially correlated noises, in lengths of the record."""
 
 
-def slow_kernels(time_h: Floats) -> tuple[Floats, ...]:
-    """Return the covariances (n, n) of slow noise, each of mean variance 1.
+def slow_kernels(time_h: Floats) -> Iterator[Floats]:
+    """Yield the covariances (n, n) of slow noise, each of mean variance 1.
 
     They are a random walk, flicker, and noises of an exponential correlation.
     """
@@ -233,108 +233,114 @@ def slow_kernels(time_h: Floats) -> tuple[Floats, ...]:
     times = np.geomspace(length / len(time_h), length, FLICKER)
     flicker = np.sum([np.exp(-apart / time) for time in times], axis=0)
     short = [np.exp(-apart / (part * length)) for part in CORRELATED]
-    kernels = (np.minimum.outer(time_h, time_h), flicker, *short)
-    return tuple(kernel / np.mean(np.diag(kernel)) for kernel in kernels)
+    for kernel in (np.minimum.outer(time_h, time_h), flicker, *short):
+        yield kernel / np.mean(np.diag(kernel))
 
 
 @dataclass(frozen=True)
-class Slow:
-    """One kind of slow noise: its covariance, of mean variance 1, with eigenvalues and eigenvectors."""
+class Noise:
+    """The noise of a component: white noise of `variance`, V², and slow noise of `ratio` times that.
 
-    kernel: Floats
-    variance: Floats
+    `slow` (n,) are the eigenvalues and `vectors` (n, n) the eigenvectors of the covariance of the slow noise.
+    """
+
+    slow: Floats
     vectors: Floats
-
-    @classmethod
-    def of(cls, kernel: Floats) -> Slow:
-        """Decompose a covariance."""
-        variance, vectors = linalg.eigh(kernel)
-        return cls(kernel, np.maximum(variance, 0.0), vectors)
-
-
-class Noise(NamedTuple):
-    """The noise of a component: the index of its slow noise, the ratio of slow to white noise, and the variance of
-    the white noise, V².
-    """
-
-    slow: int
     ratio: float
-    variance: float
+    variance: float = 1.0
+
+    @cached_property
+    def sd(self) -> Floats:
+        """Standard deviations (n,) along the eigenvectors, V."""
+        return np.asarray(np.sqrt(self.variance * (1.0 + self.ratio * self.slow)))
+
+    @property
+    def covariance(self) -> Floats:
+        """The covariance (n, n), V²."""
+        return np.asarray((self.vectors * self.sd**2) @ self.vectors.T)
+
+    def whiten(self, columns: Floats) -> Floats:
+        """Return the columns (n, m) times the inverse root of the covariance."""
+        return np.asarray((self.vectors.T @ columns) / self.sd[:, None])
+
+    def drawn(self, rng: np.random.Generator, count: int) -> Floats:
+        """Return drawn noise, shape (n, count)."""
+        return np.asarray(self.vectors @ (self.sd[:, None] * rng.standard_normal((len(self.slow), count))))
+
+    @property
+    def white(self) -> float:
+        """Standard deviation of the white noise, V."""
+        return float(np.sqrt(self.variance))
 
 
 @dataclass(frozen=True)
-class Whitening:
-    """The whitened products of a record with any columns, for each kind of slow noise and each ratio of slow to
-    white noise.
+class NoiseTrials:
+    """The kinds and sizes of noise among which a record decides: eigenvalues and eigenvectors of each slow noise.
+
+    `trend` (n, 2) are the columns that every model has, over the relative size of the noise.
     """
 
-    slow: tuple[Slow, ...]
+    slow: tuple[tuple[Floats, Floats], ...]
     trend: Floats
 
     @classmethod
-    def of(cls, record: Record) -> Whitening:
-        """Return the whitening of a record; its trend are the columns that every model has."""
-        return cls(tuple(map(Slow.of, slow_kernels(record.time_h))), record.trend / record.scale[:, None])
+    def of(cls, record: Record) -> NoiseTrials:
+        """Return the trial noises of a record."""
+        found = (linalg.eigh(kernel) for kernel in slow_kernels(record.time_h))
+        slow = tuple((np.maximum(variance, 0.0), vectors) for variance, vectors in found)
+        return cls(slow, record.trend / record.scale[:, None])
 
-    @property
-    def settings(self) -> tuple[tuple[int, float], ...]:
-        """The trial settings of the noise: index of the kind of slow noise, ratio of slow to white noise.
-
-        Ratio 0 occurs once, as all kinds are then the same.
-        """
-        return tuple((k, r) for k in range(len(self.slow)) for r in RATIOS if k == 0 or r > 0.0)
+    def whitened(self, columns: Floats) -> Iterator[tuple[Noise, Floats]]:
+        """Yield each noise, with white noise of variance 1, and the columns (n, m) whitened by it."""
+        for number, (variance, vectors) in enumerate(self.slow):
+            turned = vectors.T @ columns
+            for ratio in RATIOS:
+                if number == 0 or ratio > 0.0:  # without slow noise all kinds are the same
+                    noise = Noise(variance, vectors, ratio)
+                    yield noise, turned / noise.sd[:, None]
 
     def products(self, known: Floats, columns: Floats, targets: Floats) -> Products:
         """Return the products of `columns` (n, h) with `targets` (n, d), beside the trend and `known` (n, m)."""
-        fixed = np.column_stack([self.trend, known])
+        fixed, h = self.trend.shape[1] + known.shape[1], columns.shape[1]
         each = []
-        for kind in self.slow:
-            turned = kind.vectors.T @ np.column_stack([fixed, columns, targets])
-            for ratio in RATIOS:
-                if ratio == 0.0 and kind is not self.slow[0]:
-                    continue
-                size = 1.0 / np.sqrt(1.0 + ratio * kind.variance)
-                basis, upper = np.linalg.qr(turned[:, : fixed.shape[1]] * size[:, None])
-                rest = turned[:, fixed.shape[1] :] * size[:, None]
-                rest -= basis @ (basis.T @ rest)
-                column, target = rest[:, : columns.shape[1]], rest[:, columns.shape[1] :]
-                log_det = float(np.sum(np.log(size)) - np.sum(np.log(np.abs(np.diag(upper)))))
-                each.append(
-                    (log_det, np.sum(column**2, axis=0), column.T @ target, np.sum(target**2, axis=0))
-                )
-        dets, squares, products, lefts = (np.array(part) for part in zip(*each, strict=True))
-        return Products(dets, squares, products, lefts, len(self.trend) - fixed.shape[1])
+        for noise, white in self.whitened(np.column_stack([self.trend, known, columns, targets])):
+            basis, upper = np.linalg.qr(white[:, :fixed])
+            rest = white[:, fixed:] - basis @ (basis.T @ white[:, fixed:])
+            log_det = -float(np.sum(np.log(noise.sd)) + np.sum(np.log(np.abs(np.diag(upper)))))
+            along, left = rest[:, :h].T @ rest[:, h:], np.sum(rest[:, h:] ** 2, axis=0)
+            each.append((noise, log_det, np.sum(rest[:, :h] ** 2, axis=0), along, left))
+        noises, dets, squares, products, lefts = zip(*each, strict=True)
+        found = (np.array(dets), np.array(squares), np.array(products), np.array(lefts))
+        return Products(noises, *found, len(self.trend) - fixed)
 
 
 @dataclass(frozen=True)
 class Products:
-    """Products for s settings of the noise: `square` (s, h), `product` (s, h, d), `left` (s, d)."""
+    """Products for s trial noises: `square` (s, h), `product` (s, h, d), `left` (s, d), ln of determinants (s,)."""
 
+    noises: tuple[Noise, ...]
     log_det: Floats
     square: Floats
     product: Floats
     left: Floats
     freedom: int
 
-    def without(self) -> Floats:
-        """Return ln of the likelihood without an effect, summed over the noise, shape (d,)."""
-        return _summed(self.likelihood)
-
     @property
     def likelihood(self) -> Floats:
-        """ln of the restricted likelihood of each setting of the noise without an effect, shape (s, d)."""
+        """ln of the restricted likelihood of each trial noise without an effect, shape (s, d)."""
         return np.asarray(self.log_det[:, None] - 0.5 * self.freedom * np.log(self.left))
 
-    def noise(self, settings: Sequence[tuple[int, float]]) -> Noise:
-        """Return the most probable noise for the first target."""
+    @property
+    def noise(self) -> Noise:
+        """The most probable noise for the first target."""
         best = int(np.argmax(self.likelihood[:, 0]))
-        return Noise(*settings[best], float(self.left[best, 0]) / self.freedom)
+        return replace(self.noises[best], variance=float(self.left[best, 0]) / self.freedom)
 
-    def with_one(self, plausible: Floats) -> Floats:
-        """Return ln of the marginal likelihood with each column, of plausible size (h,), shape (h, d).
+    def gain(self, plausible: Floats) -> Floats:
+        """Return ln of the evidence of each column, of plausible size (h,), against none, shape (h, d).
 
-        The size is normal about zero with `SIZES` times the plausible size; the variance of the noise in the
-        Occam factor is that of the residuals.
+        Both are averaged over the noise. The size is normal about zero with `SIZES` times the plausible size; the
+        variance of the noise in the Occam factor is that of the residuals.
         """
         prior = [(size * plausible[:, None]) ** 2 for size in SIZES]
         total = np.full(self.product.shape[1:], -np.inf)
@@ -348,30 +354,28 @@ class Products:
                 rest = left - gain * known / (1.0 + known)
                 log = weight + log_det - 0.5 * (np.log1p(known) + self.freedom * np.log(rest))
                 np.logaddexp(total, log, out=total)
-        return np.asarray(total - np.log(len(self.log_det)))
+        return np.asarray(total - special.logsumexp(self.likelihood, axis=0))
 
 
-def _summed(logs: Floats) -> Floats:
-    """Return ln of the mean over the settings of the noise, the first axis."""
-    return np.asarray(special.logsumexp(logs, axis=0) - np.log(len(logs)))
+def solved(columns: Floats, targets: Floats) -> tuple[Floats, Floats, float]:
+    """Return the least-squares estimates of whitened columns (n, m) in targets (n, …), and their covariance (m, m).
 
-
-def components(channels: int) -> Floats:
-    """Return the Helmert matrix (c, c).
-
-    It maps c channels to their mean times the root of c, and to their differences.
+    The last is the chi-square that they leave.
     """
-    return np.asarray(linalg.helmert(channels, full=True)) if channels > 1 else np.ones((1, 1))
+    spread = np.asarray(np.linalg.pinv(columns.T @ columns, hermitian=True), dtype=np.float64)
+    mean = spread @ columns.T @ targets
+    return mean, spread, float(np.sum((targets - columns @ mean) ** 2))
 
 
 # --- what may explain a record ----------------------------------------------------------------------
 
+MOVE: Final = "voltmeter_move"
 FOLLOWS: Final[Mapping[str, str]] = {
     "voltmeter_thermal_gain": "meter",
     "voltmeter_thermal_offset": "meter",
     "reference_supply": "rail",
     "voltmeter_warm_up": "time",
-    "voltmeter_move": "time",
+    MOVE: "time",
 }
 """The effects that a record at a known input can show beside its zero and drift, and what each follows."""
 
@@ -386,96 +390,54 @@ class Course:
     effect: Effect
     shape: Mapping[str, float]
     course: Floats
-    log_prior: float
+    log_prior: float = 0.0
+
+    @property
+    def family(self) -> str:
+        """The name of the effect."""
+        return self.effect.name
+
+    @property
+    def size(self) -> Parameter:
+        """The parameter of size."""
+        return next(p for p in self.effect.parameters if not p.is_shape)
 
     @property
     def of_channels(self) -> bool:
         """Whether each channel has its own size."""
-        return any(p.per_channel for p in self.effect.parameters)
-
-    @property
-    def size(self) -> str:
-        """The name of the parameter of size."""
-        return next(p.name for p in self.effect.parameters if not p.is_shape)
+        return self.size.per_channel
 
     def applied(self, sizes: Floats, u: Floats, channels: tuple[int, ...]) -> AppliedEffect:
         """Return the effect with sizes and their u in plausible sizes, in the `channels` of the record."""
-        parameter = next(p for p in self.effect.parameters if not p.is_shape)
 
-        def whole(values: Floats) -> Floats:
-            if not parameter.per_channel:
-                return np.asarray(values[0] * parameter.plausible)
+        def complete(values: Floats) -> Floats:
             each = np.zeros(3)
-            each[list(channels)] = values * parameter.plausible
-            return each
+            each[list(channels)] = values * self.size.plausible
+            return each if self.of_channels else np.asarray(values[0] * self.size.plausible)
 
-        shape = {name: np.asarray(value) for name, value in self.shape.items()}
-        of = tuple("xyz"[i] for i in channels) if parameter.per_channel else ("x", "y", "z")
-        return AppliedEffect(self.effect, {self.size: whole(sizes), **shape}, of, u={self.size: whole(u)})
-
-
-@dataclass(frozen=True)
-class Courses:
-    """All courses that may explain a record."""
-
-    each: tuple[Course, ...] = field(repr=False)
-
-    @cached_property
-    def columns(self) -> Floats:
-        """The courses as columns, shape (n, h)."""
-        return np.column_stack([one.course for one in self.each])
-
-    @cached_property
-    def log_prior(self) -> Floats:
-        """ln of the prior probabilities, shape (h,)."""
-        return np.array([one.log_prior for one in self.each])
-
-    @cached_property
-    def common(self) -> Mask:
-        """Whether each course is the same voltage in all channels, shape (h,)."""
-        return np.array([not one.of_channels for one in self.each])
-
-    @property
-    def families(self) -> tuple[str, ...]:
-        """The names of the effects."""
-        return tuple(dict.fromkeys(one.effect.name for one in self.each))
-
-    def of_family(self, family: str) -> Ints:
-        """Return the indices of the courses of one effect."""
-        return np.flatnonzero([one.effect.name == family for one in self.each])
+        default = {p.name: p.default for p in self.effect.parameters}
+        shape = {name: np.asarray(v) for name, v in self.shape.items() if v or default[name]}
+        of = tuple(CHANNELS[i] for i in channels) if self.of_channels else CHANNELS
+        name = self.size.name
+        return AppliedEffect(self.effect, {name: complete(sizes), **shape}, of, u={name: complete(u)})
 
 
-SEEN: Final = 1e-9
-"""A course whose part beside zero and drift is less than this part of it shows nothing."""
-
-
-def make_courses(record: Record) -> Courses:
-    """Return the courses that may explain a record: each effect of `FOLLOWS` in each shape that shows in the
-    record.
-    """
-    there: dict[str, bool] = {
-        "meter": record.conditions.meter_c is not None,
-        "rail": record.conditions.supply_v is not None,
-        "time": True,
-    }
-    found = []
-    for name, driver in FOLLOWS.items():
-        if not there[driver]:
-            continue
-        effect = CATALOGUE[name]
-        shapes = [one for one in _shapes(record, effect) if _shows(record, _course(record, effect, one))]
-        for shape in shapes:
-            course = _course(record, effect, shape)
-            found.append(Course(effect, shape, course / record.scale, -float(np.log(len(shapes)))))
-    families = len({one.effect.name for one in found})
-    return Courses(
-        tuple(Course(c.effect, c.shape, c.course, c.log_prior - float(np.log(families))) for c in found)
-    )
+def make_courses(record: Record) -> tuple[Course, ...]:
+    """Return the courses that may explain a record: each effect of `FOLLOWS` in each shape that it shows."""
+    conditions = record.conditions
+    there = {"meter": conditions.meter_c is not None, "rail": conditions.supply_v is not None, "time": True}
+    shown = [
+        [course for shape in _shapes(record, CATALOGUE[name]) if (course := course_of(record, name, shape))]
+        for name, driver in FOLLOWS.items()
+        if there[driver]
+    ]
+    families = sum(map(bool, shown))
+    return tuple(replace(c, log_prior=-float(np.log(len(each) * families))) for each in shown for c in each)
 
 
 def _shapes(record: Record, effect: Effect) -> list[dict[str, float]]:
     """Return the shapes of an effect to try: each shape parameter by itself, the others at their default."""
-    if effect.name == "voltmeter_move":
+    if effect.name == MOVE:
         time_s = record.conditions.elapsed_s
         return [{"at": float(at)} for at in (time_s[2:-2] + time_s[1:-3]) / 2.0]
     default = {p.name: p.default for p in effect.parameters if p.is_shape}
@@ -483,20 +445,12 @@ def _shapes(record: Record, effect: Effect) -> list[dict[str, float]]:
     return [dict(one) for one in dict.fromkeys(tuple(shape.items()) for shape in shapes)]
 
 
-def _course(record: Record, effect: Effect, shape: Mapping[str, float]) -> Floats:
-    parameter = next(p for p in effect.parameters if not p.is_shape)
-    size = np.full(3 if parameter.per_channel else (), parameter.plausible)
-    values = {parameter.name: size, **{name: np.asarray(value) for name, value in shape.items()}}
-    return record.added(AppliedEffect(effect, values))[:, 0]
-
-
-def course_of(record: Record, effect: Effect, shape: Mapping[str, float]) -> Course | None:
-    """Return the course of one effect in one shape, or None if it does not show in the record."""
-    course = _course(record, effect, shape)
-    return Course(effect, shape, course / record.scale, 0.0) if _shows(record, course) else None
-
-
-def _shows(record: Record, course: Floats) -> bool:
-    fitted, *_ = np.linalg.lstsq(record.trend, course, rcond=None)
-    left = course - record.trend @ fitted
-    return bool(np.sum(left**2) > SEEN**2 * np.sum(course**2)) and bool(np.any(course))
+def course_of(record: Record, name: str, shape: Mapping[str, float]) -> Course | None:
+    """Return the course of one effect in one shape; None if it does not show beside zero and drift."""
+    one = Course(CATALOGUE[name], shape, np.zeros(0))
+    unit = np.ones(len(record.channels))
+    course = record.added(one.applied(unit, unit, record.channels))[:, 0]
+    left = least_squares(record.trend, course)[1]
+    if not np.any(course) or left @ left <= NEGLIGIBLE * (course @ course):
+        return None
+    return replace(one, course=course / record.scale)

@@ -7,26 +7,24 @@ from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
 import numpy as np
-from scipy import special
+from scipy import linalg, special
 
 from bench.base.arrays import CHANNELS, Floats
-from bench.diagnosis.evidence import Threshold, fit_tail
-from bench.diagnosis.naming import ALONE, SET, FamilyOdds
-from bench.diagnosis.record_model import Course, Courses, Noise, Record, Whitening, components
-from bench.diagnosis.result import EffectValue, NamedEffect
-from bench.model.effects import AppliedEffect
+from bench.diagnosis.evidence import SEED, Threshold, fit_tail
+from bench.diagnosis.levels import OFTEN
+from bench.diagnosis.naming import MOST_EFFECTS, FamilyOdds, holding
+from bench.diagnosis.pipeline import values_of
+from bench.diagnosis.record_model import Course, Noise, NoiseTrials, Record, solved
+from bench.diagnosis.result import NamedEffect
 
 NULLS: Final = 200
-SEED: Final = 20260
-MOST_FINDS: Final = 4
-SHOWN: Final = 2.0
-"""Standard uncertainties from which a channel has an effect that others have."""
 
 
 @dataclass(frozen=True)
 class ChannelFit:
-    """Zero (V) and drift (V/h) of a channel, with u, given the effects found; `residual_v` (n,) are the
-    residuals.
+    """Zero (V) and drift (V/h) of a channel, with u, given the effects found.
+
+    `before_v` (n,) is the channel beside zero and drift alone, `residual_v` (n,) with the effects.
     """
 
     channel: str
@@ -45,143 +43,124 @@ class Find(NamedTuple):
     odds: tuple[FamilyOdds, ...]
     total: float
 
-    @property
-    def family(self) -> str:
-        """The name of the effect."""
-        return self.course.effect.name
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """The names that together have the probability `SET`; a single name if its probability is at least
-        `ALONE`.
-        """
-        if self.odds[0].probability >= ALONE:
-            return (self.odds[0].name,)
-        held = np.cumsum([one.probability for one in self.odds])
-        return tuple(one.name for one in self.odds[: int(np.searchsorted(held, SET)) + 1])
-
-
+@dataclass(frozen=True)
 class RecordWork:
-    """A record with its courses and the products for all sizes of noise."""
+    """A record, the courses that may explain it, and the noises that it may have.
 
-    def __init__(
-        self, record: Record, courses: Courses, whitening: Whitening, deviation_v: Floats | None = None
-    ) -> None:
-        """`deviation_v` (n, c) stands in place of that of the record where effects are known."""
-        self.record, self.courses, self.whitening = record, courses, whitening
-        self.deviation_v = record.deviation_v if deviation_v is None else deviation_v
-        self.helmert = components(len(record.channels))
-        self.signal: Floats = self.deviation_v / record.scale[:, None] @ self.helmert.T
-        self.trend = whitening.trend
+    Its components are the mean of the channels and their differences: the rows of the Helmert matrix.
+    """
+
+    record: Record
+    courses: tuple[Course, ...]
+    trials: NoiseTrials
+
+    @classmethod
+    def of(cls, record: Record, courses: tuple[Course, ...] = ()) -> RecordWork:
+        """Return a record with its noises; without `courses`, nothing is searched in it."""
+        return cls(record, courses, NoiseTrials.of(record))
+
+    def shapes_of(self, family: str) -> list[Course]:
+        """Return the courses of one effect."""
+        return [course for course in self.courses if course.family == family]
+
+    def less(self, added_v: Floats) -> RecordWork:
+        """Return the same without known errors (n, c), V."""
+        return replace(self, record=self.record.less(added_v))
+
+    @property
+    def helmert(self) -> Floats:
+        """The matrix (c, c) from channels to components; the first is the mean times the root of c."""
+        count = len(self.record.channels)
+        return np.asarray(linalg.helmert(count, full=True)) if count > 1 else np.ones((1, 1))
+
+    @property
+    def signal(self) -> Floats:
+        """The components (n, c), over the relative size of the noise."""
+        return np.asarray(self.record.deviation_v / self.record.scale[:, None] @ self.helmert.T)
 
     @property
     def parts(self) -> range:
         """The components: the mean of the channels first, then their differences."""
-        return range(len(self.helmert))
-
-    def known(self, finds: Sequence[Find], part: int) -> Floats:
-        """Return the m columns of the finds in a component, (n, m).
-
-        Finds common to all channels are in the mean only.
-        """
-        return self.columns([one.course for one in finds], part)
+        return range(len(self.record.channels))
 
     def columns(self, courses: Sequence[Course], part: int) -> Floats:
-        """Return the columns (n, m) of courses in a component."""
-        scale = np.sqrt(len(self.helmert))
-        mine = [c.course * (1.0 if c.of_channels else scale) for c in courses if c.of_channels or part == 0]
+        """Return the columns (n, m) of courses in a component; the common ones are in the mean only."""
+        common = np.sqrt(len(self.parts))
+        mine = [c.course * (1.0 if c.of_channels else common) for c in courses if c.of_channels or part == 0]
         return np.column_stack(mine) if mine else np.zeros((len(self.record), 0))
 
-    def noises(self, finds: Sequence[Find]) -> list[Noise]:
-        """Return the likeliest noise of each component with the finds."""
-        return self.noises_beside([one.course for one in finds])
+    def design(self, courses: Sequence[Course], part: int) -> Floats:
+        """Return the columns (n, 2 + m) of trend and courses in a component, and its signal as the last."""
+        return np.column_stack([self.trials.trend, self.columns(courses, part), self.signal[:, part]])
 
-    def noises_beside(self, courses: Sequence[Course]) -> list[Noise]:
-        """Return the likeliest noise of each component with courses of any size."""
+    def noises(self, courses: Sequence[Course]) -> list[Noise]:
+        """Return the likeliest noise of each component beside courses of any size."""
         none = np.zeros((len(self.record), 0))
+        signal = self.signal
         return [
-            self.whitening.products(self.columns(courses, k), none, self.signal[:, k : k + 1]).noise(
-                self.whitening.settings
-            )
+            self.trials.products(self.columns(courses, k), none, signal[:, k : k + 1]).noise
             for k in self.parts
         ]
 
     def gains(self, finds: Sequence[Find], targets: Sequence[Floats]) -> Floats:
-        """Return ln of the evidence of each of h courses given the finds, shape (h, d).
+        """Return ln of the posterior odds of each of h courses given the finds, shape (h, d).
 
         `targets` (n, d) are the d signals of a component.
         """
-        total = np.zeros((len(self.courses.each), targets[0].shape[1]))
-        scale = np.where(self.courses.common, np.sqrt(len(self.helmert)), 1.0)
+        courses, columns = [one.course for one in finds], np.column_stack([c.course for c in self.courses])
+        common = np.array([not course.of_channels for course in self.courses])
+        scale = np.where(common, np.sqrt(len(self.parts)), 1.0)
+        total = np.tile([[course.log_prior] for course in self.courses], targets[0].shape[1])
         for k in self.parts:
-            products = self.whitening.products(self.known(finds, k), self.courses.columns, targets[k])
-            gain = products.with_one(scale) - products.without()
-            total += np.where((self.courses.common & (k > 0))[:, None], 0.0, gain)
+            products = self.trials.products(self.columns(courses, k), columns, targets[k])
+            total += np.where((common & (k > 0))[:, None], 0.0, products.gain(scale))
         return total
 
     def search(self) -> tuple[list[Find], Threshold]:
         """Return the finds, the strongest first, and the threshold, simulated from noise alone for this very
         record.
         """
-        limit = self._threshold()
+        rng = np.random.default_rng(SEED)
+        nulls = [noise.drawn(rng, NULLS) for noise in self.noises([])]
+        limit = fit_tail(special.logsumexp(self.gains([], nulls), axis=0))
         finds: list[Find] = []
-        while len(finds) < MOST_FINDS:
+        while len(finds) < MOST_EFFECTS:
             log_odds = self.gains(finds, [self.signal[:, k : k + 1] for k in self.parts])[:, 0]
-            log_odds += self.courses.log_prior
             total = float(special.logsumexp(log_odds))
             if total <= max(limit.value, 0.0):
                 break
             finds.append(self._find(log_odds, total))
         return finds, limit
 
-    def _threshold(self) -> Threshold:
-        rng = np.random.default_rng(SEED)
-        targets = [self.drawn(noise, rng, NULLS) for noise in self.noises([])]
-        return fit_tail(special.logsumexp(self.gains([], targets) + self.courses.log_prior[:, None], axis=0))
-
-    def drawn(self, noise: Noise, rng: np.random.Generator, count: int) -> Floats:
-        """Return drawn noise of a component, shape (n, count)."""
-        slow = self.whitening.slow[noise.slow]
-        size = np.sqrt(noise.variance * (1.0 + noise.ratio * slow.variance))
-        return np.asarray(slow.vectors @ (size[:, None] * rng.standard_normal((len(size), count))))
-
     def _find(self, log_odds: Floats, total: float) -> Find:
-        of = {f: float(special.logsumexp(log_odds[self.courses.of_family(f)])) for f in self.courses.families}
-        ordered = sorted(of, key=lambda family: -of[family])
-        odds = tuple(FamilyOdds(family, float(np.exp(of[family] - total))) for family in ordered)
-        mine = self.courses.of_family(ordered[0])
-        return Find(self.courses.each[int(mine[np.argmax(log_odds[mine])])], odds, total)
+        logs: dict[str, float] = {}
+        for course, one in zip(self.courses, log_odds.tolist(), strict=True):
+            logs[course.family] = float(np.logaddexp(logs.get(course.family, -np.inf), one))
+        ordered = sorted(logs, key=lambda family: -logs[family])
+        odds = tuple(FamilyOdds(family, float(np.exp(logs[family] - total))) for family in ordered)
+        likeliest = np.where([course.family == ordered[0] for course in self.courses], log_odds, -np.inf)
+        return Find(self.courses[int(np.argmax(likeliest))], odds, total)
 
     # --- estimates ------------------------------------------------------------------------------------
 
-    def covariance(self, noise: Noise) -> Floats:
-        """Return the covariance (n, n) of the noise of a component, V²."""
-        kernel = self.whitening.slow[noise.slow].kernel
-        return np.asarray(noise.variance * (np.eye(len(kernel)) + noise.ratio * kernel))
-
-    def whitened(self, noise: Noise, columns: Floats) -> Floats:
-        """Return the columns (n, m) times the inverse root of the covariance of the noise."""
-        slow = self.whitening.slow[noise.slow]
-        size = np.sqrt(noise.variance * (1.0 + noise.ratio * slow.variance))
-        return np.asarray((slow.vectors.T @ columns) / size[:, None])
-
     def fitted(self, part: int, courses: Sequence[Course], noise: Noise) -> tuple[Floats, Floats, float]:
         """Return estimates (2 + m,) of trend and courses in a component, their covariance, and chi-square."""
-        columns = [self.trend, self.columns(courses, part), self.signal[:, part : part + 1]]
-        white = self.whitened(noise, np.column_stack(columns))
-        spread = np.asarray(np.linalg.pinv(white[:, :-1].T @ white[:, :-1], hermitian=True), dtype=np.float64)
-        mean = spread @ white[:, :-1].T @ white[:, -1]
-        return mean, spread, float(np.sum((white[:, -1] - white[:, :-1] @ mean) ** 2))
+        white = noise.whiten(self.design(courses, part))
+        return solved(white[:, :-1], white[:, -1])
 
-    def sizes(self, finds: Sequence[Find], number: int) -> tuple[Floats, Floats]:
-        """Return the sizes of a find, in plausible sizes, and their u, averaged over the shapes of its effect."""
-        noises, find = self.noises(finds), finds[number]
-        shapes = [self.courses.each[i] for i in self.courses.of_family(find.family)]
-        parts = self.parts if find.course.of_channels else range(1)
-        others = [one.course for one in finds]
+    def sizes(
+        self, courses: Sequence[Course], number: int = 0, shapes: Sequence[Course] = ()
+    ) -> tuple[Floats, Floats]:
+        """Return the sizes of one of some courses, in plausible sizes, and their u.
+
+        They are averaged over `shapes` of its effect, by default the one that it has.
+        """
+        noises, course = self.noises(courses), courses[number]
+        parts = self.parts if course.of_channels else range(1)
         means, variances, chi2 = [], [], []
-        for shape in shapes:
-            mine = [*others[:number], shape, *others[number + 1 :]]
+        for shape in shapes or [course]:
+            mine = [*courses[:number], shape, *courses[number + 1 :]]
             estimates = [self.fitted(k, mine, noises[k]) for k in parts]
             at = [2 + [c for c in mine if c.of_channels or k == 0].index(shape) for k in parts]
             means.append([e[0][i] for e, i in zip(estimates, at, strict=True)])
@@ -191,89 +170,50 @@ class RecordWork:
         weight /= weight.sum()
         mean = weight @ np.array(means)
         variance = weight @ (np.array(variances) + (np.array(means) - mean) ** 2)
-        if not find.course.of_channels:
-            return mean, np.sqrt(variance)
-        return self.helmert.T @ mean, np.sqrt((self.helmert.T**2) @ variance)
-
-    def sizes_of(self, course: Course) -> tuple[Floats, Floats]:
-        """Return the sizes of one course in this shape, in plausible sizes, and their u."""
-        noises = self.noises_beside([course])
-        parts = self.parts if course.of_channels else range(1)
-        estimates = [self.fitted(k, [course], noises[k]) for k in parts]
-        mean = np.array([one[0][2] for one in estimates])
-        variance = np.array([one[1][2, 2] for one in estimates])
         if not course.of_channels:
             return mean, np.sqrt(variance)
-        return self.helmert.T @ mean, np.sqrt((self.helmert.T**2) @ variance)
+        return self.helmert.T @ mean, np.sqrt(self.helmert.T**2 @ variance)
 
     def named(self, finds: Sequence[Find], limit: Threshold) -> Iterator[NamedEffect]:
         """Yield the finds as named effects with their values."""
-        for number, find in enumerate(finds):
-            size, u = self.sizes(finds, number)
-            course = find.course
-            applied = course.applied(size, u, self.record.channels)
+        courses, channels = [one.course for one in finds], self.record.channels
+        for number, (course, odds, total) in enumerate(finds):
+            size, u = self.sizes(courses, number, self.shapes_of(course.family))
+            applied = course.applied(size, u, channels)
             if (
                 course.of_channels
             ):  # a channel whose size is no more than noise is not said to have the effect
-                shown = [i for i, c in enumerate(self.record.channels) if abs(size[i]) > SHOWN * u[i]]
-                channels = tuple(CHANNELS[self.record.channels[i]] for i in shown)
-                applied = replace(applied, channels=channels or applied.channels)
+                seen = special.chdtrc(1, (size / u) ** 2) < OFTEN
+                shown = tuple(CHANNELS[c] for c, one in zip(channels, seen, strict=True) if one)
+                applied = replace(applied, channels=shown or applied.channels)
             chi2 = float(np.sum((size / u) ** 2))
-            names = find.names
+            names = tuple(holding(odds))
             yield NamedEffect(
-                name=find.family,
-                channels=applied.channels if course.of_channels else CHANNELS,
+                name=course.family,
+                channels=applied.channels,
                 installations=(),
-                cannot_tell_from=tuple(name for name in names if name != find.family),
+                cannot_tell_from=names[1:],
                 plainer_than=(),
-                parameters=tuple(values_of(applied)),
+                parameters=tuple(values_of((applied,))),
                 p=float(special.chdtrc(len(size), chi2)),
-                p_all_looks=limit.p(find.total),
+                p_all_looks=limit.p(total),
                 rho=float(np.sqrt(chi2)),
                 words=course.effect.sentence,
                 applied=(replace(applied, either_of=names if len(names) > 1 else ()),),
-                odds=find.odds,
+                odds=odds,
             )
 
-    def fits(self, finds: Sequence[Find], noises: Sequence[Noise]) -> Iterator[ChannelFit]:
-        """Yield zero, drift and residuals of each channel, given the finds."""
-        courses = [one.course for one in finds]
+    def fits(self, courses: Sequence[Course], noises: Sequence[Noise]) -> Iterator[ChannelFit]:
+        """Yield zero, drift and residuals of each channel, given the courses found."""
         estimates = [self.fitted(k, courses, noises[k]) for k in self.parts]
         trend = np.array([mean[:2] for mean, _, _ in estimates])
         variance = np.array([np.diag(spread)[:2] for _, spread, _ in estimates])
-        left = np.column_stack(
-            [
-                self.signal[:, k] - np.column_stack([self.trend, self.columns(courses, k)]) @ mean
-                for k, (mean, _, _) in enumerate(estimates)
-            ]
-        )
-        per_hour = 2.0 / float(self.record.time_h[-1])
-        plain = (
-            self.record.deviation_v
-            - self.record.trend @ np.linalg.lstsq(self.record.trend, self.record.deviation_v, rcond=None)[0]
-        )
+        designs = [self.design(courses, k) for k in self.parts]
+        left = [one[:, -1] - one[:, :-1] @ mean for one, (mean, _, _) in zip(designs, estimates, strict=True)]
+        residual_v = self.record.scale * (self.helmert.T @ np.array(left))
+        per_hour = np.array([1.0, 2.0 / float(self.record.time_h[-1])])
+        values, u = per_hour * (self.helmert.T @ trend), per_hour * np.sqrt(self.helmert.T**2 @ variance)
         for number, channel in enumerate(self.record.channels):
-            turn = self.helmert[:, number]
-            value, u = turn @ trend, np.sqrt(turn**2 @ variance)
-            yield ChannelFit(
-                CHANNELS[channel], float(value[0]), float(u[0]), float(value[1] * per_hour),
-                float(u[1] * per_hour), plain[:, number], left @ turn * self.record.scale,
-            )  # fmt: skip
-
-
-def values_of(applied: AppliedEffect) -> Iterator[EffectValue]:
-    """Yield the values of an effect in the catalogue's unit; a shape parameter has no u."""
-    complete = applied.complete_values()
-    for parameter in applied.effect.parameters:
-        value = complete[parameter.name] / parameter.si_per_unit
-        if parameter.is_shape:
-            if value or parameter.default:
-                yield EffectValue(parameter.name, "", "", float(value), None, parameter.unit)
-            continue
-        u = np.asarray(applied.u.get(parameter.name, np.zeros_like(value))) / parameter.si_per_unit
-        if not parameter.per_channel:
-            yield EffectValue(parameter.name, "", "", float(value), float(u), parameter.unit)
-            continue
-        for channel in applied.channels:
-            at = CHANNELS.index(channel)
-            yield EffectValue(parameter.name, channel, "", float(value[at]), float(u[at]), parameter.unit)
+            (zero, drift), (u_zero, u_drift) = values[number].tolist(), u[number].tolist()
+            before = self.record.beside_trend[:, number]
+            yield ChannelFit(CHANNELS[channel], zero, u_zero, drift, u_drift, before, residual_v[number])

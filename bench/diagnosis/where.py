@@ -13,7 +13,7 @@ from scipy import special
 from bench.base.arrays import CHANNELS, Floats, Ints, Mask
 from bench.base.languages import message
 from bench.diagnosis.evidence import KNOWN_SIZE
-from bench.diagnosis.levels import BY_CHANCE
+from bench.diagnosis.levels import BY_CHANCE, FAR
 from bench.diagnosis.linear import MODULUS, LinearSystem
 from bench.diagnosis.noise_grid import NoiseGrid, make_whitener
 from bench.diagnosis.noise_kinds import TAIL_DOF
@@ -200,10 +200,6 @@ def _over_run(linear: LinearSystem, own: Mask, channel: str) -> Iterator[_Look]:
         low = own & (np.abs(signal) < LOW_RANGE_V)
         if low.any() and (own & ~low).any():
             yield look(message("signals below 1.2 V"), _rows(low))
-
-
-FAR: Final = 6.0
-"""Least distance in u from the final model of a reading that the headline names."""
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Literal
 
 from pydantic import Field
 from rich.console import Console
@@ -11,16 +10,12 @@ from rich.console import Console
 from bench.base.numbers import rounded, typeset, uncertainty
 from bench.base.result_model import Real, ResultModel
 from bench.base.tables import print_notes
-from bench.diagnosis.confirm import Confirmation, EffectNow
-from bench.diagnosis.free_records import FreeDiagnosis
+from bench.diagnosis.confirm import Confirmation, EffectNow, Word
 from bench.diagnosis.gap import FLOOR
-from bench.diagnosis.record_diagnosis import RecordDiagnosis
-from bench.diagnosis.result import Diagnosis
+from bench.diagnosis.result import Verdict
 from bench.diagnosis.show import label
 from bench.results import diagnosis_words as words
 from bench.results.parts import BenchPart, CorrectionPart
-
-Became = Literal["confirmed", "changed", "gone"]
 
 
 class ParameterNow(ResultModel):
@@ -44,7 +39,7 @@ class EffectPart(ResultModel):
     )
     channels: list[str]
     installations: list[str]
-    verdict: Became | None = Field(description="null where these readings do not show it")
+    verdict: Word | None = Field(description="null where these readings do not show it")
     p_same: float = Field(description="chance of values so far from the model's")
     p_none: float = Field(description="chance of values so far from none")
     parameters: list[ParameterNow]
@@ -66,14 +61,12 @@ class ConfirmResult(ResultModel):
     expected_rms_ug: Real = Field(description="what noise alone would leave, µg")
     before_rms_v: Real = Field(default=None, description="the same in V, of a record at a known input")
     after_rms_v: Real = None
-    verdict: Became = Field(
+    verdict: Word = Field(
         description="confirmed where every effect that shows is as it was (p_same of 0.01 or more) and half of "
         "the gap closes; gone where none is there (p_none of 0.01 or more)"
     )
     effects: list[EffectPart]
-    left: Literal["agrees", "mistake", "named", "confounded", "unknown"] = Field(
-        description="verdict of a diagnosis of the new readings with the model"
-    )
+    left: Verdict = Field(description="verdict of a diagnosis of the new readings with the model")
     model: str = Field(description="path of the model file")
     source: str
     bench: BenchPart
@@ -152,7 +145,7 @@ def print_confirmation(source: str, found: Confirmation, notes: Sequence[str], o
         f"(noise alone: 1; {typeset(words.p_in_words(found.p_after, 2))} with it)"
     )
     # if values changed, effects found beside the model merely compensate for its wrong values
-    left = beside_in_words(found.diagnosis)
+    left = words.alike_in_words(found.diagnosis.effects)
     if left and found.verdict == "confirmed":
         out.print(
             f"These readings also contain another effect: {left}; 'bench diagnose' with this model names it"
@@ -187,10 +180,3 @@ def effect_now_in_words(effect: EffectNow) -> Iterator[str]:
         then = words.with_unit(f"{rounded(was.value, was.u or now.u or 1.0)}{u}", was.unit)
         here = words.with_u(now.value, now.u or 0.0, now.unit)
         yield f"  {was.parameter}{of} = {then} in the model, {here} in these readings"
-
-
-def beside_in_words(diagnosis: Diagnosis | FreeDiagnosis | RecordDiagnosis) -> str:
-    """Return the names of the effects found in a diagnosis of any kind of readings."""
-    if isinstance(diagnosis, FreeDiagnosis):
-        return "; ".join(" or ".join([one.name, *one.cannot_tell_from]) for one in diagnosis.found)
-    return words.alike_in_words(diagnosis.effects)

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import numpy as np
 from pydantic import Field
 from rich.console import Console
 
 from bench.base.arrays import CHANNELS
-from bench.base.computing import quiet
 from bench.base.numbers import concise, quantity, typeset
 from bench.base.result_model import Real, ResultModel, Vector
-from bench.base.tables import table
+from bench.base.tables import print_notes, table
 from bench.diagnosis import Diagnosis, NamedEffect
+from bench.diagnosis.gap import Gap
 from bench.diagnosis.mistakes.search import Mistake
 from bench.diagnosis.next_measurement import Chance, Separation
 from bench.diagnosis.pipeline import FullDiagnosis, MistakesAlone, Rival
@@ -26,13 +26,13 @@ from bench.diagnosis.where import FarReading, ResidualPattern
 from bench.model import CATALOGUE
 from bench.results import diagnosis_words as words
 from bench.results.diagnosis_parts import (
+    CopyPart,
     EffectPart,
     FindingPart,
     FormPart,
     GapPart,
     NoisePart,
     OfChannels,
-    VerdictOfCopy,
     form_part,
     gap_part,
     mistake_part,
@@ -40,6 +40,9 @@ from bench.results.diagnosis_parts import (
 from bench.results.diagnosis_words import Files
 from bench.results.parts import BenchPart, CorrectionPart
 from bench.results.residuals import ResidualsPart, compared_residuals
+
+if TYPE_CHECKING:
+    from bench.results.diagnosis_words import AnyDiagnosis
 
 
 class OrientationPart(ResultModel):
@@ -110,17 +113,6 @@ class RivalPart(ResultModel):
     ln_odds: float = Field(description="ln odds that it is there")
     tied: bool = Field(description="whether the data cannot tell it from what was found")
     largest_shift: ShiftPart = Field(description="the coefficient that would change most, were it this one")
-
-
-class CopyPart(ResultModel):
-    """The copy of the readings with the mistakes corrected."""
-
-    readings: Path | None = Field(description="the readings file of the copy; null where it was not written")
-    used: int = Field(description="readings in the copy")
-    verdict: VerdictOfCopy | None = Field(
-        description="what the search on the copy came to; null where it is too little to fit"
-    )
-    rests_on: list[str] = Field(description="the mistakes that are put right in it")
 
 
 Coefficients = Annotated[
@@ -355,7 +347,6 @@ def _block_part(shown: ModelComparison) -> BlockPart:
 
 # --- text for the terminal ----------------------------------------------------------------------
 
-LISTED_PLACES: Final = 6
 LISTED_SHIFT: Final = 0.5
 """Smallest change of a coefficient, in units of its u, that is printed."""
 
@@ -367,16 +358,17 @@ def print_one(full: FullDiagnosis, files: Files, out: Console) -> None:
     _mistakes(diagnosis, out)
     _places(diagnosis, out)
     for number, effect in enumerate(diagnosis.effects):
-        _effect(effect, full.rivals_of(number), out)
+        print_effect(effect, full.rivals_of(number), out)
     _form(full.diagnosis, files.model, out)
     if diagnosis.effects:
-        _gap(diagnosis, shown, out)
+        print_gap(diagnosis.gap, out)
+        _simulated(diagnosis, shown, out)
     if full.blocks:
         _blocks(full, out)
     elif shown.after is not None:
         _consequence(shown, out)
     _limits_of_sight(full, out)
-    _files(full.diagnosis, files, out)
+    print_files(full.diagnosis, files, out)
     lead = words.lead(diagnosis).upper()
     told = filter(None, [words.verdict_in_words(diagnosis), words.surer_in_words(full.next_measurement)])
     out.print(f"{full.source}: {lead}: {typeset('; '.join(told))}", style="bold")
@@ -407,9 +399,7 @@ def print_several(results: Sequence[tuple[FullDiagnosis, Files]], out: Console) 
 
 
 def _notes(full: FullDiagnosis, lead: str, out: Console) -> None:
-    for note in full.diagnosis.notes:
-        if not quiet.get():
-            out.print(f"note: {lead}{note}")
+    print_notes(out, [f"{lead}{note}" for note in full.diagnosis.notes])
     for row in full.skipped_rows:
         out.print(f"left out: {row}")
 
@@ -419,11 +409,8 @@ def _places(diagnosis: Diagnosis, out: Console) -> None:
         out.print("Readings and model disagree nowhere: no pattern of the residuals stands out of the noise")
         return
     out.print("Where readings and model disagree, the largest first:")
-    for place in diagnosis.where[:LISTED_PLACES]:
+    for place in diagnosis.where:
         out.print(f"  {typeset(words.place_in_words(place))}")
-    more = len(diagnosis.where) - LISTED_PLACES
-    if more > 0:
-        out.print(f"  and {more} more")
 
 
 def print_mistakes(found: MistakesAlone, files: Files, out: Console) -> None:
@@ -447,9 +434,10 @@ def _mistakes(diagnosis: Diagnosis, out: Console) -> None:
         out.print(f"Put right, {used} readings are searched")
 
 
-def _effect(effect: NamedEffect, ranking: Sequence[Rival], out: Console) -> None:
+def print_effect(effect: NamedEffect, ranking: Sequence[Rival], out: Console) -> None:
+    """Print an effect that was found, with its values, its odds and what the readings cannot tell it from."""
     out.print(f"Found: {words.effect_title(effect)}", style="bold")
-    out.print(f"  {effect.words}")
+    out.print(typeset(f"  {effect.words}"))
     for line in words.parameters_in_words(effect):
         out.print(f"  {line}")
     if effect.aliases:
@@ -483,8 +471,8 @@ def _form(diagnosis: Diagnosis, model: Path | None, out: Console) -> None:
         out.print(f"  to give it a name: bench accept {model} --name NAME --sentence TEXT")
 
 
-def _gap(diagnosis: Diagnosis, shown: ModelComparison, out: Console) -> None:
-    gap, after = diagnosis.gap, shown.after
+def print_gap(gap: Gap, out: Console) -> None:
+    """Print how far the gap closes on readings that were held out."""
     if gap.folds:
         told = words.closed_in_words(gap.closed, gap.before_rms_g, gap.after_rms_g, gap.expected_rms_g)
         out.print(
@@ -494,6 +482,10 @@ def _gap(diagnosis: Diagnosis, shown: ModelComparison, out: Console) -> None:
         )
     if gap.reason:
         out.print(f"  not confirmed: {gap.reason}")
+
+
+def _simulated(diagnosis: Diagnosis, shown: ModelComparison, out: Console) -> None:
+    after = shown.after
     if after is not None and after.tested:
         with_it, without = (words.p_in_words(one.test.p, 2) for one in (after, shown.before))
         out.print(
@@ -555,10 +547,12 @@ def _limits_of_sight(full: FullDiagnosis, out: Console) -> None:
         out.print(f"Smaller effects would not show. Found in half of all runs: {'; '.join(sizes)}")
 
 
-def _files(diagnosis: Diagnosis, files: Files, out: Console) -> None:
-    told = {"corrected copy of the readings": files.copy, "model": files.model, "report": files.report}
-    for what, file in told.items():
-        if file is not None:
+def print_files(diagnosis: AnyDiagnosis, files: Files, out: Console) -> None:
+    """Print the files that were written, and why no model file was."""
+    report = () if files.report is None else (files.report,)
+    told = {"corrected copy of the readings": files.copies, "model": files.models, "report": report}
+    for what, paths in told.items():
+        for file in paths:
             out.print(f"{what}: {file}")
     if diagnosis.of_copy == "confounded" and files.model is None:
         out.print(f"no model file is written {words.why_no_model(diagnosis)}")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -26,23 +26,23 @@ from bench.calibration.result import Calibration
 from bench.diagnosis import Diagnosis, NamedEffect
 from bench.diagnosis.gap import UNDETERMINED, Gap
 from bench.diagnosis.pipeline import FullDiagnosis, Rival
-from bench.diagnosis.show import SEED, ModelComparison, ModulusPoint
+from bench.diagnosis.show import SEED, CoefficientChange, ModelComparison, ModulusPoint
 from bench.diagnosis.where import ResidualPattern
 from bench.model import CATALOGUE, Effect
 from bench.results import diagnosis_words as words
 from bench.results.diagnosis_words import Files
 from bench.results.plots import (
     BLUE,
-    GREEN,
     GREY,
     ORANGE,
     VERMILION,
     dodged_deg,
     legend_of,
-    mark_changes,
+    mark_limit,
     mounts_of,
     residual_points,
-    sd_of_reading,
+    residuals_against_angle,
+    residuals_in_time,
     svg_figure,
 )
 from bench.results.tables import Row, page, symbol
@@ -50,6 +50,9 @@ from bench.results.tables import Row, page, symbol
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+    from bench.diagnosis.free_records import FreeDiagnosis
+    from bench.diagnosis.record_diagnosis import RecordDiagnosis
 
 INK: Final = "#222222"
 DRAWN: Final = 4
@@ -70,6 +73,7 @@ def render_diagnosis(
     `limit_g` is the limit of |Δg| at the verification points. `provenance` maps names to text.
     """
     diagnosis, shown = full.diagnosis, full.shown
+    unit = shown.before.calibration.unit
     return page(
         "diagnosis.html.j2",
         title=title,
@@ -89,18 +93,23 @@ def render_diagnosis(
         places=[_place(place) for place in diagnosis.where],
         effects=[(e, full.rivals_of(i), _ranking(full, i, e)) for i, e in enumerate(diagnosis.effects)],
         form=list(words.form_in_words(diagnosis)),
-        held_out=_held_out(diagnosis.gap),
+        held_out=held_out_rows(diagnosis.gap),
         gap_bars=drawn(gap_bars(diagnosis.gap)) if diagnosis.effects and diagnosis.gap.folds else None,
-        coefficients=_coefficients(shown),
+        coefficients=coefficient_rows(shown.coefficients, unit),
         blocks=[
-            (number, words.mountings_of(one), words.p_in_column(one.last.test.p, 2), _coefficients(one))
+            (
+                number,
+                words.mountings_of(one),
+                words.p_in_column(one.last.test.p, 2),
+                coefficient_rows(one.coefficients, unit),
+            )
             for number, one in enumerate(full.blocks, start=1)
         ],
         tests=_tests(shown),
         joined=list(words.joined_in_words(shown)),
         less_certain=words.less_certain(shown.coefficients) if shown.after else [],
         residuals=_residuals(shown),
-        in_time=drawn(residuals_in_time(shown)),
+        in_time=drawn(in_time(shown)),
         modulus=drawn(modulus_at_points(shown, limit_g)) if shown.before.points else None,
         apart=_apart(diagnosis),
         hidden=[CATALOGUE[name] for name in diagnosis.hidden],
@@ -109,6 +118,31 @@ def render_diagnosis(
             for name, size in words.smallest_found(diagnosis)
         ],
         setting=f"{two_digits(diagnosis.noise.setting_arcsec)}″",
+    )
+
+
+def render_alone(
+    template: str,
+    found: FreeDiagnosis | RecordDiagnosis,
+    provenance: Mapping[str, str],
+    **content: Any,
+) -> str:
+    """Return the page of a diagnosis of free positions or of a record; `content` is what the two have not alike."""
+    lines = [(words.effect_title(one), one, list(words.parameters_in_words(one))) for one in found.effects]
+    return page(
+        template,
+        found=found,
+        provenance=provenance,
+        source=words.readings_named(found.source),
+        state=STATES.get(found.verdict, "failed"),
+        lead=words.lead(found),
+        words=words,
+        quantity=quantity,
+        effects=lines,
+        held_out=held_out_rows(found.gap),
+        notes=found.notes,
+        ending="diagnosis",
+        **content,
     )
 
 
@@ -129,22 +163,21 @@ def _ranking(full: FullDiagnosis, number: int, effect: NamedEffect) -> Markup | 
     return drawn(ranking_bars(rivals, effect.name, number)) if rivals else None
 
 
-def _held_out(gap: Gap) -> list[Row]:
-    return [
+def held_out_rows(gap: Gap) -> list[Row]:
+    """Return the rows of a table of what was held out: what the rest named, reduced chi-square before and after."""
+    rows = [
         Row(
             fold.label,
-            (
-                ", ".join(fold.gains) or "nothing",
-                f"{fold.before.reduced:.2f}",
-                f"{fold.after.reduced:.2f}",
-            ),
+            (", ".join(fold.gains) or "nothing", f"{fold.before.reduced:.2f}", f"{fold.after.reduced:.2f}"),
         )
         for fold in gap.folds
-    ] + [Row(label, (message(f"not held out: {UNDETERMINED}"), "", "")) for label in gap.undetermined]
+    ]
+    left_out = (message(f"not held out: {UNDETERMINED}"), "", "")
+    return rows + [Row(label, left_out) for label in gap.undetermined]
 
 
-def _coefficients(shown: ModelComparison) -> list[Row]:
-    changes, unit = shown.coefficients, shown.before.calibration.unit
+def coefficient_rows(changes: Mapping[str, CoefficientChange], unit: str) -> list[Row]:
+    """Return the rows of a table of coefficients before and after, with the change, also in u."""
     before = aligned([concise(one.before, one.u_before) for one in changes.values()])
     after = aligned([concise(one.after, one.u_after) for one in changes.values()])
     scale = scale_for(max(abs(one.after - one.before) for one in changes.values()), unit)
@@ -207,9 +240,6 @@ def _apart(diagnosis: Diagnosis) -> list[Effect]:
 
 # --- figures --------------------------------------------------------------------------------------
 
-MANY: Final = 3
-"""From this number of mountings on, a label has no room for the word "installation"."""
-
 
 def columns_of(shown: ModelComparison) -> list[tuple[str, Calibration]]:
     """Return title and calibration of the figures' columns: before, after (if any effect was named), simulated."""
@@ -232,60 +262,20 @@ def residuals_of_mount(shown: ModelComparison, mount: int) -> str:
 
     The stand's angles are at their estimates. The band is two standard deviations of a single reading.
     """
-    columns, scale = columns_of(shown), common_scale(shown)
-    name = str(mounts_of(columns[0][1])[mount][0])
-
-    def draw(figure: Figure) -> None:
-        grid: Any = figure.subplots(3, len(columns), sharex=True, sharey=True, squeeze=False)
-        fine = np.linspace(-8.0, 368.0, 189)
-        for column, (title, calibration) in enumerate(columns):
-            _, rows = mounts_of(calibration)[mount]
-            band = 2.0 * sd_of_reading(calibration, rows, np.radians(fine)) / scale.size
-            grid[0, column].set_title(title)
-            for i, channel in enumerate(CHANNELS):
-                axes: Axes = grid[i, column]
-                axes.fill_between(fine, -band[:, i], band[:, i], color="#B9C4CE", alpha=0.45, linewidth=0)
-                axes.axhline(0.0, color=GREY, linewidth=0.7)
-                residual_points(
-                    axes, calibration, rows, i, dodged_deg(calibration), scale, f"readings-{column}"
-                )
-                axes.set_xticks(range(0, 361, 90))
-                axes.set_xlim(-12.0, 372.0)
-                if column == 0:
-                    axes.set_ylabel(f"channel {channel} / {scale.unit}")
-            grid[2, column].set_xlabel(message("head angle / °"))
-        figure.legend(*legend_of(grid.flat), loc="outside upper center", ncols=6)
-
-    titles = ", ".join(title for title, _ in columns)
+    columns = [(title, c, [mounts_of(c)[mount][1]]) for title, c in columns_of(shown)]
+    name = str(mounts_of(shown.before.calibration)[mount][0])
+    titles = ", ".join(title for title, _, _ in columns)
     alt = message(f"Residuals of channels x, y, z in installation {name} against head angle: {titles}")
-    return svg_figure(f"diagnosis-mount-{mount}", (7.6, 5.4), draw, alt)
+    return residuals_against_angle(f"diagnosis-mount-{mount}", (7.6, 5.4), columns, common_scale(shown), alt)
 
 
-def residuals_in_time(shown: ModelComparison) -> str:
+def in_time(shown: ModelComparison) -> str:
     """Return a plot of residuals, before and after, against time, or against order if times are missing."""
-    columns, scale = columns_of(shown)[: 1 if shown.after is None else 2], common_scale(shown)
-    time_s = columns[0][1].fitted.time_s
-    timed = bool(np.all(np.isfinite(time_s)))
-    along = time_s / 3600.0 if timed else np.arange(1.0, len(time_s) + 1.0)
-
-    def draw(figure: Figure) -> None:
-        grid: Any = figure.subplots(3, len(columns), sharex=True, sharey=True, squeeze=False)
-        for column, (title, calibration) in enumerate(columns):
-            for i, channel in enumerate(CHANNELS):
-                axes: Axes = grid[i, column]
-                axes.axhline(0.0, color=GREY, linewidth=0.7)
-                for _, rows in mounts_of(calibration):
-                    residual_points(axes, calibration, rows, i, along, scale, f"readings-{column}")
-                if column == 0:
-                    axes.set_ylabel(f"channel {channel} / {scale.unit}")
-            word = "installation " if len(mounts_of(calibration)) < MANY else ""
-            mark_changes(grid[:, column], calibration, along, word)
-            grid[0, column].set_title(title, pad=16)
-            grid[2, column].set_xlabel("time / h" if timed else message("reading, in order"))
-        figure.legend(*legend_of(grid.flat), loc="outside upper center", ncols=6)
-
-    alt = message("Residuals of channels x, y, z against time, before and after")
-    return svg_figure("diagnosis-time", (7.6, 5.0), draw, alt)
+    columns = [
+        (title, c, [rows for _, rows in mounts_of(c)])
+        for title, c in columns_of(shown)[: 1 if shown.after is None else 2]
+    ]
+    return residuals_in_time("diagnosis-time", (7.6, 5.0), columns, common_scale(shown))
 
 
 def gap_bars(gap: Gap) -> str:
@@ -371,10 +361,7 @@ def modulus_at_points(shown: ModelComparison, limit_g: float) -> str:
 
     def draw(figure: Figure) -> None:
         axes: Axes = figure.subplots()
-        axes.axhspan(-limit, limit, color=GREEN, alpha=0.07, linewidth=0)
-        axes.axhline(0.0, color=GREY, linewidth=0.7)
-        for sign in (1.0, -1.0):
-            axes.axhline(sign * limit, color=VERMILION, linestyle=(0, (6, 3)), linewidth=1.1)
+        mark_limit(axes, limit, scale)
         for i, (name, points, marker, colour) in enumerate(parts):
             axes.errorbar(
                 np.arange(count) + 0.24 * (i - (len(parts) - 1) / 2),
@@ -390,13 +377,6 @@ def modulus_at_points(shown: ModelComparison, limit_g: float) -> str:
             ],
         )
         axes.set_xlim(-0.6, count - 0.4)
-        axes.grid(visible=False, axis="x")
-        axes.annotate(
-            f"limit ±{limit:g} {scale.unit}", (1.0, limit), xycoords=("axes fraction", "data"),
-            xytext=(-4, 3), textcoords="offset points", ha="right", color="#A34700",
-        )  # fmt: skip
-        axes.set_xlabel(message("verification point: head angle"))
-        axes.set_ylabel(f"Δg / {scale.unit}")
         axes.margins(y=0.15)
         figure.legend(loc="outside upper center", ncols=2)
 
@@ -413,69 +393,73 @@ def most_telling(shown: ModelComparison) -> list[int]:
 
 
 def overlay_of_mount(shown: ModelComparison, mount: int) -> str:
-    """Return a plot of measured and simulated signals against head angle in one mounting, a row per channel.
-
-    The left column has the signals. The right column has both minus the simulation with the given model; it shows
-    what that model lacks, and whether the effects found supply it.
-    """
+    """Return a plot of measured and simulated signals against head angle in one mounting, a row per channel."""
     before, last = shown.before.calibration, shown.last.calibration
     label, rows = mounts_of(before)[mount]
     signal = before.fitted.signal
     simulated, missing = signal - last.residuals, before.residuals - last.residuals
     volts = scale_for(float(np.max(np.abs(signal))), before.unit)
     scale = scale_for(float(np.max(np.abs(before.residuals))), before.unit)
-    angle = dodged_deg(before)
+    angle, degrees = dodged_deg(before), np.degrees(before.fitted.angle_rad)
     fine = np.linspace(-8.0, 368.0, 189)
-    whose = message("as it was given") if shown.after is None else message("with what was found")
+
+    def draw(i: int, left: Axes, right: Axes, whose: str) -> None:
+        wave = _wave(angle[rows], simulated[rows, i], fine) / volts.size
+        left.plot(fine, wave, color=INK, linewidth=1.0, label=whose)
+        left.plot(angle[rows], signal[rows, i] / volts.size, "o", **MEASURED)
+        residual_points(right, before, rows, i, angle, scale, f"overlay-{mount}")
+        if shown.after is not None:
+            right.plot(angle[rows], missing[rows, i] / scale.size, "_", **BARS, label=whose)
+            _joined(right, degrees, missing[:, i] / scale.size, rows, before.fitted.pass_number)
+        right.set_xticks(range(0, 361, 90))
+        right.set_xlim(-12.0, 372.0)
+
+    return overlay(
+        f"diagnosis-overlay-{mount}", message(f"installation {label}"), (volts, scale), draw,
+        message("head angle / °"), found=shown.after is not None,
+    )  # fmt: skip
+
+
+MEASURED: Final[dict[str, Any]] = {"color": BLUE, "markersize": 4, "alpha": 0.8, "label": "measured"}
+BARS: Final[dict[str, Any]] = {"color": INK, "markersize": 10, "markeredgewidth": 1.6}
+"""Style of the points of measured signals, and of the bars of simulated ones."""
+
+
+def overlay(
+    name: str,
+    place: str,
+    scales: tuple[Scale, Scale],
+    draw_channel: Callable[[int, Axes, Axes, str], None],
+    along: str,
+    *,
+    found: bool,
+) -> str:
+    """Return a plot of measured and simulated signals at a `place`, a row per channel.
+
+    The left column has the signals. The right column has both minus the simulation with the given model; it shows
+    what that model lacks, and whether the effects found supply it. `draw_channel` draws a channel into its axes.
+    """
+    whose = message("simulated, with what was found") if found else message("simulated as it was given")
 
     def draw(figure: Figure) -> None:
         grid: Any = figure.subplots(3, 2, sharex=True, squeeze=False)
-        for i, channel in enumerate(CHANNELS):
-            left: Axes = grid[i, 0]
-            left.plot(
-                fine, _wave(angle[rows], simulated[rows, i], fine) / volts.size, color=INK, linewidth=1.0,
-                label=message(f"simulated bench, {whose}"),
-            )  # fmt: skip
-            left.plot(
-                angle[rows], signal[rows, i] / volts.size, "o", color="#0072B2", markersize=4, alpha=0.8,
-                label="measured",
-            )  # fmt: skip
-            left.set_ylabel(f"channel {channel} / {volts.unit}")
-            right: Axes = grid[i, 1]
-            right.axhline(
-                0.0,
-                color=GREY,
-                linewidth=0.7,
-                linestyle=(0, (4, 3)),
-                label=message("simulated as it was given"),
-            )
-            residual_points(right, before, rows, i, angle, scale, f"overlay-{mount}")
-            if shown.after is not None:
-                right.plot(
-                    angle[rows], missing[rows, i] / scale.size, "_", color=INK, markersize=11,
-                    markeredgewidth=1.8, label=message(f"simulated bench, {whose}"),
-                )  # fmt: skip
-                _joined(
-                    right,
-                    np.degrees(before.fitted.angle_rad),
-                    missing[:, i] / scale.size,
-                    rows,
-                    before.fitted.pass_number,
-                )
-            right.set_ylabel(scale.unit)
-        grid[0, 0].set_title(f"installation {label}")
-        grid[0, 1].set_title(message("less the bench simulated as it was given"))
+        given = message("simulated as it was given")
+        for i, (channel, (left, right)) in enumerate(zip(CHANNELS, grid, strict=True)):
+            right.axhline(0.0, color=GREY, linewidth=0.7, linestyle=(0, (4, 3)), label=given)
+            draw_channel(i, left, right, whose)
+            left.set_ylabel(f"channel {channel} / {scales[0].unit}")
+            right.set_ylabel(scales[1].unit)
+        grid[0, 0].set_title(place)
+        grid[0, 1].set_title(message("less what is simulated as it was given"))
         for axes in grid[2]:
-            axes.set_xticks(range(0, 361, 90))
-            axes.set_xlim(-12.0, 372.0)
-            axes.set_xlabel(message("head angle / °"))
+            axes.set_xlabel(along)
         figure.legend(*legend_of(grid.flat), loc="outside upper center", ncols=3)
 
     alt = message(
-        f"Measured and simulated signals of channels x, y, z in installation {label} against head angle, and both "
-        f"less the bench simulated as it was given"
+        f"Measured and simulated signals of channels x, y, z, {place}, and both less what is simulated as it was "
+        "given"
     )
-    return svg_figure(f"diagnosis-overlay-{mount}", (7.6, 5.6), draw, alt)
+    return svg_figure(name, (7.6, 5.6), draw, alt)
 
 
 def _wave(angle_deg: Floats, values: Floats, at_deg: Floats) -> Floats:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Field
 
@@ -12,6 +14,9 @@ from bench.diagnosis.mistakes.search import Mistake
 from bench.diagnosis.noise_kinds import LocalScatter, NoiseKind
 from bench.diagnosis.posterior import KnownTogether
 from bench.diagnosis.residual_model import FormTerm, FreeForm
+from bench.diagnosis.result import Verdict
+from bench.results.diagnosis_words import Files
+from bench.results.parts import BenchPart, CorrectionPart
 
 VerdictOfCopy = Literal["agrees", "named", "confounded", "unknown"]
 
@@ -53,6 +58,13 @@ class MistakePlace(ResultModel):
     misfit_after: Real
 
 
+class OddsPart(ResultModel):
+    """A possible name of an effect found, with its posterior probability."""
+
+    name: str
+    probability: float
+
+
 class FoundPart(ResultModel):
     """The members that mistakes and effects share."""
 
@@ -75,23 +87,15 @@ class FoundPart(ResultModel):
         default=None, description="posterior probability of the name; null for a mistake, which has none"
     )
     words: str = Field(description="the sentence on it")
-
-
-class OddsPart(ResultModel):
-    """A possible name of an effect found, with its posterior probability."""
-
-    name: str
-    probability: float
-
-
-class EffectPart(FoundPart):
-    """An effect or a mistake that was found."""
-
     odds: list[OddsPart] = Field(
         default=[],
         description="the names that may stand in this place, the most probable first; `unnamed_form` is any form "
         "without a name",
     )
+
+
+class EffectPart(FoundPart):
+    """An effect or a mistake that was found."""
 
     installations: list[str] = Field(description="mountings that have it; empty where it is of all")
     plainer_than: list[str] = Field(
@@ -109,24 +113,29 @@ class EffectPart(FoundPart):
     )
 
 
-class FoldPart(ResultModel):
+class FormFoldPart(ResultModel):
     """The readings held out together, and the misfit with which the others predict them."""
 
     what: str
-    confirmable: bool = Field(description="whether the other readings determine the coefficients")
     counted: bool = Field(
         description="whether it counts in `before` and `after` above; every fold measured does"
     )
-    left_out: str | None = Field(description="why it does not count")
-    named_without_it: list[str]
     before: Real
     after: Real
+
+
+class FoldPart(FormFoldPart):
+    """The readings held out together, what the others named, and how well they predict."""
+
+    confirmable: bool = Field(description="whether the other readings determine the coefficients")
+    left_out: str | None = Field(description="why it does not count")
+    named_without_it: list[str]
     before_rms_ug: Real
     after_rms_ug: Real
 
 
-class GapPart(ResultModel):
-    """The reduced chi-square of readings that were held out of the fit."""
+class FormGapPart(ResultModel):
+    """The reduced chi-square of readings that were held out of the search and of the fit."""
 
     before: Real = Field(
         description="with the model before; null where no fold measures it, `reason` says why"
@@ -137,14 +146,21 @@ class GapPart(ResultModel):
         description="(before - after)/(before - floor): the part of the gap that is closed; null where nothing is "
         "above the floor"
     )
+    before_rms: Real = Field(description="root mean square of measured less predicted, in `unit`")
+    after_rms: Real
+    unit: str
+    held_out: Sequence[FormFoldPart]
+
+
+class GapPart(FormGapPart):
+    """The reduced chi-square of readings that were held out of the fit, and whether they confirm what was found."""
+
     shrinks: bool | None = Field(
         description="whether it shrinks by the rule in `registered`, without which nothing is named alone; null "
         "where nothing was found or nothing measures it"
     )
     reason: str | None = Field(description="why readings held out do not confirm what was found")
     p_after: Real = Field(description="chance of more than `after`")
-    before_rms: Real = Field(description="root mean square of measured less predicted, in `unit`")
-    after_rms: Real
     before_rms_ug: Real = Field(
         description="root mean square of measured less predicted, in µg by the scale factors"
     )
@@ -154,8 +170,67 @@ class GapPart(ResultModel):
         "the prediction"
     )
     noise_rms: float = Field(description="of a reading, in `unit`")
-    unit: str
     held_out: list[FoldPart]
+
+
+class CopyPart(ResultModel):
+    """The copy of the readings with the mistakes corrected."""
+
+    readings: Path | None = Field(description="the readings file of the copy; null where it was not written")
+    used: int = Field(description="readings in the copy")
+    verdict: VerdictOfCopy | None = Field(
+        description="what the search on the copy came to; null where it is too little to fit"
+    )
+    rests_on: list[str] = Field(description="the mistakes that are put right in it")
+
+
+class PlacePart(ResultModel):
+    """A channel of a record, or a record of a sensor in free positions, and what it leaves before anything is
+    named.
+    """
+
+    channel: str
+    installation: str
+    pattern: str
+    size: float = Field(description="root mean square beside zero and drift, or of |a| - 1 g")
+    unit: str
+    p: Real = Field(description="by white noise alone; of free positions all records counted")
+
+
+class AloneResult(ResultModel):
+    """The members of a diagnosis of readings that are free positions alone, or a record at a known input."""
+
+    verdict: Verdict
+    where: list[PlacePart] = Field(
+        description="where readings and model differ, of free positions the largest first"
+    )
+    next_measurement: None
+    hidden: list[str] = Field(description="effects that these readings could never show")
+    gap: GapPart = Field(
+        description="reduced chi-square of what was held out in turn: every fifth position, rms in g; or the "
+        "excursions of a record, rms in V"
+    )
+    model: Path | None = Field(
+        description="path of the model file that was written; of several sensors with values of their own the "
+        "first's"
+    )
+    threshold: float = Field(description="ln odds above which something is found")
+    notes: list[str]
+    source: str
+    report: Path | None = Field(description="path of the page")
+    bench: BenchPart | None
+    corrections: list[CorrectionPart] = Field(
+        description="the certificates of the instruments, and what was done by them; without any an empty list"
+    )
+    simulated: bool
+    skipped_rows: list[str]
+
+    @classmethod
+    def made(cls, found: object, files: Files, made_from: Mapping[str, Any], **others: Any) -> Self:
+        """Return the result on findings; `made_from` are bench, certificates, and what is said of the source."""
+        of_source = {"bench": None, "corrections": [], "simulated": False, "skipped_rows": [], **made_from}
+        written = {"next_measurement": None, "model": files.model, "report": files.report}
+        return cls.from_object(found, **{**written, **of_source, **others})
 
 
 class OfChannels(ResultModel):
@@ -225,28 +300,6 @@ class TermPart(ResultModel):
     p: float = Field(description="for this term alone")
 
 
-class FormFoldPart(ResultModel):
-    """The readings held out together from the search for unnamed terms."""
-
-    what: str
-    counted: bool
-    before: float
-    after: float
-
-
-class FormGapPart(ResultModel):
-    """The reduced chi-square of readings that were held out of the search for unnamed terms."""
-
-    before: Real
-    after: Real
-    floor: float
-    closed: Real
-    before_rms: Real
-    after_rms: Real
-    unit: str
-    held_out: list[FormFoldPart]
-
-
 class DarkPart(ResultModel):
     """The dark uncertainty: the scatter of readings that remains unexplained."""
 
@@ -287,12 +340,9 @@ def mistake_part(mistake: Mistake) -> EffectPart:
 
 def gap_part(gap: Gap) -> GapPart:
     """Return the part of the result on a gap; its sizes are null if no readings could be held out."""
-    opened = bool(gap.folds)
     return GapPart.from_object(
         gap,
-        before=gap.before if opened else None,
-        after=gap.after if opened else None,
-        floor=FLOOR,
+        **_sizes(gap),
         reason=gap.reason or None,
         before_rms_ug=1e6 * gap.before_rms_g,
         after_rms_ug=1e6 * gap.after_rms_g,
@@ -300,6 +350,11 @@ def gap_part(gap: Gap) -> GapPart:
         noise_rms=gap.noise.reading,
         held_out=[*map(_fold_part, gap.folds), *map(_undetermined_part, gap.undetermined)],
     )
+
+
+def _sizes(gap: Gap) -> dict[str, float | None]:
+    before, after = (gap.before, gap.after) if gap.folds else (None, None)
+    return {"before": before, "after": after, "floor": FLOOR}
 
 
 def _fold_part(fold: Fold) -> FoldPart:
@@ -330,13 +385,8 @@ def form_part(form: FreeForm) -> FormPart:
         form,
         terms=[_term_part(term) for term in form.terms],
         gap=FormGapPart.from_object(
-            form,
-            before=form.gap.before if form.gap.folds else None,
-            after=form.gap.after if form.gap.folds else None,
-            closed=form.gap.closed,
-            floor=FLOOR,
-            before_rms=form.gap.before_rms,
-            after_rms=form.gap.after_rms,
+            form.gap,
+            **_sizes(form.gap),
             held_out=[
                 FormFoldPart(
                     what=fold.label, counted=True, before=fold.before.reduced, after=fold.after.reduced

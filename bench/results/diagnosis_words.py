@@ -6,13 +6,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from bench.base.languages import message
 from bench.base.numbers import fixed, quantity, rounded, two_digits, uncertainty
 from bench.diagnosis.gap import Gap
+from bench.diagnosis.levels import BY_CHANCE
 from bench.diagnosis.mistakes.search import Mistake
 from bench.diagnosis.next_measurement import Proposal
 from bench.diagnosis.pipeline import LISTED_FAR, FullDiagnosis, Rival
@@ -21,6 +22,12 @@ from bench.diagnosis.result import UNNAMED_WORDS, Diagnosis, EffectValue, NamedE
 from bench.diagnosis.show import CoefficientChange, ModelComparison, label
 from bench.diagnosis.where import ResidualPattern
 from bench.model.effects import CATALOGUE
+
+if TYPE_CHECKING:
+    from bench.diagnosis.free_records import FreeDiagnosis
+    from bench.diagnosis.record_diagnosis import RecordDiagnosis
+
+    AnyDiagnosis = Diagnosis | FreeDiagnosis | RecordDiagnosis
 
 
 @dataclass(frozen=True)
@@ -90,10 +97,16 @@ def effect_title(effect: NamedEffect | Mistake) -> str:
     if effect.channels and of_channels:
         title += f" of {', '.join(effect.channels)}"
     if effect.installations:
-        title += message(
-            f" in installation{'s' if len(effect.installations) > 1 else ''} {', '.join(effect.installations)}"
-        )
+        title += in_installations(effect.installations)
     return title
+
+
+def in_installations(names: Sequence[str]) -> str:
+    """Return the place of an effect: " in installations 1, 2", or of free positions " in sensor 2"."""
+    listed = ", ".join(names)
+    if listed.startswith("sensor"):
+        return f" in {listed}"
+    return message(f" in installation{'s' if len(names) > 1 else ''} {listed}")
 
 
 def mistake_title(mistake: Mistake) -> str:
@@ -105,8 +118,9 @@ def mistake_title(mistake: Mistake) -> str:
 def parameters_in_words(effect: NamedEffect) -> Iterator[str]:
     """Yield a line for each parameter, such as "K2 of y = 58.1 ± 5.2 µg/g² (u)"."""
     for value in effect.parameters:
-        at = message(f" in installation {value.installations}") if value.installations else ""
-        yield parameter_in_words(value, at)
+        yield parameter_in_words(
+            value, in_installations([value.installations]) if value.installations else ""
+        )
     for one in effect.together:
         yield (
             message(
@@ -204,7 +218,7 @@ LEAD: Final[Mapping[str, str]] = {
 """The words for each verdict."""
 
 
-def lead(diagnosis: Diagnosis) -> str:
+def lead(diagnosis: AnyDiagnosis) -> str:
     """Return the verdict in a few words."""
     tied = any(effect.cannot_tell_from for effect in diagnosis.effects)
     return LEAD[diagnosis.verdict] if diagnosis.verdict != "confounded" or tied else UNCONFIRMED
@@ -276,13 +290,12 @@ def warnings_in_words(diagnosis: Diagnosis) -> Iterator[str]:
 
 
 def odds_in_words(effect: NamedEffect) -> str:
-    """Return the posterior probabilities of an effect's names: "97 % cubic_nonlinearity, 2 % scale_asymmetry"."""
-    shown = [one for one in effect.odds if one.probability >= LEAST_SHOWN]
+    """Return the posterior probabilities of an effect's names: "97 % cubic_nonlinearity, 2 % scale_asymmetry".
+
+    Names below 1 % are in the JSON alone.
+    """
+    shown = [one for one in effect.odds if one.probability >= BY_CHANCE]
     return ", ".join(f"{_percent(one.probability)} {one.name}" for one in shown)
-
-
-LEAST_SHOWN: Final = 0.01
-"""Smallest probability of a name that is printed; the JSON has all."""
 
 
 def _percent(probability: float) -> str:
@@ -290,7 +303,7 @@ def _percent(probability: float) -> str:
     return "> 99 %" if probability > 0.995 else f"{100 * probability:.0f} %"
 
 
-def gap_of_verdict(diagnosis: Diagnosis) -> str:
+def gap_of_verdict(diagnosis: AnyDiagnosis) -> str:
     """Return how far the gap closes, or why it does not confirm the findings; "" if nothing was found."""
     gap = diagnosis.gap
     return gap.reason if diagnosis.of_copy == "confounded" and gap.reason else gap_in_words(gap)
@@ -308,15 +321,8 @@ def what_in_words(diagnosis: Diagnosis) -> str:
                 for mistake in diagnosis.mistakes.mistakes
             )
             return message(f"{found}; put right in a copy: {_of_copy_in_words(diagnosis)}")
-        case "named":
-            return ", ".join(f"{effect_title(effect)} ({odds_in_words(effect)})" for effect in effects)
-        case "confounded":
-            return ", ".join(
-                odds_in_words(effect)
-                if effect.cannot_tell_from
-                else f"{effect_title(effect)} ({odds_in_words(effect)})"
-                for effect in effects
-            )
+        case "named" | "confounded":
+            return ", ".join(map(named_in_words, effects))
     return "; ".join([*(effect.words for effect in effects), *(one.words for one in diagnosis.findings)])
 
 
@@ -359,6 +365,35 @@ def alike_in_words(effects: Sequence[NamedEffect | Mistake]) -> str:
     return "; ".join(" or ".join([effect_title(one), *one.cannot_tell_from]) for one in effects)
 
 
+def named_in_words(effect: NamedEffect) -> str:
+    """Return the name of an effect with the odds of its names; of a tie, the odds alone."""
+    odds = odds_in_words(effect)
+    if effect.cannot_tell_from:
+        return odds
+    return f"{effect_title(effect)} ({odds})" if odds else effect_title(effect)
+
+
+def found_in_words(diagnosis: AnyDiagnosis, nothing: str) -> str:
+    """Return the findings in free positions or in a record as a sentence; `nothing` where there are none."""
+    effects = diagnosis.effects
+    return "; ".join(named_in_words(e) if e.in_catalogue else e.words for e in effects) or nothing
+
+
+def readings_named(source: str) -> str:
+    """Return a short name of readings: "a + b", or "a … z (5 readings files)"."""
+    first, *others = source.split(" + ")
+    return f"{first} … {others[-1]} ({1 + len(others)} readings files)" if len(others) > 1 else source
+
+
+def evidence_of(found: FreeDiagnosis | RecordDiagnosis, gap: str) -> dict[str, str]:
+    """Return the evidence for the findings in free positions or in a record, by title, for the model file."""
+    told = {"found in": readings_named(found.source)}
+    for one in found.effects:
+        rho = "" if one.rho is None else f", rho {one.rho:.1f}"
+        told[alike_in_words([one])] = f"p {one.p_all_looks:.2g} with all looks{rho}; {odds_in_words(one)}"
+    return told | {"gap": gap, "threshold": f"ln odds {found.threshold:.3f}"}
+
+
 def mountings_of(block: ModelComparison) -> str:
     """Return the mountings of a block, as installation/series: "1/3, 2/3"."""
     return ", ".join(str(mount) for mount in block.before.calibration.fitted.conditions().mounts)
@@ -373,7 +408,7 @@ def shift_in_words(ranking: Sequence[Rival], other: str) -> str:
     return ""
 
 
-def why_no_model(diagnosis: Diagnosis) -> str:
+def why_no_model(diagnosis: AnyDiagnosis) -> str:
     """Return the reason why no model file was written, to follow "no model file is written"."""
     if diagnosis.gap.shrinks is False:
         return message(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
 
@@ -10,46 +10,35 @@ import numpy as np
 from pydantic import Field
 from rich.console import Console
 
-from bench.base.arrays import CHANNELS, Floats, rms
-from bench.base.computing import quiet
-from bench.base.numbers import aligned, concise, quantity, rounded, scale_for, typeset
+from bench.base.arrays import rms
+from bench.base.numbers import concise, quantity, scale_for, typeset
 from bench.base.result_model import Real, ResultModel
+from bench.base.tables import print_notes
 from bench.diagnosis.free_records import OUTLIER, FreeDiagnosis
-from bench.diagnosis.gap import Gap
-from bench.diagnosis.result import NamedEffect, Verdict
+from bench.diagnosis.show import CoefficientChange
 from bench.model.effects import CATALOGUE
 from bench.model.geometry import COEFFICIENTS
 from bench.results import diagnosis_words as words
-from bench.results.diagnosis_page import INK, STATES, drawn, gap_bars
-from bench.results.diagnosis_parts import FoundPart, GapPart, OddsPart, VerdictOfCopy, gap_part
+from bench.results.diagnosis import print_effect, print_files, print_gap
+from bench.results.diagnosis_page import (
+    BARS,
+    MEASURED,
+    MOST_DRAWN,
+    coefficient_rows,
+    drawn,
+    gap_bars,
+    overlay,
+    render_alone,
+)
+from bench.results.diagnosis_parts import AloneResult, CopyPart, FoundPart, gap_part
 from bench.results.diagnosis_words import NO_FILES, Files
-from bench.results.parts import BenchPart, CorrectionPart
 from bench.results.plots import BLUE, GREY, PASS_COLOURS, PASS_FILLS, VERMILION, legend_of, svg_figure
 from bench.results.repeats import BetweenRecordsPart, between_part, repeats_between
-from bench.results.tables import Row, page, symbol
+from bench.results.tables import Row
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-
-class FreeFoundPart(FoundPart):
-    """An effect that was found, or an outlying position."""
-
-    odds: list[OddsPart] = Field(
-        default=[], description="the names that may stand in this place, the most probable first"
-    )
-
-
-class FreePlace(ResultModel):
-    """A record of a sensor in which |a| differs from 1 g."""
-
-    channel: str
-    installation: str
-    pattern: str
-    size: float = Field(description="root mean square of |a| - 1 g")
-    unit: Literal["g"]
-    p: float = Field(description="all records counted")
 
 
 class FreeNoise(ResultModel):
@@ -61,106 +50,57 @@ class FreeNoise(ResultModel):
     dof: int
 
 
-class FreeCopyPart(ResultModel):
+class FreeCopyPart(CopyPart):
     """The copy of the readings without the outlying positions."""
 
-    readings: Path | None = Field(description="the readings file of the copy; null where it was not written")
     files: list[Path] = Field(description="those of all records of which positions stand apart")
-    used: int = Field(description="readings in the copy")
-    verdict: VerdictOfCopy = Field(description="what the search on the copy came to")
-    rests_on: list[str] = Field(description="the mistakes that are put right in it")
 
 
-class FreeDiagnoseResult(ResultModel):
+class FreeDiagnoseResult(AloneResult):
     """A diagnosis of readings that are free positions alone.
 
     For several sources, the output of `bench diagnose --json` is a list of these; a source that could not be
     evaluated has a `source-failed` object in its place.
     """
 
-    verdict: Verdict
-    where: list[FreePlace] = Field(description="records and sensors in which |a| is off, the largest first")
-    effects: list[FreeFoundPart]
-    next_measurement: None
-    hidden: list[str] = Field(description="effects that free positions could never show")
-    gap: GapPart = Field(
-        description="reduced chi-square of positions held out, every fifth in turn; rms in g"
-    )
-    model: Path | None = Field(
-        description="path of the model file that was written; of several sensors with values of their own the "
-        "first's"
-    )
+    effects: list[FoundPart]
     noise: FreeNoise
     between_records: BetweenRecordsPart | None = Field(
         description="how zeros go between records, each fitted by itself; null for one record"
     )
     sensors: int
     records: int
-    threshold: float = Field(description="ln odds above which something is found")
-    notes: list[str]
-    source: str
     models: list[Path] = Field(description="paths of all model files that were written, a sensor each")
-    report: Path | None = Field(description="path of the page")
     corrected: FreeCopyPart | None = Field(
         description="what is left without the positions that stand apart, on which all else rests; null where "
         "there is none"
     )
-    bench: BenchPart | None
-    corrections: list[CorrectionPart] = Field(
-        description="the certificates of the instruments, and what was done by them; without any an empty list"
-    )
-    simulated: bool
-    skipped_rows: list[str]
 
 
-def free_result(
-    found: FreeDiagnosis,
-    files: Files = NO_FILES,
-    bench: BenchPart | None = None,
-    corrections: Sequence[CorrectionPart] = (),
-    *,
-    simulated: bool = False,
-    skipped_rows: Sequence[str] = (),
-) -> FreeDiagnoseResult:
+def result_of(found: FreeDiagnosis, files: Files = NO_FILES, **made_from: Any) -> FreeDiagnoseResult:
     """Return the result of a diagnosis; `files` are the files that were written."""
-    return FreeDiagnoseResult.from_object(
+    copy = FreeCopyPart(
+        readings=files.copy, files=list(files.copies), used=len(found.rows), verdict=found.of_copy,
+        rests_on=list(found.apart),
+    )  # fmt: skip
+    return FreeDiagnoseResult.made(
         found,
-        where=[FreePlace.model_validate(place) for place in found.where],
-        effects=[*map(_outlier, found.apart), *map(FreeFoundPart.model_validate, found.found)],
-        next_measurement=None,
-        hidden=hidden(),
+        files,
+        made_from,
+        effects=[*map(_outlier, found.apart), *map(FoundPart.model_validate, found.effects)],
         gap=gap_part(found.gap),
-        model=files.model,
         noise=FreeNoise(
             reading=found.noise.reading, unit="g", stated=found.stated_g, dof=found.noise.freedom
         ),
         between_records=None if found.between is None else between_part(found.between),
         sensors=found.rows.sensors,
         models=list(files.models),
-        report=files.report,
-        corrected=FreeCopyPart(
-            readings=files.copy,
-            files=list(files.copies),
-            used=len(found.rows),
-            verdict=found.of_rest,
-            rests_on=list(found.apart),
-        )
-        if found.apart
-        else None,
-        bench=bench,
-        corrections=list(corrections),
-        simulated=simulated,
-        skipped_rows=list(skipped_rows),
+        corrected=copy if found.apart else None,
     )
 
 
-def hidden() -> list[str]:
-    """Return the effects that free positions can never show: all except those of the block."""
-    return [name for name, effect in CATALOGUE.items() if effect.subsystem.value != "block"]
-
-
-def _outlier(text: str) -> FreeFoundPart:
-    return FreeFoundPart(
+def _outlier(text: str) -> FoundPart:
+    return FoundPart(
         name=OUTLIER, channels=[], cannot_tell_from=[], parameters={}, p=None, p_all_looks=None, words=text
     )
 
@@ -168,53 +108,15 @@ def _outlier(text: str) -> FreeFoundPart:
 # --- text -------------------------------------------------------------------------------------------
 
 NOTHING: Final = "the positions agree with nine coefficients of each sensor within their scatter"
-LISTED: Final = 2
-"""Largest number of readings files that are all named; if there are more, only the first and the last are."""
-
-
-def lead(found: FreeDiagnosis) -> str:
-    """Return the verdict in a few words."""
-    tied = any(one.cannot_tell_from for one in found.found)
-    return words.LEAD[found.verdict] if found.verdict != "confounded" or tied else words.UNCONFIRMED
-
-
-def readings_named(found: FreeDiagnosis) -> str:
-    """Return a short name of the diagnosed readings: "a + b", or "a … z (5 readings files)"."""
-    parts = found.source.split(" + ")
-    return found.source if len(parts) <= LISTED else f"{parts[0]} … {parts[-1]} ({len(parts)} readings files)"
-
-
-def title_of(one: NamedEffect) -> str:
-    """Return the name of an effect with its channels, and the effects tied with it."""
-    of = f" of {', '.join(one.channels)}" if one.channels else ""
-    return " or ".join([one.name + of, *one.cannot_tell_from])
 
 
 def what_in_words(found: FreeDiagnosis) -> str:
     """Return the findings as a sentence without a full stop."""
-    rest = "; ".join(title_of(one) if one.in_catalogue else one.words for one in found.found) or NOTHING
+    rest = words.found_in_words(found, NOTHING)
     if not found.apart:
         return rest
     count = len(found.apart)
     return f"{OUTLIER}: {count} position{'s' * (count > 1)} stand{'s' * (count == 1)} apart; without: {rest}"
-
-
-def gap_told(found: FreeDiagnosis) -> str:
-    """Return how far the gap closes, or why it does not confirm the findings; "" if nothing was found."""
-    if found.of_rest == "confounded" and found.gap.reason:
-        return found.gap.reason
-    return words.gap_in_words(found.gap)
-
-
-def parameter_lines(one: NamedEffect) -> list[str]:
-    """Return a line for each parameter: "K2 of y = 1980 ± 40 µg/g² (u)", of a sensor by itself with its number."""
-    lines = [
-        words.parameter_in_words(value, f" of {value.installations}" if value.installations else "")
-        for value in one.parameters
-        if value.u is not None
-    ]
-    shapes = [words.parameter_in_words(value, "") for value in one.parameters if value.u is None]
-    return [*lines, *dict.fromkeys(shapes)]
 
 
 def what_to_do(found: FreeDiagnosis, files: Files) -> Iterator[str]:
@@ -231,107 +133,69 @@ def what_to_do(found: FreeDiagnosis, files: Files) -> Iterator[str]:
         yield f"Test it with new readings{of}: bench confirm NEW --model {model}"
     if found.between is not None and (line := found.between.in_bench_file()):
         yield f"{repeats_between(found.between)}. Put it into the bench file, and calibrations hold it in u: {line}"
-    names = {one.name for one in found.found}
+    names = {one.name for one in found.effects}
     if "zeros_by_run" in names or "scale_by_run" in names:
         yield (
             "Calibrate each record by itself (bench calibrate RECORD), and write down what differs between "
             "records: when it was switched on, its temperature, who moved it"
         )
-    elif found.of_rest == "unknown":
+    elif found.of_copy == "unknown":
         yield "Measure the same again: what returns belongs to the sensor; see below in which record it acts"
-    elif found.of_rest == "confounded":
+    elif found.of_copy == "confounded":
         yield "Measure again, more positions all round, and diagnose both: bench diagnose … --together"
     elif found.verdict == "agrees":
         yield f"Nothing; the coefficients stand: bench calibrate {'each record' if several else found.source}"
 
 
-def why_no_model(found: FreeDiagnosis) -> str:
-    """Return the reason why no model file was written, to follow "no model file is written"."""
-    if found.gap.shrinks is False:
-        return "because the gap in the positions held out does not shrink: it would not be a better model"
-    return "because the positions cannot decide between effects; --accept-first takes the first"
-
-
-def print_free(found: FreeDiagnosis, files: Files, out: Console) -> None:
+def print_found(found: FreeDiagnosis, files: Files, out: Console) -> None:
     """Print the findings in free positions in the order of the search, and the files that were written."""
-    rows, gap = found.rows, found.gap
+    rows = found.rows
     out.print(
         f"{len(rows)} free positions, {rows.sensors} sensor{'s' * (rows.sensors > 1)}, {found.records} "
         f"record{'s' * (found.records > 1)}: |a| = 1 g is all that is known of them"
     )
-    for note in found.notes:
-        if not quiet.get():
-            out.print(f"note: {note}")
+    print_notes(out, found.notes)
     for text in found.apart:
         out.print(f"Mistake: outlier: {text}", style="bold")
     for place in found.where:
         out.print(f"  {place.pattern}: |a| is off by {quantity(place.size, 'g')} (rms)")
-    for one in found.found:
-        out.print(f"Found: {title_of(one)}", style="bold")
-        out.print(typeset(f"  {one.words}"))
-        for line in parameter_lines(one):
-            out.print(f"  {line}")
-        out.print(typeset(f"  {words.p_in_words(one.p_all_looks)} with all looks counted, rho {one.rho:.1f}"))
+    for one in found.effects:
+        print_effect(one, (), out)
     if found.between is not None:
-        told = repeats_between(found.between)
-        out.print(typeset(f"Zeros: {told}"))
+        out.print(typeset(f"Zeros: {repeats_between(found.between)}"))
         if line := found.between.in_bench_file():
             out.print(f"  for u of calibrations, put into the bench file: {line}")
-    _print_gap(gap, out)
-    for file in files.copies:
-        out.print(f"corrected copy of the readings: {file}")
-    for file in files.models:
-        out.print(f"model: {file}")
-    if files.report is not None:
-        out.print(f"report: {files.report}")
-    if found.of_rest == "confounded" and not files.models:
-        out.print(f"no model file is written {why_no_model(found)}")
-    told = gap_told(found)
-    text = what_in_words(found) + (f"; {told}" if told else "")
-    out.print(typeset(f"{readings_named(found)}: {lead(found).upper()}: {text}"), style="bold")
-
-
-def _print_gap(gap: Gap, out: Console) -> None:
-    if gap.folds:
-        out.print(
-            f"Gap on positions held out: reduced chi-square {gap.before:.2f} before, {gap.after:.2f} after "
-            f"(noise alone: 1); |a| is off by {quantity(gap.before_rms, 'g')} before, "
-            f"{quantity(gap.after_rms, 'g')} after"
-        )
-    else:
-        out.print("Gap: not measured, as no position can be held out; measure more of them, all round")
-    if gap.reason:
-        out.print(f"  not confirmed: {gap.reason}")
+    if found.effects:
+        print_gap(found.gap, out)
+    print_files(found, files, out)
+    told = "; ".join(filter(None, [what_in_words(found), words.gap_of_verdict(found)]))
+    out.print(
+        typeset(f"{words.readings_named(found.source)}: {words.lead(found).upper()}: {told}"), style="bold"
+    )
 
 
 def evidence_in_words(found: FreeDiagnosis) -> dict[str, str]:
     """Return the evidence for the findings, by title, for the model file."""
     gap = found.gap
-    told = {"found in": readings_named(found)}
-    if found.apart:
-        told["rests on"] = "; ".join(found.apart)
-    for one in found.found:
-        told[title_of(one)] = f"p {one.p_all_looks:.2g} with all looks, rho {one.rho:.1f}"
-    told["gap"] = gap.reason or (
+    told = gap.reason or (
         f"reduced chi-square of positions held out {gap.before:.3f} before, {gap.after:.3f} after, "
         f"1 expected; root mean square of |a| - 1 g {1e6 * gap.before_rms:.3g} ug before, "
         f"{1e6 * gap.after_rms:.3g} ug after"
     )
-    return told | {"threshold": f"ln odds {found.threshold:.3f}"}
+    mended = {"rests on": "; ".join(found.apart)} if found.apart else {}
+    return mended | words.evidence_of(found, told)
 
 
 # --- page and figures -----------------------------------------------------------------------------
 
 MARKS: Final = "osD^vP*X"
-BARS: Final = 0.8
-"""Fraction of a record's width that its bars fill."""
 
 
-def overlay(found: FreeDiagnosis, sensor: int) -> str:
+def overlay_of_sensor(found: FreeDiagnosis, sensor: int) -> str:
     """Return a plot of the signals of a sensor in order of measurement: measured over simulated, a row per channel.
 
     The orientations are unknown. Each position is simulated in the direction that its signals give, so that only
-    errors of the modulus show. The right column has both minus the simulation with the given model, magnified.
+    errors of the modulus show.
     """
     rows = found.rows
     mine = rows.sensor == sensor
@@ -341,61 +205,29 @@ def overlay(found: FreeDiagnosis, sensor: int) -> str:
     size = scale_for(float(np.max(np.abs(signal))), rows.tables[sensor].unit)
     scale = scale_for(float(np.max(np.abs(given))), rows.tables[sensor].unit)
     number = np.arange(1, len(signal) + 1)
-    whose = "with what was found" if found.found else "as it was given"
 
-    def draw(figure: Figure) -> None:
-        grid: Any = figure.subplots(3, 2, sharex=True, squeeze=False)
-        for i, channel in enumerate(CHANNELS):
-            left: Axes = grid[i, 0]
-            left.plot(
-                number, (signal - last)[:, i] / size.size, "_", color=INK, markersize=9, markeredgewidth=1.4,
-                label=f"simulated, {whose}",
-            )  # fmt: skip
-            left.plot(
-                number, signal[:, i] / size.size, "o", color=BLUE, markersize=3.5, alpha=0.8, label="measured"
-            )
-            left.set_ylabel(f"channel {channel} / {size.unit}")
-            right: Axes = grid[i, 1]
-            right.axhline(
-                0.0, color=GREY, linewidth=0.7, linestyle=(0, (4, 3)), label="simulated as it was given"
-            )
-            right.plot(number, given[:, i] / scale.size, "o", color=BLUE, markersize=3.5, alpha=0.8)
-            if found.found:
-                right.plot(
-                    number,
-                    (given - last)[:, i] / scale.size,
-                    "_",
-                    color=INK,
-                    markersize=9,
-                    markeredgewidth=1.4,
-                )
-            right.set_ylabel(scale.unit)
-        _mark_records(grid.flat, rows.record[mine])
-        grid[0, 0].set_title(f"sensor {sensor + 1}" if rows.sensors > 1 else "signals")
-        grid[0, 1].set_title("less the sensor simulated as it was given")
-        for axes in grid[2]:
-            axes.set_xlabel("position, in the order of measurement")
-        figure.legend(*legend_of(grid.flat), loc="outside upper center", ncols=3)
+    def draw(i: int, left: Axes, right: Axes, whose: str) -> None:
+        left.plot(number, (signal - last)[:, i] / size.size, "_", **BARS, label=whose)
+        left.plot(number, signal[:, i] / size.size, "o", **MEASURED)
+        right.plot(number, given[:, i] / scale.size, "o", **MEASURED)
+        if found.effects:
+            right.plot(number, (given - last)[:, i] / scale.size, "_", **BARS, label=whose)
+        for edge in np.flatnonzero(np.diff(rows.record[mine])) + 1.5:  # where a new record begins
+            for axes in (left, right):
+                axes.axvline(edge, color=GREY, linewidth=0.8, linestyle=(0, (4, 3)))
 
-    alt = (
-        f"Measured and simulated signals of channels x, y, z of sensor {sensor + 1} at {len(signal)} positions, "
-        "and both less the sensor simulated as it was given"
-    )
-    return svg_figure(f"free-overlay-{sensor}", (7.6, 5.6), draw, alt)
-
-
-def _mark_records(all_axes: Any, record: Floats) -> None:
-    """Draw a line at each beginning of a new record."""
-    edges = np.flatnonzero(np.diff(record)) + 1.5
-    for axes in all_axes:
-        for edge in edges:
-            axes.axvline(edge, color=GREY, linewidth=0.8, linestyle=(0, (4, 3)))
+    return overlay(
+        f"free-overlay-{sensor}", f"sensor {sensor + 1}", (size, scale), draw,
+        "position, in the order of measurement", found=bool(found.effects),
+    )  # fmt: skip
 
 
 def modulus_in_time(found: FreeDiagnosis) -> str:
     """Return a plot of |a| - 1 g against the time since the start of the record, before and after."""
     rows = found.rows
-    fits = [("as it was given", found.before), ("with what was found", found.after)][: 1 + bool(found.found)]
+    fits = [("as it was given", found.before), ("with what was found", found.after)][
+        : 1 + bool(found.effects)
+    ]
     scale = scale_for(float(np.max(np.abs(found.before.left))), "g")
     time_s = np.concatenate([table.conditions().elapsed_s for table in rows.tables])
     for record in np.unique(rows.record):
@@ -417,26 +249,15 @@ def modulus_in_time(found: FreeDiagnosis) -> str:
                         time_s[mine] / 60.0, fit.left[mine] / scale.size, MARKS[sensor % len(MARKS)],
                         color=PASS_COLOURS[record % len(PASS_COLOURS)],
                         fillstyle=PASS_FILLS[record // len(PASS_COLOURS) % len(PASS_FILLS)], markersize=3.5,
-                        label=_which(found, sensor, int(record)),
+                        label=f"record {record + 1}" if sensor == 0 else None,
                     )  # fmt: skip
             axes.set_title(title)
             axes.set_xlabel("time in the record / min")
         grid[0, 0].set_ylabel(f"|a| − 1 g / {scale.unit}")
-        figure.legend(*_few(grid), loc="outside upper center", ncols=5)
+        figure.legend(*legend_of(grid.flat), loc="outside upper center", ncols=5)
 
     alt = "The modulus of the specific force less 1 g against the time in its record, before and after"
     return svg_figure("free-time", (7.6, 3.4), draw, alt)
-
-
-def _which(found: FreeDiagnosis, sensor: int, record: int) -> str:
-    """Return the legend label of a record; that of further sensors begins with "_" and is hidden."""
-    return f"record {record + 1}" if sensor == 0 or found.rows.sensors == 1 else f"_sensor {sensor + 1}"
-
-
-def _few(grid: Any) -> tuple[list[Any], list[str]]:
-    handles, labels = legend_of(grid.flat)
-    shown = [(h, label) for h, label in zip(handles, labels, strict=True) if not label.startswith("_")]
-    return [h for h, _ in shown], [label for _, label in shown]
 
 
 def modulus_by_record(found: FreeDiagnosis) -> str:
@@ -444,7 +265,7 @@ def modulus_by_record(found: FreeDiagnosis) -> str:
     rows = found.rows
     records = np.unique(rows.record)
     scale = scale_for(float(np.max(np.abs(found.before.left))), "g")
-    width = BARS / rows.sensors
+    width = 0.8 / rows.sensors  # of the room of a record
 
     def draw(figure: Figure) -> None:
         axes: Axes = figure.subplots()
@@ -454,7 +275,7 @@ def modulus_by_record(found: FreeDiagnosis) -> str:
                 (found.before, VERMILION, 1.0, "as it was given"),
                 (found.after, BLUE, 0.55, "with what was found"),
             ):
-                if fit is found.before or found.found:
+                if fit is found.before or found.effects:
                     sizes = [rms(fit.left[(rows.record == r) & (rows.sensor == sensor)]) for r in records]
                     axes.bar(
                         at, np.array(sizes) / scale.size, width=0.9 * part * width, color=colour,
@@ -476,78 +297,44 @@ def modulus_by_record(found: FreeDiagnosis) -> str:
     return svg_figure("free-records", (6.4, 3.0), draw, alt)
 
 
-MOST_DRAWN: Final = 8
-"""Largest number of sensors whose signals are drawn."""
-
-
-def render_free(
-    found: FreeDiagnosis,
-    files: Files,
-    title: str,
-    provenance: Mapping[str, str],
-    *,
-    simulated: bool,
+def render(
+    found: FreeDiagnosis, files: Files, title: str, provenance: Mapping[str, str], *, simulated: bool
 ) -> str:
     """Return the HTML page; the same content always gives the same text."""
-    signals = [drawn(overlay(found, s)) for s in range(min(found.rows.sensors, MOST_DRAWN))]
-    return page(
+    shown = range(found.rows.sensors)[:MOST_DRAWN]
+    gap = words.gap_of_verdict(found)
+    return render_alone(
         "free_diagnosis.html.j2",
+        found,
+        provenance,
         title=title,
-        found=found,
         simulated=simulated,
-        source=readings_named(found),
-        provenance=provenance,
-        state=STATES.get(found.verdict, "failed"),
-        lead=lead(found),
         what=what_in_words(found),
-        gap=gap_told(found),
+        told=[gap] if gap else [],
         to_do=list(what_to_do(found, files)),
-        words=words,
-        quantity=quantity,
-        effects=[(title_of(one), one, parameter_lines(one)) for one in found.found],
-        overlays=signals,
+        overlays=[drawn(overlay_of_sensor(found, sensor)) for sensor in shown],
         in_time=drawn(modulus_in_time(found)),
         by_record=drawn(modulus_by_record(found)) if found.records > 1 else None,
-        gap_bars=drawn(gap_bars(found.gap)) if found.found and found.gap.folds else None,
-        held_out=[
-            Row(
-                fold.label,
-                (
-                    ", ".join(fold.gains) or "nothing",
-                    f"{fold.before.reduced:.2f}",
-                    f"{fold.after.reduced:.2f}",
-                ),
-            )
-            for fold in found.gap.folds
-        ],
+        gap_bars=drawn(gap_bars(found.gap)) if found.effects and found.gap.folds else None,
         places=[
             Row(p.pattern, (quantity(p.size, "g"), typeset(words.p_in_column(p.p)))) for p in found.where
         ],
-        coefficients=list(_coefficients(found)),
+        coefficients=[
+            (sensor, coefficient_rows(_coefficients(found, sensor), found.rows.tables[0].unit))
+            for sensor in range(found.rows.sensors)
+        ],
         zeros=list(_zeros(found)),
         models=files.models,
-        hidden=[CATALOGUE[name] for name in hidden()],
+        hidden=[CATALOGUE[name] for name in found.hidden],
     )
 
 
-def _coefficients(found: FreeDiagnosis) -> Iterator[tuple[int, list[Row]]]:
-    """Yield the index of each sensor and rows of its coefficients before and after, without the fixed ones."""
-    unit = found.rows.tables[0].unit
-    for sensor in range(found.rows.sensors):
-        pairs = [
-            (fit.block[sensor].vector.tolist(), fit.u[sensor].tolist()) for fit in (found.before, found.after)
-        ]
-        (old, u_old), (new, u_new) = pairs
-        shown = [i for i in range(len(old)) if u_old[i] > 0.0]
-        before = aligned([concise(old[i], u_old[i]) for i in shown])
-        after = aligned([concise(new[i], u_new[i]) for i in shown])
-        scale = scale_for(max(abs(new[i] - old[i]) for i in shown), unit)
-        rows = []
-        for i, was, now in zip(shown, before, after, strict=True):
-            change = rounded((new[i] - old[i]) / scale.size, max(u_old[i], u_new[i]) / scale.size, sign=True)
-            printed = scale.unit if COEFFICIENTS[i].startswith("U0") else scale.per_g
-            rows.append(Row(symbol(COEFFICIENTS[i]), (was, now, change, printed)))
-        yield sensor, rows
+def _coefficients(found: FreeDiagnosis, sensor: int) -> dict[str, CoefficientChange]:
+    """Return the nine coefficients of a sensor before and after, by name."""
+    fits = (found.before, found.after)
+    each = np.stack([column for fit in fits for column in (fit.block[sensor].vector, fit.u[sensor])], axis=1)
+    rows = zip(COEFFICIENTS, each.tolist(), strict=True)
+    return {name: CoefficientChange(*row) for name, row in rows if row[1] > 0.0}
 
 
 def _zeros(found: FreeDiagnosis) -> Iterator[Row]:
@@ -555,12 +342,10 @@ def _zeros(found: FreeDiagnosis) -> Iterator[Row]:
     between = found.between
     if between is None:
         return
-    for sensor in range(found.rows.sensors):
-        for record in range(between.zero.shape[1]):
-            values = 1e3 * between.zero[sensor, record]
-            u = 1e3 * between.u[sensor, record]
+    for sensor, (zeros, of_u) in enumerate(zip(between.zero, between.u, strict=True)):
+        for record, (values, u) in enumerate(zip(1e3 * zeros, 1e3 * of_u, strict=True)):
             cells = tuple(
-                concise(float(values[i]), float(u[i])) if np.isfinite(values[i]) else "not determined"
-                for i in range(len(CHANNELS))
+                concise(value, of_value) if np.isfinite(value) else "not determined"
+                for value, of_value in zip(values.tolist(), u.tolist(), strict=True)
             )
             yield Row(f"sensor {sensor + 1}, record {record + 1}", cells)

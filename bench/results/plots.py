@@ -10,7 +10,7 @@ from __future__ import annotations
 import io
 import logging
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from html import escape
 from typing import TYPE_CHECKING, Any, Final
@@ -65,63 +65,102 @@ STYLE: Final[dict[str, Any]] = {
 }
 
 
+Columns = Sequence[tuple[str, Calibration, Sequence[Mask]]]
+"""Title of a column of a figure, the calibration, and the readings of each mounting drawn in it."""
+
+
 def residuals_by_angle(calibration: Calibration) -> str:
     """Return a plot of residuals against head angle: a row per channel, a column per installation.
 
     The band is two standard deviations of a single reading, from reading noise and setting error.
     """
-    mounts = mounts_of(calibration)
-    scale = residual_scale(calibration)
-
-    def draw(figure: Figure) -> None:
-        grid: Any = figure.subplots(3, len(mounts), sharex=True, sharey=True, squeeze=False)
-        fine = np.linspace(-8.0, 368.0, 189)
-        for column, (mount, rows) in enumerate(mounts):
-            band = 2.0 * sd_of_reading(calibration, rows, np.radians(fine)) / scale.size
-            grid[0, column].set_title(message(f"installation {mount}"), parse_math=False)
-            for i, channel in enumerate(CHANNELS):
-                axes: Axes = grid[i, column]
-                axes.fill_between(fine, -band[:, i], band[:, i], color="#B9C4CE", alpha=0.45, linewidth=0)
-                axes.axhline(0.0, color=GREY, linewidth=0.7)
-                residual_points(axes, calibration, rows, i, dodged_deg(calibration), scale)
-                axes.set_xticks(range(0, 361, 45))
-                axes.set_xlim(-12.0, 372.0)
-                if column == 0:
-                    axes.set_ylabel(message(f"channel {channel} / {scale.unit}"))
-            grid[2, column].set_xlabel(message("head angle / °"))
-        figure.legend(*legend_of(grid.flat), loc="outside upper center", ncols=6)
-
+    columns = [
+        (message(f"installation {mount}"), calibration, [rows]) for mount, rows in mounts_of(calibration)
+    ]
     alt = message(
-        f"Residuals of channels x, y, z against head angle, {len(mounts)} installations, with the ±2σ band"
+        f"Residuals of channels x, y, z against head angle, {len(columns)} installations, with the ±2σ band"
     )
-    return svg_figure("residuals-angle", (max(1.2 + 3.1 * len(mounts), 4.6), 6.0), draw, alt)
+    size = (max(1.2 + 3.1 * len(columns), 4.6), 6.0)
+    return residuals_against_angle("residuals-angle", size, columns, residual_scale(calibration), alt)
+
+
+def residuals_against_angle(
+    name: str, size: tuple[float, float], columns: Columns, scale: Scale, alt: str
+) -> str:
+    """Return a plot of residuals against head angle: a row per channel, with the ±2σ band of a reading."""
+    fine = np.linspace(-8.0, 368.0, 189)
+
+    def prepare(number: int, rows: Sequence[Axes]) -> None:
+        title, calibration, (mine,) = columns[number]
+        band = 2.0 * sd_of_reading(calibration, mine, np.radians(fine)) / scale.size
+        rows[0].set_title(title, parse_math=False)
+        for i, axes in enumerate(rows):
+            axes.fill_between(fine, -band[:, i], band[:, i], color="#B9C4CE", alpha=0.45, linewidth=0)
+            axes.set_xticks(range(0, 361, 90 if len(columns) > 2 else 45))
+            axes.set_xlim(-12.0, 372.0)
+
+    label = message("head angle / °")
+    return _residuals(name, size, columns, dodged_deg, label, prepare, scale, alt)
 
 
 def residuals_in_order(calibration: Calibration) -> str:
     """Return a plot of residuals in order of measurement, against time if every reading has one."""
-    scale = residual_scale(calibration)
-    time_s = calibration.fitted.time_s
+    columns = [("", calibration, [rows for _, rows in mounts_of(calibration)])]
+    return residuals_in_time("residuals-order", (7.4, 5.2), columns, residual_scale(calibration))
+
+
+def residuals_in_time(name: str, size: tuple[float, float], columns: Columns, scale: Scale) -> str:
+    """Return a plot of residuals in order of measurement, against time if every reading has one."""
+    time_s = columns[0][1].fitted.time_s
     along: Floats = np.arange(1.0, len(time_s) + 1.0)
     label = message("reading, in the order of measurement")
     if np.all(np.isfinite(time_s)):
-        unit, size = ("h", HOUR) if np.ptp(time_s) > 2 * HOUR else ("min", MINUTE)
-        along, label = time_s / size, message(f"time since the start / {unit}")
+        unit, of_unit = ("h", HOUR) if np.ptp(time_s) > 2 * HOUR else ("min", MINUTE)
+        along, label = time_s / of_unit, message(f"time since the start / {unit}")
+    # many labels have no room for the word
+    word = "installation " if sum(len(mounts) for _, _, mounts in columns) <= MOST_WITH_WORD else ""
+
+    def prepare(number: int, rows: Sequence[Axes]) -> None:
+        title, calibration, _ = columns[number]
+        mark_changes(rows, calibration, along, word)
+        rows[0].set_title(title, pad=16)
+
+    alt = message(f"Residuals of channels x, y, z against {label}")
+    return _residuals(name, size, columns, lambda _: along, label, prepare, scale, alt)
+
+
+MOST_WITH_WORD: Final = 5
+"""Largest number of mountings in a row of figures whose labels say "installation"."""
+
+
+def _residuals(
+    name: str,
+    size: tuple[float, float],
+    columns: Columns,
+    along: Callable[[Calibration], Floats],
+    label: str,
+    prepare: Callable[[int, Sequence[Axes]], None],
+    scale: Scale,
+    alt: str,
+) -> str:
+    """Return a plot of residuals `along` an axis; `prepare` draws what lies below the readings of a column."""
+    same = len({id(calibration) for _, calibration, _ in columns}) == 1
 
     def draw(figure: Figure) -> None:
-        grid: Any = figure.subplots(3, 1, sharex=True, sharey=True)
-        for i, channel in enumerate(CHANNELS):
-            axes: Axes = grid[i]
-            axes.axhline(0.0, color=GREY, linewidth=0.7)
-            for _, rows in mounts_of(calibration):
-                residual_points(axes, calibration, rows, i, along, scale)
+        grid: Any = figure.subplots(3, len(columns), sharex=True, sharey=True, squeeze=False)
+        for number, (_, calibration, mounts) in enumerate(columns):
+            prepare(number, grid[:, number])
+            for i, axes in enumerate(grid[:, number]):
+                axes.axhline(0.0, color=GREY, linewidth=0.7)
+                for rows in mounts:
+                    marks = "readings" if same else f"readings-{number}"
+                    residual_points(axes, calibration, rows, i, along(calibration), scale, marks)
+            grid[2, number].set_xlabel(label)
+        for channel, axes in zip(CHANNELS, grid[:, 0], strict=True):
             axes.set_ylabel(message(f"channel {channel} / {scale.unit}"))
-        mark_changes(grid, calibration, along)
-        grid[2].set_xlabel(label)
-        figure.legend(*legend_of(grid), loc="outside upper center", ncols=6)
+        figure.legend(*legend_of(grid.flat), loc="outside upper center", ncols=6)
 
-    return svg_figure(
-        "residuals-order", (7.4, 5.2), draw, message(f"Residuals of channels x, y, z against {label}")
-    )
+    return svg_figure(name, size, draw, alt)
 
 
 def verification_points(verification: Verification) -> str:
@@ -132,14 +171,11 @@ def verification_points(verification: Verification) -> str:
 
     def draw(figure: Figure) -> None:
         axes = figure.subplots()
-        for sign in (1.0, -1.0):
-            axes.axhline(sign * limit, color=VERMILION, linestyle=(0, (6, 3)), linewidth=1.1)
+        mark_limit(axes, limit, scale)
         accepted = min(p.accepted_up_to for p in points) / scale.size
         if 0.0 < accepted < limit:
             for sign in (1.0, -1.0):
                 axes.axhline(sign * accepted, color=GREY, linestyle=":", linewidth=1.1)
-        axes.axhspan(-limit, limit, color=GREEN, alpha=0.07, linewidth=0)
-        axes.axhline(0.0, color=GREY, linewidth=0.7)
         for passed, marker, colour, name in (
             (True, "o", BLUE, message("accepted")),
             (False, "X", VERMILION, message("not accepted")),
@@ -160,16 +196,25 @@ def verification_points(verification: Verification) -> str:
         axes.set_xticks(range(len(points)), _verification_labels(verification))
         axes.tick_params(axis="x", labelrotation=90 if len(points) > 16 else 0)
         axes.grid(visible=False, axis="x")
-        axes.annotate(
-            message(f"limit ±{limit:g} {scale.unit}"), (1.0, limit), xycoords=("axes fraction", "data"),
-            xytext=(-4, 3), textcoords="offset points", ha="right", color="#A34700",
-        )  # fmt: skip
-        axes.set_xlabel(message("verification point: head angle"))
-        axes.set_ylabel(f"Δg / {scale.unit}")
         figure.legend(loc="outside upper center", ncols=2)
 
     alt = message(f"Δg at {len(points)} verification points with bars of U, limit ±{limit:g} {scale.unit}")
     return svg_figure("verification", (6.4, 3.2), draw, alt)
+
+
+def mark_limit(axes: Axes, limit: float, scale: Scale) -> None:
+    """Draw the limits of Δg at the verification points, and label the axes; `limit` is in the unit of the scale."""
+    for sign in (1.0, -1.0):
+        axes.axhline(sign * limit, color=VERMILION, linestyle=(0, (6, 3)), linewidth=1.1)
+    axes.axhspan(-limit, limit, color=GREEN, alpha=0.07, linewidth=0)
+    axes.axhline(0.0, color=GREY, linewidth=0.7)
+    axes.grid(visible=False, axis="x")
+    axes.annotate(
+        message(f"limit ±{limit:g} {scale.unit}"), (1.0, limit), xycoords=("axes fraction", "data"),
+        xytext=(-4, 3), textcoords="offset points", ha="right", color="#A34700",
+    )  # fmt: skip
+    axes.set_xlabel(message("verification point: head angle"))
+    axes.set_ylabel(f"Δg / {scale.unit}")
 
 
 def correlations(calibration: Calibration) -> str:

@@ -214,6 +214,7 @@ def render_record_calibration(
         title=title,
         intro="A record at a known input: U = gain × reference + offset + drift for each channel.",
         simulated=simulated,
+        source=provenance["source"],
         state="none",
         lead=headline(found),
         what="",

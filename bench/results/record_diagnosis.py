@@ -3,42 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from pydantic import Field
 from rich.console import Console
 
 from bench.base.arrays import Floats, rms
-from bench.base.computing import quiet
 from bench.base.numbers import concise, quantity, scale_for, typeset
-from bench.base.result_model import Real, ResultModel
+from bench.base.result_model import ResultModel
+from bench.base.tables import print_notes
 from bench.diagnosis.gap import Gap
 from bench.diagnosis.pipeline import LISTED_FAR
 from bench.diagnosis.record_diagnosis import RecordDiagnosis
 from bench.diagnosis.record_search import ChannelFit
-from bench.diagnosis.result import NamedEffect, Verdict
 from bench.results import diagnosis_words as words
-from bench.results.diagnosis_page import STATES, drawn
-from bench.results.diagnosis_parts import EffectPart, GapPart, gap_part
+from bench.results.diagnosis import print_effect, print_files
+from bench.results.diagnosis_page import drawn, render_alone
+from bench.results.diagnosis_parts import AloneResult, EffectPart, GapPart, gap_part
 from bench.results.diagnosis_words import NO_FILES, Files
-from bench.results.parts import BenchPart, CorrectionPart
 from bench.results.plots import BLUE, VERMILION, legend_of, svg_figure
-from bench.results.tables import Row, page
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-
-class LeftPart(ResultModel):
-    """The residuals of a channel after zero and drift, before any effect is named."""
-
-    channel: str
-    installation: str
-    pattern: str
-    size: float = Field(description="root mean square")
-    unit: str
-    p: Real = Field(description="by white noise alone")
 
 
 class RivalPart(ResultModel):
@@ -71,71 +57,36 @@ class RecordNoisePart(ResultModel):
     means: int = Field(description="number of means that the readings were gathered into")
 
 
-class RecordDiagnoseResult(ResultModel):
+class RecordDiagnoseResult(AloneResult):
     """A diagnosis of a record at a known input (rows R alone)."""
 
-    verdict: Verdict
-    where: list[LeftPart] = Field(description="what each channel leaves beside zero and drift")
     effects: list[EffectPart]
-    next_measurement: None
-    hidden: list[str] = Field(description="effects of meters and reference that this record could not show")
-    gap: GapPart = Field(description="reduced chi-square of excursions held out in turn; rms in V")
-    model: Path | None = Field(description="path of the model file that was written")
     rivals: list[RivalPart] = Field(
         description="kinds of shape of an effect of the meter's temperature, compared"
     )
     channels: list[ChannelPart]
     noise: RecordNoisePart
     far: list[str] = Field(description="means that jump by 6 u or more beside what was found")
-    threshold: float = Field(description="ln odds above which something is found")
-    notes: list[str]
-    source: str
-    report: Path | None = Field(description="path of the page")
-    bench: BenchPart | None
-    corrections: list[CorrectionPart]
-    simulated: bool
-    skipped_rows: list[str]
 
 
-def record_result(
-    found: RecordDiagnosis,
-    files: Files = NO_FILES,
-    bench: BenchPart | None = None,
-    corrections: Sequence[CorrectionPart] = (),
-    *,
-    simulated: bool = False,
-    skipped_rows: Sequence[str] = (),
-) -> RecordDiagnoseResult:
+def result_of(found: RecordDiagnosis, files: Files = NO_FILES, **made_from: Any) -> RecordDiagnoseResult:
     """Return the result of a diagnosis; `files` are the files that were written."""
-    return RecordDiagnoseResult.from_object(
+    return RecordDiagnoseResult.made(
         found,
-        where=[LeftPart.model_validate(place) for place in found.where],
-        effects=[EffectPart.model_validate(effect) for effect in found.effects],
-        next_measurement=None,
-        hidden=list(found.hidden),
+        files,
+        made_from,
         gap=_gap_part(found.gap),
-        model=files.model,
-        rivals=[RivalPart.model_validate(rival) for rival in found.rivals],
         channels=[_channel(fit) for fit in found.fits],
         noise=RecordNoisePart(white_v=found.white_v, slow_v=found.slow_v, means=len(found.record)),
-        far=[one.words for one in found.far],
-        threshold=found.limit.value,
-        report=files.report,
-        bench=bench,
-        corrections=list(corrections),
-        simulated=simulated,
-        skipped_rows=list(skipped_rows),
     )
 
 
 def _gap_part(gap: Gap) -> GapPart:
     """Return the part on the gap; a record has no scale factor that would turn volts into g."""
-    in_g = dict.fromkeys(("before_rms_ug", "after_rms_ug", "expected_rms_ug"))
+    in_g = dict.fromkeys(("before_rms_ug", "after_rms_ug"))
     part = gap_part(gap)
-    held_out = [
-        fold.model_copy(update={"before_rms_ug": None, "after_rms_ug": None}) for fold in part.held_out
-    ]
-    return part.model_copy(update={**in_g, "reason": None, "held_out": held_out})
+    held_out = [fold.model_copy(update=in_g) for fold in part.held_out]
+    return part.model_copy(update={**in_g, "expected_rms_ug": None, "reason": None, "held_out": held_out})
 
 
 def _channel(fit: ChannelFit) -> ChannelPart:
@@ -149,16 +100,7 @@ NOTHING: Final = "the channels follow the reference, with a zero and a drift, wi
 
 def what_in_words(found: RecordDiagnosis) -> str:
     """Return the findings as a sentence without a full stop."""
-    told = [
-        f"{_title(one)} ({words.odds_in_words(one)})" if one.in_catalogue else one.words
-        for one in found.effects
-    ]
-    return "; ".join([*(told or [NOTHING]), *(one.words for one in found.far[:LISTED_FAR])])
-
-
-def _title(one: NamedEffect) -> str:
-    of = f" of {', '.join(one.channels)}" if 0 < len(one.channels) < 3 else ""
-    return " or ".join([one.name, *one.cannot_tell_from]) + of
+    return "; ".join([words.found_in_words(found, NOTHING), *found.far[:LISTED_FAR]])
 
 
 def gap_told(found: RecordDiagnosis) -> str:
@@ -181,57 +123,41 @@ def rivals_told(found: RecordDiagnosis) -> str:
     return f"excursions held out decide for {ordered[0].what}: {listed} (rms)"
 
 
-def lines_of(one: NamedEffect) -> list[str]:
-    """Return a line for each parameter of an effect."""
-    return [words.parameter_in_words(value, "") for value in one.parameters]
-
-
 def channel_lines(found: RecordDiagnosis) -> Iterator[str]:
     """Yield a line on each channel: zero, drift, and the residuals before and after."""
     for fit in found.fits:
+        zero, drift = (
+            concise(1e6 * value, 1e6 * u)
+            for value, u in ((fit.zero_v, fit.u_zero_v), (fit.drift_v_h, fit.u_drift_v_h))
+        )
         yield (
-            f"{fit.channel}: zero {_micro(fit.zero_v, fit.u_zero_v)} µV, drift "
-            f"{_micro(fit.drift_v_h, fit.u_drift_v_h)} µV/h; leaves {quantity(rms(fit.before_v), 'V')} before, "
+            f"{fit.channel}: zero {zero} µV, drift {drift} µV/h; leaves {quantity(rms(fit.before_v), 'V')} before, "
             f"{quantity(rms(fit.residual_v), 'V')} after (rms)"
         )
 
 
-def _micro(value: float, u: float) -> str:
-    return concise(1e6 * value, 1e6 * u)
-
-
-def print_record(found: RecordDiagnosis, files: Files, out: Console) -> None:
+def print_found(found: RecordDiagnosis, files: Files, out: Console) -> None:
     """Print the diagnosis of a record, and the files that were written; the verdict comes last."""
     record = found.record
     out.print(
         f"record at a known input: {len(record)} means over {record.time_h[-1]:.1f} h, "
         f"channel{'s' * (len(record.channels) > 1)} {', '.join(fit.channel for fit in found.fits)}"
     )
-    for note in found.notes:
-        if not quiet.get():
-            out.print(f"note: {note}")
+    print_notes(out, found.notes)
     for one in found.effects:
-        out.print(f"Found: {_title(one) if one.in_catalogue else one.name}", style="bold")
-        out.print(typeset(f"  {one.words}"))
-        for line in lines_of(one):
-            out.print(typeset(f"  {line}"))
+        print_effect(one, (), out)
     for line in (*channel_lines(found), rivals_told(found), gap_told(found)):
         if line:
             out.print(typeset(line[0].upper() + line[1:] if line[1] != ":" else line))
-    for file in files.models:
-        out.print(f"model: {file}")
-    if files.report is not None:
-        out.print(f"report: {files.report}")
-    out.print(
-        typeset(f"{found.source}: {words.LEAD[found.verdict].upper()}: {what_in_words(found)}"), style="bold"
-    )
+    print_files(found, files, out)
+    out.print(typeset(f"{found.source}: {words.lead(found).upper()}: {what_in_words(found)}"), style="bold")
 
 
 def what_to_do(found: RecordDiagnosis, files: Files) -> Iterator[str]:
     """Yield a sentence on each step that should follow, with the command to type."""
     for one in found.effects:
         if one.applied and one.cannot_tell_from:
-            yield f"To tell {_title(one)}: {one.applied[0].effect.shown_by}"
+            yield f"To tell {words.alike_in_words([one])}: {one.applied[0].effect.shown_by}"
     for model in files.models:
         yield f"Put it to the proof with a new record: bench confirm NEW --model {model}"
     if found.verdict == "unknown":
@@ -240,10 +166,7 @@ def what_to_do(found: RecordDiagnosis, files: Files) -> Iterator[str]:
 
 def evidence_in_words(found: RecordDiagnosis) -> dict[str, str]:
     """Return the evidence for the findings, by title, for the model file."""
-    told = {"found in": found.source}
-    for one in found.effects:
-        told[_title(one)] = f"p {one.p_all_looks:.2g} with all looks; {words.odds_in_words(one)}"
-    return told | {"gap": gap_told(found), "threshold": f"ln odds {found.limit.value:.3f}"}
+    return words.evidence_of(found, gap_told(found))
 
 
 # --- page ---------------------------------------------------------------------------------------------
@@ -268,38 +191,25 @@ def course_figure(time_h: Floats, courses: Sequence[tuple[str, Floats, Floats]])
     return svg_figure("record-course", (6.4, 1.2 + 1.8 * len(courses)), draw, alt)
 
 
-def render_record(
+def render(
     found: RecordDiagnosis, files: Files, title: str, provenance: Mapping[str, str], *, simulated: bool
 ) -> str:
     """Return the HTML page; the same content always gives the same text."""
     course = course_figure(
         found.record.time_h, [(fit.channel, fit.before_v, fit.residual_v) for fit in found.fits]
     )
-    return page(
+    return render_alone(
         "record.html.j2",
+        found,
+        provenance,
         title=title,
         intro="A record at a known input: each channel is the reference, with a zero, a drift, and what is found.",
         simulated=simulated,
-        provenance=provenance,
-        state=STATES.get(found.verdict, "failed"),
-        lead=words.LEAD[found.verdict],
         what=what_in_words(found),
         told=[line for line in (gap_told(found), rivals_told(found)) if line],
         to_do=list(what_to_do(found, files)),
-        effects=[
-            (_title(one) if one.in_catalogue else one.name, one, lines_of(one)) for one in found.effects
-        ],
         figures=[
-            (
-                drawn(course),
-                "Signal less reference, beside a zero and a drift, and with what was found.",
-            )
-        ],
-        held_out=[
-            Row(fold.label, (f"{fold.before.reduced:.2f}", f"{fold.after.reduced:.2f}"))
-            for fold in found.gap.folds
+            (drawn(course), "Signal less reference, beside a zero and a drift, and with what was found.")
         ],
         listed=list(channel_lines(found)),
-        notes=found.notes,
-        ending="diagnosis",
     )

@@ -8,8 +8,9 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
+from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self, TypeAlias
+from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeAlias
 
 import numpy as np
 from rich.console import Console
@@ -17,6 +18,7 @@ from rich.console import Console
 from bench.base.computing import tracked
 from bench.base.files import cache_folder
 from bench.base.languages import message
+from bench.base.result_model import ResultModel
 from bench.calibration.result import CalibrationError
 from bench.config.formulas import effects_in, files_of_environment
 from bench.config.model_file import load_model, write_model_file
@@ -43,7 +45,6 @@ from bench.services.source import Failed, attempted, data_sha256, done, provenan
 if TYPE_CHECKING:
     from bench.diagnosis.free_records import FreeDiagnosis
     from bench.diagnosis.record_diagnosis import RecordDiagnosis
-    from bench.services.record_diagnosis import RecordDiagnosisResult
 
 
 # --- results ----------------------------------------------------------------------------------------
@@ -126,11 +127,9 @@ class DiagnosisResult(ResultWithPage):
         """Return whether there is a model to write: named effects, unnamed terms, or the first effect of an
         accepted tie.
         """
-        verdict, form = self.diagnosis.of_copy, self.diagnosis.form
-        # an effect that does not narrow the gap gives no better model, even if it is accepted
-        accepted = accept_first and verdict == "confounded" and self.diagnosis.gap.shrinks is not False
-        there = verdict == "named" or accepted or (form is not None and bool(form.applied))
-        return there and self.found.shown.after is not None
+        form = self.diagnosis.form
+        there = _named(self.diagnosis, accept_first=accept_first) or (form is not None and form.applied)
+        return bool(there) and self.found.shown.after is not None
 
     def write_model(self, path: str | Path, *, accept_first: bool = False) -> Path:
         """Write the model file with the effects found, for `bench.confirm` and `bench.calibrate`; return its path.
@@ -191,92 +190,81 @@ class DiagnosisResult(ResultWithPage):
 
 
 @dataclass(frozen=True, repr=False)
-class FreeDiagnosisResult(ResultWithPage):
-    """Where free positions and model disagree, what is missing, and how far it closes the gap."""
+class DiagnosisAlone(ResultWithPage):
+    """A diagnosis of free positions alone, or of a record at a known input.
 
-    found: FreeDiagnosis
+    `view` is the module with the text, the JSON and the page of the findings.
+    """
+
+    found: FreeDiagnosis | RecordDiagnosis
+    view: ClassVar[str]
+
+    @property
+    def _view(self) -> Any:
+        return import_module(self.view)  # takes long to import
 
     @property
     def verdict(self) -> str:
         """One of agrees, mistake, named, confounded, unknown."""
         return self.found.verdict
 
-    def corrected(self) -> dict[int, Readings]:
-        """Return the readings as read, without outlying positions, by the number of each affected source."""
-        kept = {}
-        for number in np.unique(self.found.left_out[:, 0]).tolist():
-            source = self.body.sources[number]
-            left_out = self.found.left_out[self.found.left_out[:, 0] == number, 1]
-            stay = ~np.isin(np.arange(len(source.readings)), left_out)
-            kept[number] = as_read(source.readings.select(stay), source.traced.by)
-        return kept
-
     def models_of(self, *, accept_first: bool = False) -> list[tuple[AppliedEffect, ...]]:
-        """Return the effects in each sensor's model file, one entry if all are alike; empty without a model."""
-        found = self.found
-        # an effect that does not narrow the gap gives no better model, even if it is accepted
-        accepted = accept_first and found.of_rest == "confounded" and found.gap.shrinks is not False
-        if found.of_rest != "named" and not accepted:
+        """Return the effects in each model file, one for each sensor that differs; empty without a model."""
+        if not _named(self.found, accept_first=accept_first):
             return []
-        return [
-            (
-                *self.source.model.effects,
-                *(replace(one, installations=()) for one in found.applied_to(sensor)),
-            )
-            for sensor in range(1 if found.alike else found.rows.sensors)
-        ]
+        return [(*self.source.model.effects, *added) for added in self.found.models]
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as `bench diagnose --json` writes it."""
-        from bench.results import free_diagnosis as free
-
         sources = self.body.sources
         with knowing_effects_of(*sources):
-            return free.free_result(
+            made: ResultModel = self._view.result_of(
                 self.found,
                 self.files,
-                self.source.taken.part(),
-                [part for source in sources for part in source.traced.parts()],
-                simulated=any(source.simulated for source in sources),
+                bench=self.source.taken.part(),
+                corrections=[part for source in sources for part in source.traced.parts()],
+                simulated=self._simulated,
                 skipped_rows=[row for source in sources for row in source.readings.skipped],
-            ).to_dict()
+            )
+            return made.to_dict()
+
+    @property
+    def _simulated(self) -> bool:
+        return any(source.simulated for source in self.body.sources)
 
     def html(self) -> str:
         """Return the HTML page."""
-        from bench.results import free_diagnosis as free
-
-        title = message(f"Diagnosis of {self.source.block_name or free.readings_named(self.found)}")
-        simulated = any(source.simulated for source in self.body.sources)
+        title = message(f"Diagnosis of {self.source.block_name or words.readings_named(self.found.source)}")
+        told = provenance(self.source)
         with knowing_effects_of(self.source):
-            return free.render_free(
-                self.found, self.files, title, provenance(self.source), simulated=simulated
-            )
+            page: str = self._view.render(self.found, self.files, title, told, simulated=self._simulated)
+            return page
 
     def print_on(self, out: Console) -> None:
-        """Print the diagnosis in the order in which it was made."""
-        from bench.results import free_diagnosis as free
-
+        """Print the diagnosis, the verdict last."""
         with knowing_effects_of(self.source):
-            free.print_free(self.found, self.files, out)
+            self._view.print_found(self.found, self.files, out)
 
-    def write_model(self, path: str | Path, *, accept_first: bool = False) -> tuple[Path, ...]:
-        """Write the model of each sensor (`-sensor-1` in the file name, …), or one model if all are alike.
+    def write_models(self, path: str | Path, *, accept_first: bool = False) -> tuple[Path, ...]:
+        """Write the model, or one of each sensor that differs (`-sensor-1` in the file name, …).
 
         Returns the paths. Raises `Refused` if there is no model to write, `FileMistakes` if a file exists.
         """
-        from bench.results import free_diagnosis as free
-
         models = self.models_of(accept_first=accept_first)
         if not models:
-            raise Refused(f"{path}: no model file was written {free.why_no_model(self.found)}")
+            raise Refused(f"{path}: no model file was written {words.why_no_model(self.found)}")
         place = Path(path)
-        many = len(models) > 1
         paths = [
-            place.with_stem(f"{place.stem}-sensor-{n + 1}") if many else place for n in range(len(models))
+            place.with_stem(f"{place.stem}-sensor-{n + 1}") if len(models) > 1 else place
+            for n in range(len(models))
         ]
         for one, effects in zip(paths, models, strict=True):
             self._write_model(effects, one)
         return tuple(paths)
+
+    def corrected(self) -> dict[int, Readings]:
+        """Return the readings as read, without outlying positions, by the number of each affected source."""
+        return {}
 
     def written(self, *, accept_first: bool = False, report: bool = True) -> Self:
         """Write copies, models and page; return the result with their paths."""
@@ -295,21 +283,56 @@ class FreeDiagnosisResult(ResultWithPage):
         return result.with_report() if report else result
 
     def _write_model(self, effects: tuple[AppliedEffect, ...], path: Path) -> None:
-        from bench.results import free_diagnosis as free
-
-        added = dict.fromkeys(label(one) for each in self.found.found for one in each.applied)
+        given = self.source.model.name
+        added = dict.fromkeys(label(one) for each in self.found.effects for one in each.applied)
         hashes = (*self.body.sha256, *(data_sha256(table) for table in self.corrected().values()))
         write_model_file(
-            path,
-            " + ".join([self.source.model.name, *added]),
-            effects,
-            parent=self.source.model.name,
-            data_sha256=" ".join(hashes),
-            evidence=free.evidence_in_words(self.found),
-        )
+            path, " + ".join([given, *added]), effects, parent=given, data_sha256=" ".join(hashes),
+            evidence=self._view.evidence_in_words(self.found),
+        )  # fmt: skip
 
 
-Diagnosed: TypeAlias = "DiagnosisResult | FreeDiagnosisResult | MistakesResult | RecordDiagnosisResult"
+class RecordDiagnosisResult(DiagnosisAlone):
+    """The effects to which meters and reference respond in a record at a known input, and how well they predict
+    held-out readings.
+    """
+
+    found: RecordDiagnosis
+    view = "bench.results.record_diagnosis"
+
+    def write_model(self, path: str | Path, *, accept_first: bool = False) -> Path:
+        """Write the model file with the effects found; return its path. Raises as `write_models`."""
+        return self.write_models(path, accept_first=accept_first)[0]
+
+
+class FreeDiagnosisResult(DiagnosisAlone):
+    """Where free positions and model disagree, what is missing, and how far it closes the gap."""
+
+    found: FreeDiagnosis
+    view = "bench.results.free_diagnosis"
+    write_model = DiagnosisAlone.write_models
+
+    def corrected(self) -> dict[int, Readings]:
+        """Return the readings as read, without outlying positions, by the number of each affected source."""
+        kept = {}
+        for number in np.unique(self.found.left_out[:, 0]).tolist():
+            source = self.body.sources[number]
+            left_out = self.found.left_out[self.found.left_out[:, 0] == number, 1]
+            stay = ~np.isin(np.arange(len(source.readings)), left_out)
+            kept[number] = as_read(source.readings.select(stay), source.traced.by)
+        return kept
+
+
+def _named(found: Diagnosis | FreeDiagnosis | RecordDiagnosis, *, accept_first: bool) -> bool:
+    """Return whether what was found goes into a model file: it was named, or the first of a tie is accepted.
+
+    An effect that does not narrow the gap gives no better model, even if it is accepted.
+    """
+    accepted = accept_first and found.of_copy == "confounded" and found.gap.shrinks is not False
+    return found.of_copy == "named" or accepted
+
+
+Diagnosed: TypeAlias = DiagnosisResult | DiagnosisAlone | MistakesResult
 
 
 def print_diagnosed(results: Sequence[Diagnosed | Failed], out: Console) -> None:
@@ -407,11 +430,9 @@ def _result(
     if isinstance(found, MistakesAlone):
         return MistakesResult(body, found, files, not_written)
     from bench.diagnosis.free_records import FreeDiagnosis
-    from bench.services.record_diagnosis import RecordDiagnosisResult
 
-    if isinstance(found, FreeDiagnosis):
-        return FreeDiagnosisResult(body, found, files, not_written)
-    return RecordDiagnosisResult(body, found, files, not_written)
+    kind = FreeDiagnosisResult if isinstance(found, FreeDiagnosis) else RecordDiagnosisResult
+    return kind(body, found, files, not_written)
 
 
 _Done = tuple[Any, Files, tuple[str, ...]]

@@ -20,7 +20,7 @@ from bench.diagnosis.posterior import posterior
 from bench.diagnosis.show import Simulation, show
 from bench.model import CATALOGUE, Effect, ForwardModel, Installation
 from bench.results.diagnosis import found_result
-from bench.results.free_diagnosis import free_result
+from bench.results.free_diagnosis import result_of
 from benchmarks.blind_trial.cases import Case
 from benchmarks.blind_trial.outside import FORMULAS
 
@@ -74,7 +74,7 @@ def forget_thresholds() -> None:
 def diagnose_case(case: Case) -> dict[str, Any]:
     """Return the diagnosis of a case (see `_diagnosed`), with the formulas of the user's own where it has them."""
     if case.free:
-        return free_result(diagnose_free(case.free, one_sensor=True)).to_dict()
+        return result_of(diagnose_free(case.free, one_sensor=True)).to_dict()
     with CATALOGUE.also(_own() if case.own else ()):
         return _diagnosed(case)
 

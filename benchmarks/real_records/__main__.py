@@ -49,8 +49,7 @@ class Row:
     @property
     def groups(self) -> list[list[str]]:
         """The names of each place in which an effect of the catalogue was found; several are a tie."""
-        effects = self.found.effects if isinstance(self.found, RecordDiagnosis) else self.found.found
-        return [[one.name, *one.cannot_tell_from] for one in effects if one.in_catalogue]
+        return [[one.name, *one.cannot_tell_from] for one in self.found.effects if one.in_catalogue]
 
     @property
     def judged(self) -> str:

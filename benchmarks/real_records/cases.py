@@ -14,7 +14,7 @@ import yaml
 
 from bench.config.foreign_log import LogColumns, convert_log
 from bench.diagnosis.record_diagnosis import RecordDiagnosis
-from bench.diagnosis.record_model import Courses, Whitening, make_record
+from bench.diagnosis.record_model import make_record
 from bench.diagnosis.record_search import RecordWork
 from bench.readings.csv import read_csv
 from bench.readings.table import Readings
@@ -87,9 +87,8 @@ def twin_of(readings: Readings, found: RecordDiagnosis) -> Readings:
     """Return readings at the same times with the signal of what was found, and noise drawn as it was fitted."""
     rng = np.random.default_rng(SEED)
     record = make_record(readings)
-    work = RecordWork(record, Courses(()), Whitening.of(record))
-    noise = np.column_stack([work.drawn(one, rng, 1)[:, 0] for one in found.noises])
-    noise = noise @ work.helmert * record.scale[:, None]
+    noise = np.column_stack([one.drawn(rng, 1)[:, 0] for one in found.noises])
+    noise = noise @ RecordWork.of(record).helmert * record.scale[:, None]
     added = np.sum([record.added(one) for one in found.applied], axis=0)
     at_h = (readings.time_s - record.conditions.elapsed_s[0]) / 3600.0
     scatter = np.sqrt(found.noises[0].variance * len(readings) / len(record))

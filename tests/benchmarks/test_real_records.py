@@ -31,5 +31,5 @@ THERMAL = ["voltmeter_thermal_gain", "voltmeter_thermal_offset"]
 )
 def test_names_are_judged_by_what_the_publisher_tells(right, groups, judged):
     effects = [SimpleNamespace(name=name, cannot_tell_from=tied, in_catalogue=True) for name, *tied in groups]
-    row = Row(Case("a", "b", right), SimpleNamespace(found=effects), None, None, None)
+    row = Row(Case("a", "b", right), SimpleNamespace(effects=effects), None, None, None)
     assert row.judged == judged

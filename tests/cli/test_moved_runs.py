@@ -74,6 +74,6 @@ def test_a_page_that_cannot_be_written_is_told_with_what_to_do(bench, monkeypatc
     status, _, err = bench("report", "one")
     assert status == 2
     assert err == (
-        "bench: runs/one/report.html: the page cannot be written (Read-only file system); choose another place "
+        "bench: runs/one/report.html: cannot be written (Read-only file system); choose another place "
         "with --out DIR\n"
     )

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from bench.diagnosis import Threshold, ThresholdCache, diagnose
-from bench.diagnosis.levels import BY_CHANCE
+from bench.diagnosis.levels import BY_CHANCE, FAR
 from bench.diagnosis.posterior import NoiseSize
-from bench.diagnosis.where import FAR, far_readings
+from bench.diagnosis.where import far_readings
 from bench.results.diagnosis_words import verdict_in_words, warnings_in_words
 from tests.support.diagnosis_bench import MODEL, NOISE_V, STAND, OneThreshold, paper_run, set_up
 from tests.support.paper_bench import SETTING_U_RAD, K

@@ -48,7 +48,7 @@ def test_a_sensor_that_is_right_is_said_to_agree():
 def test_a_square_of_the_sensor_is_named_with_its_size():
     """K2 = 2 mg/g^2 of y, twenty times the noise."""
     found = diagnose_free([positions(1, 60, add=lambda a, t: a**2 * [0.0, 2e-3, 0.0])])
-    first = found.found[0]
+    first = found.effects[0]
     assert "quadratic_nonlinearity" in {first.name, *first.cannot_tell_from}
     assert first.odds[0].name in {first.name, *first.cannot_tell_from}
     assert 0.99 <= sum(one.probability for one in first.odds) <= 1.0
@@ -63,7 +63,7 @@ def test_a_zero_that_settles_in_time_is_found():
         return np.exp(-t / 300.0)[:, None] * [0.0, 0.0, 5e-3]
 
     found = diagnose_free([positions(2, 40, add=settling)])
-    first = found.found[0]
+    first = found.effects[0]
     assert "warm_up" in {first.name, *first.cannot_tell_from}
     assert found.gap.after_rms < 0.5 * found.gap.before_rms
 
@@ -75,7 +75,7 @@ def test_a_position_in_motion_stands_apart_and_is_left_out():
     assert found.verdict == "mistake"
     assert len(found.apart) == 1
     assert "point 8" in found.apart[0]
-    assert not found.found
+    assert not found.effects
 
 
 @pytest.mark.slow
@@ -84,11 +84,11 @@ def test_zeros_of_each_record_are_found_and_their_ratio_held_out_by_record():
     records = [positions(seed, 25, zeros=rng.normal(0.0, 2e-3, 3)) for seed in range(6)]
     found = diagnose_free(records, one_sensor=True)
     assert found.verdict == "unknown"
-    assert found.found[0].name == "zeros_by_run"
+    assert found.effects[0].name == "zeros_by_run"
     assert found.between.repeats.scatter > 10
     assert found.between.repeats.held_before.value > 10
     assert found.between.repeats.held_after.value < 3
-    assert "the cause is not determined" in found.found[0].words
+    assert "the cause is not determined" in found.effects[0].words
     assert found.between.repeats.term.name == "restart"
     # 2 mg, widened for five degrees of freedom
     sizes = found.between.repeats.term.size / 1.31
@@ -117,7 +117,7 @@ def test_tables_with_the_same_times_are_sensors_side_by_side():
 def test_the_zeros_of_a_real_board_change_between_records_alike_in_all_sensors():
     """The data's own description: a scatter of 23 u, the z biases of all sensors together."""
     found = diagnose_free(board(sensors=(0, 2)))
-    assert found.found[0].name == "zeros_by_run"
+    assert found.effects[0].name == "zeros_by_run"
     assert found.verdict == "unknown"
     between = found.between
     assert 18 < between.repeats.scatter < 30
@@ -125,7 +125,7 @@ def test_the_zeros_of_a_real_board_change_between_records_alike_in_all_sensors()
     assert between.repeats.held_before.value > 10
     assert between.repeats.held_after.value < 2
     assert between.repeats.held_after.low < 1.0 < between.repeats.held_after.high
-    words = found.found[0].words
+    words = found.effects[0].words
     assert "common to the sensors" in words
     assert "cause is not determined" in words
     assert found.gap.after < 2
