@@ -1,7 +1,6 @@
 """Kills dry runs at random moments, answers their questions well and badly, resumes each until it ends.
 
     python -m benchmarks.answering_campaign --runs 40 --seed 1
-    python -m benchmarks.answering_campaign --simple 200 --workers 2
 
 Dry runs whose questions a person answers, each carried out by a program of its own on a terminal: at each question
 the answer is typed, or left in the run's folder, or both at once, after answers that are stale, ill-fitting or no
@@ -10,12 +9,12 @@ Typed angles are off their targets by some seconds, each by its own, so an answe
 
 Every run must end with exactly the readings of one of the same seed that nobody disturbed, none twice, with the
 chain of hashes complete; no question answered twice, no answer used but the recorded one, none lost; a question
-whose answer a kill came between is put again. `--simple`: at least so many kills, over the life of processes that
-ask nobody, their start and their conclusion included.
+whose answer a kill came between is put again.
 """
 
 from __future__ import annotations
 
+import math
 import os
 import random
 import re
@@ -25,7 +24,6 @@ import tempfile
 import time
 import zlib
 from collections import Counter
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, Final
 
@@ -45,6 +43,8 @@ PANEL: Final = WishAuthor("Ann", "operator", "panel")
 ACT_AGAIN_S: Final = 1.5
 """What is typed while a question is being shown is none of its answers, so it is typed again."""
 ENOUGH_S: Final = 600.0
+LONGEST_S: Final = 2.2
+"""A dry run of `quick` takes about as long on a machine of two cores, its start included."""
 
 
 def answer_to(prompt: Prompt) -> str:
@@ -156,11 +156,13 @@ def one(number: int, folder: Path, *, seed: int, kills: int, calm: bool = False)
         hands = Hands(run, rng, master if at_terminal else None, calm=calm)
         last = kills <= 0
         questions, late_s = rng.randrange(0, 14), rng.choice((0.0, rng.uniform(0.0, 0.3)))
+        # now and then at any time, before the first question as well
+        killed_s = time.monotonic() + rng.choice((math.inf, rng.uniform(0.05, LONGEST_S)))
         try:
             # what is drawn from a finished run, which takes longest, asks nothing
             while process.poll() is None and not hands.finished and time.monotonic() < deadline_s:
                 hands.look()
-                if not last and hands.questions > questions:
+                if not last and (hands.questions > questions or time.monotonic() > killed_s):
                     time.sleep(late_s)
                     break
                 time.sleep(0.005)
@@ -231,41 +233,6 @@ def _astray(events: list[Event]) -> list[str]:
     return wrong
 
 
-# --- kills alone ------------------------------------------------------------------------------------
-
-LONGEST_S: Final = 2.2
-"""A dry run of `quick` takes about as long on a machine of two cores, its start included."""
-
-
-def start(folder: Path, *arguments: str) -> subprocess.Popen[bytes]:
-    """Start the program in a folder."""
-    return subprocess.Popen(  # noqa: S603 - our own program
-        [*PROGRAM, *arguments], cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-    )
-
-
-def killed(number: int, folder: Path, expected: Run) -> tuple[int, list[str]]:
-    """Kill and resume one run until it ends; return how often it was killed, and what is wrong with it."""
-    rng = random.Random(number)  # noqa: S311 - a campaign, no secret
-    name = f"run{number}"
-    kills = 0
-    process = start(folder, *BEGIN, name)
-    while True:
-        try:
-            process.wait(timeout=rng.uniform(0.3, LONGEST_S) if kills < 3 else None)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
-            kills += 1
-        run = folder / "runs" / name
-        if not (run / "run.json").exists():
-            process = start(folder, *BEGIN, name)
-            continue
-        if read_history(run).state == "finished":
-            return kills, differences(Run(run), expected)
-        process = start(folder, "resume", name)
-
-
 def differences(run: Run, expected: Run) -> list[str]:
     """Say in what a run differs from one that nobody disturbed."""
     wrong = list(run.history.problems)
@@ -278,23 +245,6 @@ def differences(run: Run, expected: Run) -> list[str]:
         if not np.array_equal(getattr(ours, column), getattr(theirs, column)):
             wrong.append(f"{column} differs from an undisturbed run")
     return wrong
-
-
-def kill_many(folder: Path, kills: int, workers: int) -> list[str]:
-    """Kill at least so many times; return what is wrong with the runs."""
-    start(folder, *BEGIN, "whole").wait()
-    expected = Run(folder / "runs" / "whole")
-    done, runs, failed = 0, 0, []
-    with ThreadPoolExecutor(workers) as pool:
-        while done < kills:
-            batch = range(runs, runs + 8 * workers)
-            found = pool.map(lambda number: killed(number, folder, expected), batch)
-            for number, (times, wrong) in zip(batch, found, strict=True):
-                done += times
-                failed += [f"run {number}: {text}" for text in wrong]
-            runs += len(batch)
-            print(f"{done} kills in {runs} runs, {len(failed)} faults", flush=True)
-    return failed
 
 
 def answer_many(folder: Path, runs: int, kills: int, seed: int) -> list[str]:
@@ -312,13 +262,9 @@ def answer_many(folder: Path, runs: int, kills: int, seed: int) -> list[str]:
 
 
 def main() -> None:
-    given = arguments(__doc__, runs=40, kills=(4, "at most, of each run"), seed=1, simple=0, workers=2)
+    given = arguments(__doc__, runs=40, kills=(4, "at most, of each run"), seed=1)
     with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        if given.simple:
-            failed = kill_many(folder, given.simple, given.workers)
-        else:
-            failed = answer_many(folder, given.runs, given.kills, given.seed)
+        failed = answer_many(Path(name), given.runs, given.kills, given.seed)
     print(*failed, sep="\n")
     sys.exit(1 if failed else 0)
 

@@ -21,7 +21,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
-from statistics import median
 from typing import Any, Final, NamedTuple, NoReturn, TextIO, TypeVar
 
 # the matrices are small: threads would only get in each other's way, and change the last digits
@@ -37,6 +36,8 @@ PROGRAM: Final = (sys.executable, "-c", "from bench.cli.program import main; mai
 EMPTY_FIGURE: Final = '<svg viewBox="0 0 1 1"></svg>'
 """In place of the figures of pages, which cost more than all else."""
 
+Row = Sequence[object]
+"""A row of a table."""
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 
@@ -132,21 +133,6 @@ def _measured(work: Callable[..., Any], *given: Any) -> Cost:
     used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     cpu_s = sum(one.ru_utime + one.ru_stime for one in used)
     return Cost(result, cpu_s, wall_s, max(one.ru_maxrss for one in used) / 1024)
-
-
-def medians(
-    calls: Mapping[str, Callable[[int], object]],
-    times: int,
-    clock: Callable[[], float] = time.process_time,
-) -> dict[str, float]:
-    """Return the median time of each call, s, taken in turns, so that a busy machine is busy for all."""
-    spent: dict[str, list[float]] = {name: [] for name in calls}
-    for number in range(times):
-        for name, call in calls.items():
-            begun = clock()
-            call(number)
-            spent[name].append(clock() - begun)
-    return {name: median(each) for name, each in spent.items()}
 
 
 class Said(NamedTuple):
@@ -305,7 +291,7 @@ def outside(what: str, values: Floats, low: float, high: float = np.inf) -> list
     return [f"{what} of {name} is {value:.3f}" for name, value in pairs if value < low or value > high]
 
 
-def markdown(heads: Sequence[object], rows: Iterable[Sequence[object]]) -> Iterator[str]:
+def markdown(heads: Row, rows: Iterable[Row]) -> Iterator[str]:
     """Yield the lines of a table, its rows as they come."""
     yield f"| {' | '.join(map(str, heads))} |"
     yield f"|{'---|' * len(heads)}"

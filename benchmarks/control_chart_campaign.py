@@ -11,8 +11,9 @@ the integral equation.
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterator
-from dataclasses import dataclass
+from itertools import product
 from typing import Final
 
 import numpy as np
@@ -31,7 +32,7 @@ from bench.stats.control_charts import (
     shewhart_arl,
     short_term,
 )
-from benchmarks.campaign import arguments
+from benchmarks.campaign import Row, arguments, markdown
 
 P: Final = len(INTRINSIC)
 LATER: Final = 25
@@ -52,30 +53,6 @@ SHIFTS: Final = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0)
 SHEWHART: Final = {0.0: 370.4, 0.5: 155.2, 1.0: 43.9, 1.5: 15.0, 2.0: 6.3, 3.0: 2.0}
 MEWMA: Final = {(2, 0.1, 8.64): 200.0, (4, 0.1, 12.73): 200.0, (10, 0.1, 22.67): 200.0}
 """Prabhu and Runger (1997), as Montgomery has it: dimensions, lambda, limit, in-control ARL."""
-
-
-@dataclass
-class Count:
-    """False rejections in so many points, by chart: points of one chart share their baseline."""
-
-    rejected: list[Floats]
-    points: int = 0
-
-    def add(self, rejected: Floats) -> None:
-        """Add charts (b, n) of which each run was rejected or not."""
-        self.rejected.append(rejected.mean(axis=1))
-        self.points += rejected.size
-
-    @property
-    def rate(self) -> float:
-        """The part that was rejected."""
-        return float(np.concatenate(self.rejected).mean())
-
-    @property
-    def u(self) -> float:
-        """Its standard error, from chart to chart."""
-        every = np.concatenate(self.rejected)
-        return float(every.std(ddof=1) / np.sqrt(len(every)))
 
 
 def stated_covariance(seed: int = 7) -> Floats:
@@ -99,8 +76,8 @@ def charts(rng: np.random.Generator, runs: int, points: int, root: Floats) -> It
 
 def false_rejections(
     basis: Basis, runs: int, factor: float, points: int, seed: int, one: float = 1.0
-) -> dict[str, Count]:
-    """Return false rejections of each statistic and of all.
+) -> dict[str, Floats]:
+    """Return the share of false rejections in each chart (charts,), of each statistic and of all.
 
     True u is `factor` times what is stated, and of one number `one` times that.
     """
@@ -110,7 +87,7 @@ def false_rejections(
     scale[4] *= one
     root = scale[:, None] * np.linalg.cholesky(stated)
     design = ChartDesign(basis=basis)
-    counts: dict[str, Count] = {}
+    shares: dict[str, list[Floats]] = defaultdict(list)
     every, later = np.tile(stated, (runs, 1, 1)), np.tile(stated, (LATER, 1, 1))
     for baseline, after in charts(rng, runs, points, root):
         centre = centre_of(baseline, every, basis)
@@ -126,8 +103,14 @@ def false_rejections(
             seen = [components_of(k, stated, np.zeros(P)).alike_p < ALIKE_P for k in baseline]
             by["noticed"] = np.array(seen)[:, None]
         for name, rejected in by.items():
-            counts.setdefault(name, Count([])).add(np.asarray(rejected, dtype=float))
-    return counts
+            shares[name].append(rejected.mean(axis=1))
+    return {name: np.concatenate(each) for name, each in shares.items()}
+
+
+def relative(shares: Floats, rate: float) -> str:
+    """Return the mean share over a rate, with its standard error from chart to chart."""
+    u = shares.std(ddof=1) / np.sqrt(len(shares))
+    return f"{shares.mean() / rate:.3f} ± {u / rate:.3f}"
 
 
 def short_terms(rng: np.random.Generator, count: int, runs: int) -> Floats:
@@ -145,37 +128,30 @@ def nominal() -> dict[str, float]:
     return rates | {"all": 1.0 - float(np.prod([1.0 - rate for rate in rates.values()]))}
 
 
-def print_rejections(points: int, seed: int) -> None:
-    """Print the first table."""
+def rejections(points: int, seed: int) -> Iterator[Row]:
+    """Yield the rows of the first table."""
     rates = nominal()
     stated = ", ".join(f"{name} {rate:.3e}" for name, rate in rates.items())
     print(f"False rejections, {points} runs a row; nominal: {stated}. Ratio to nominal ± standard error:")
-    print("| limits | baseline | true u / stated | T² | EWMA | s | all |\n|---|---|---|---|---|---|---|")
+    yield "limits", "baseline", "true u / stated", *rates
     rows: list[tuple[Basis, int, float]] = [("stated", runs, 1.0) for runs in (1, 10)]
     rows += [("scaled", 3, 1.0), ("scaled", 5, 1.5), ("scaled", 10, 0.7), ("scaled", 30, 1.0)]
     rows += [("scatter", 15, 1.0), ("scatter", 30, 1.0)]
     for row, (basis, runs, factor) in enumerate(rows):
         found = false_rejections(basis, runs, factor, points, seed + row)
-        cells = [
-            f"{found[name].rate / rate:.3f} ± {found[name].u / rate:.3f}" for name, rate in rates.items()
-        ]
-        print(f"| {basis} | {runs} | {factor:g} | {' | '.join(cells)} |", flush=True)
+        yield basis, runs, f"{factor:g}", *(relative(found[name], rate) for name, rate in rates.items())
 
 
-def print_wrong(points: int, seed: int) -> None:
-    """Print the second table: one of the nine scatters more, or less, than stated."""
+def wrong(points: int, seed: int) -> Iterator[Row]:
+    """Yield the rows of the second table: one of the nine scatters more, or less, than stated."""
     points = max(points // 10, 1000)
-    rates = nominal()
     print(f"\nOne of the nine with another u than stated, {points} runs a row; ratio of T² to nominal:")
-    print(
-        "| limits | baseline | its u / stated | T² | baselines in which it is noticed |\n|---|---|---|---|---|"
-    )
+    yield "limits", "baseline", "its u / stated", "T²", "baselines in which it is noticed"
     rows: list[tuple[Basis, int]] = [("scaled", 5), ("scaled", 10), ("scaled", 30), ("scatter", 30)]
-    for basis, runs in rows:
-        for one in (0.5, 2.0, 4.0):
-            found = false_rejections(basis, runs, 1.0, points, seed, one)
-            ratio = f"{found['T²'].rate / rates['T²']:.3f} ± {found['T²'].u / rates['T²']:.3f}"
-            print(f"| {basis} | {runs} | {one:g} | {ratio} | {found['noticed'].rate:.3f} |", flush=True)
+    for (basis, runs), one in product(rows, (0.5, 2.0, 4.0)):
+        found = false_rejections(basis, runs, 1.0, points, seed, one)
+        noticed = f"{found['noticed'].mean():.3f}"
+        yield basis, runs, f"{one:g}", relative(found["T²"], nominal()["T²"]), noticed
 
 
 def run_lengths(
@@ -201,37 +177,37 @@ def run_lengths(
     return lengths
 
 
-def print_lengths(points: int, seed: int) -> None:
-    """Print the third table: about `points` chart points a row."""
+def lengths(points: int, seed: int) -> Iterator[Row]:
+    """Yield the rows of the third table: about `points` chart points each."""
     rng = np.random.default_rng(seed)
     print("\nMean run lengths; simulated ± standard error:")
-    print("| chart | shift / s | published | integral equation | simulated | / published |")
-    print("|---|---|---|---|---|---|")
+    yield "chart", "shift / s", "published", "integral equation", "simulated", "/ published"
     for shift, published in SHEWHART.items():
-        print_length("Shewhart k = 3", rng, 1.0, 9.0, shift, published, shewhart_arl(3.0, shift), points)
+        yield length_row("Shewhart k = 3", rng, 1.0, 9.0, shift, published, shewhart_arl(3.0, shift), points)
     for (smoothing, k), row in EWMA.items():
         name = f"EWMA λ = {smoothing:g}, L = {k}"
         for shift, published in zip(SHIFTS, row, strict=True):
             exact = ewma_arl(smoothing, k, shift)
-            print_length(name, rng, smoothing, k * k, shift, published, exact, points)
+            yield length_row(name, rng, smoothing, k * k, shift, published, exact, points)
     for (p, smoothing, limit), published in MEWMA.items():
         name = f"MEWMA p = {p}, λ = {smoothing:g}, h = {limit}"
         exact = mewma_arl(smoothing, limit, p)
-        print_length(name, rng, smoothing, limit, 0.0, published, exact, points, p)
+        yield length_row(name, rng, smoothing, limit, 0.0, published, exact, points, p)
 
 
-def print_length(
+def length_row(
     name: str, rng: np.random.Generator, smoothing: float, limit: float, shift: float, published: float,
     exact: float, points: int, p: int = 1,
-) -> None:  # fmt: skip
-    """Print one row."""
+) -> Row:  # fmt: skip
+    """Return a row of the third table."""
     found = run_lengths(rng, smoothing, limit, shift, max(1000, int(points / published)), p)
     mean, u = float(found.mean()), float(found.std(ddof=1) / np.sqrt(len(found)))
-    told = f"{published:g} | {exact:.4g} | {mean:.4g} ± {u:.2g} | {mean / published:.3f}"
-    print(f"| {name} | {shift:g} | {told} |", flush=True)
+    return (
+        name, f"{shift:g}", f"{published:g}", f"{exact:.4g}", f"{mean:.4g} ± {u:.2g}", f"{mean / published:.3f}",
+    )  # fmt: skip
 
 
-TABLES: Final = {"rejections": print_rejections, "wrong": print_wrong, "lengths": print_lengths}
+TABLES: Final = {"rejections": rejections, "wrong": wrong, "lengths": lengths}
 
 
 def main() -> None:
@@ -242,7 +218,9 @@ def main() -> None:
     )  # fmt: skip
     for name, table in TABLES.items():
         if asked.table in (None, name):
-            table(asked.runs, asked.seed)
+            rows = table(asked.runs, asked.seed)
+            for line in markdown(next(rows), rows):
+                print(line, flush=True)
 
 
 if __name__ == "__main__":

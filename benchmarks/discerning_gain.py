@@ -29,7 +29,7 @@ from bench.diagnosis.posterior import NoiseSize
 from bench.diagnosis.visibility import EffectPart, Form, ReadingDesign
 from bench.model import CATALOGUE, ForwardModel
 from bench.readings.table import UNORIENTED, VERIFICATION
-from benchmarks.campaign import arguments, markdown
+from benchmarks.campaign import Row, arguments, markdown
 
 PROCEDURES = ("paper", "calibration", "discerning")
 FOR_TIES = (*PROCEDURES, "turn-12", "turn-24", "remount-90")
@@ -138,6 +138,15 @@ class Trial:
             score.add(found, family)
         return score
 
+    def row(self, draws: int, seed: int) -> Row:
+        """Return settings, hours and the counts as the table shows them."""
+        s = self.score(draws, seed)
+        return (
+            self.settings, f"{self.plan.expected_duration_s() / 3600.0:.1f}", f"{s.named / s.draws:.2f}",
+            f"{s.in_set / max(s.named, 1):.3f}", f"{s.set_size / max(s.named, 1):.2f}", f"{s.alone / s.draws:.2f}",
+            f"{s.alone_right / max(s.alone, 1):.3f}",
+        )  # fmt: skip
+
     def _noise(self, rng: np.random.Generator) -> np.ndarray:
         linear = self.linear
         setting = self.setting_rad * rng.standard_normal(int(linear.setting.max()) + 1)
@@ -150,25 +159,16 @@ def main() -> None:
     given = arguments(__doc__, draws=300, seed=1)
     trials = {procedure: Trial(procedure) for procedure in FOR_TIES}
     heads = (
-        "procedure", "settings", "hours", "named", "true name in the set", "size of the set",
-        "named alone",
+        "procedure", "settings", "hours", "named", "true name in the set", "size of the set", "named alone",
+        "of these right",
     )  # fmt: skip
-    print(f"| {' | '.join(heads)} | of these right |")
-    print(f"|{'---|' * (len(heads) + 1)}")
-    for procedure in PROCEDURES:
-        trial = trials[procedure]
-        s = trial.score(given.draws, given.seed)
-        hours = trial.plan.expected_duration_s() / 3600.0
-        in_set, size = s.in_set / max(s.named, 1), s.set_size / max(s.named, 1)
-        told = f"{s.named / s.draws:.2f} | {in_set:.3f} | {size:.2f} | {s.alone / s.draws:.2f}"
-        right = s.alone_right / max(s.alone, 1)
-        print(f"| {procedure} | {trial.settings} | {hours:.1f} | {told} | {right:.3f} |")
-    print()
-    rows = (
+    scored = ((name, *trials[name].row(given.draws, given.seed)) for name in PROCEDURES)
+    ties = (
         (tie, *(f"{trials[p].design.cosine(*map(form_of, forms)):.3f}" for p in FOR_TIES))
         for tie, forms in TIES.items()
     )
-    print("\n".join(markdown(("tie", *FOR_TIES), rows)))
+    for line in (*markdown(heads, scored), "", *markdown(("tie", *FOR_TIES), ties)):
+        print(line, flush=True)
 
 
 if __name__ == "__main__":

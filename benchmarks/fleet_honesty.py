@@ -33,10 +33,9 @@ from bench.history.measured import STANDARD_GRAVITY, ComparedCalibrations
 from bench.history.prior import join, prior_of
 from bench.stats.crossed_effects import EXCESS, Crossing, fit
 from bench.stats.unit_histories import CalibrationSpread
-from benchmarks.campaign import Share, arguments, markdown, rms_told
+from benchmarks.campaign import Row, Share, arguments, markdown, rms_told
 
 FIRST = np.datetime64("2020-01-01", "s")
-Row = Sequence[object]
 
 
 def coverage_told(z: Floats) -> str:

@@ -4,17 +4,17 @@
 
 Readings, bench files, procedures, model files, results, records, names, SCPI to the simulated meters, answers
 at prompts, values at the edges, pipes for files, damaged catalogues, calls from Python, each made from the seed
-and its number (`fuzz_inputs`, `fuzz_edges`), tried in a worker process (`fuzz_trials`).
+and its number (`fuzz_inputs`, `fuzz_edges`), tried in a process beside.
 Judged: no traceback, no message of a mistake that nobody foresaw, no character that acts on a terminal, one of
 the promised statuses, nothing taken that must be refused (no finite signal, a covariance that none is, a wrong
-unit, a key twice, a changed record, …), no hang: a worker that takes too long over an input is ended, and
-another goes on behind it. Prints a table by kind and every violation; exit status 1 when there is one. One
-input again: `--only readings:17`.
+unit, a key twice, a changed record, …), no hang: an input that takes too long ends the campaign and is named.
+Prints a table by kind and every violation; exit status 1 when there is one. One input again: `--only readings:17`.
 """
 
 from __future__ import annotations
 
 import contextlib
+import faulthandler
 import io
 import json
 import math
@@ -27,10 +27,10 @@ import tempfile
 import time
 import traceback
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Sequence
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
-from multiprocessing import get_context
-from multiprocessing.connection import Connection, wait
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -38,7 +38,7 @@ import matplotlib
 import numpy as np
 
 from bench.base.text import visible
-from benchmarks.campaign import ROOT, arguments
+from benchmarks.campaign import ROOT, arguments, refuse, spread
 from benchmarks.fuzz_edges import MADE_AT_EDGES, python_trial
 from benchmarks.fuzz_inputs import MADE, WEIRD, Case, spoilt_bytes, spoilt_tree, weird
 
@@ -349,8 +349,10 @@ def own_folder(parent: Path) -> Iterator[None]:
 # --- the campaign ----------------------------------------------------------------------------------------
 
 
-CPU_S, LIMIT_S = 30.0, 300.0
-"""An input hangs that takes so much CPU time, or is silent for so long: a busy machine is no fault."""
+LIMIT_S: Final = 300.0
+"""An input hangs that takes so long: a busy machine is no fault."""
+TRYING: Final = "trying"
+"""The file of a process that names its input."""
 
 SHARES: Final = {
     "readings": 4, "bench": 4, "procedure": 4, "model": 2, "result": 3, "record": 2, "names": 2, "scpi": 3,
@@ -365,110 +367,40 @@ def inputs(count: int) -> list[tuple[str, int]]:
     return [(kind, number) for kind in KINDS for number in range(rounds * SHARES[kind])]
 
 
-def work(link: Connection, seed: int, parent: str) -> None:
-    """Try inputs as they are asked for, until nothing more comes."""
+@cache
+def own_place(parent: str) -> Path:
+    """Return a folder of this process, and load what takes long to load: that is no input's time."""
     os.environ["MPLCONFIGDIR"] = matplotlib.get_cachedir()  # a list of fonts takes half a minute to make
-    os.environ["XDG_CACHE_HOME"] = parent
-    import bench.cli.app  # noqa: F401 - what takes long to import is no input
+    import bench.cli.app  # noqa: F401
 
-    for kind, number in iter(link.recv, None):
-        with own_folder(Path(parent)):
-            found = tried(kind, seed, number)
-        link.send((found, time.process_time()))
+    os.environ["XDG_CACHE_HOME"] = tempfile.mkdtemp(dir=parent)
+    return Path(os.environ["XDG_CACHE_HOME"])
 
 
-class Worker:
-    """A process that tries inputs, one at a time, and is ended where it stays silent."""
-
-    def __init__(self, seed: int) -> None:
-        self._seed = seed
-        self._folder = tempfile.TemporaryDirectory()
-        self.cpu_s = 0.0
-        self.at: tuple[str, int] | None = None
-        self._start()
-
-    def _start(self) -> None:
-        self._own = tempfile.mkdtemp(dir=self._folder.name)
-        self.link, far = get_context("spawn").Pipe()
-        self._process = get_context("spawn").Process(target=work, args=(far, self._seed, self._own))
-        self._process.start()
-        far.close()
-        self._cpu_s = 0.0
-
-    def give(self, which: tuple[str, int]) -> None:
-        """Ask for an input."""
-        self.at, self._since, self._before_s = which, time.monotonic(), self._spent_s()
-        self.link.send(which)
-
-    def taken(self) -> list[Violation]:
-        """Return what was found with the input; of a worker that died that it did."""
-        kind, number = self.at or ("", 0)
-        self.at = None
-        try:
-            found, cpu_s = self.link.recv()
-        except EOFError:
-            self._again()
-            return [Violation(kind, number, "died", "the process ended")]
-        self.cpu_s, self._cpu_s = self.cpu_s + cpu_s - self._cpu_s, cpu_s
-        violations: list[Violation] = found
-        return violations
-
-    def hangs(self) -> list[Violation]:
-        """Return that the input hangs, where it does; the process is then another."""
-        if self.at is None:
-            return []
-        silent_s, spent_s = time.monotonic() - self._since, self._spent_s() - self._before_s
-        if silent_s < LIMIT_S and spent_s < CPU_S:
-            return []
-        (kind, number), self.at = self.at, None
-        self._again()
-        return [Violation(kind, number, "hang", f"silent for {silent_s:.0f} s, {spent_s:.0f} s of CPU")]
-
-    def _spent_s(self) -> float:
-        """Return the CPU time of the process until now, 0 where the system does not tell."""
-        try:
-            words = (
-                Path(f"/proc/{self._process.pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
-            )
-            return (int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK")
-        except (OSError, ValueError, IndexError):
-            return 0.0
-
-    def _again(self) -> None:
-        self._process.kill()
-        self._process.join()
-        self.link.close()
-        self._start()
-
-    def close(self) -> None:
-        """End the process."""
-        self.link.send(None)
-        self._process.join()
-        self._folder.cleanup()
+def guarded(parent: str, seed: int, which: tuple[str, int]) -> list[Violation]:
+    """Try an input; one that hangs shows where, and ends the campaign."""
+    place = own_place(parent)
+    (place / TRYING).write_text(":".join(map(str, which)))
+    faulthandler.dump_traceback_later(LIMIT_S, exit=True, file=2)
+    with own_folder(place):
+        found = tried(which[0], seed, which[1])
+    faulthandler.cancel_dump_traceback_later()
+    return found
 
 
-def campaign(which: Iterable[tuple[str, int]], seed: int, jobs: int) -> tuple[list[Violation], float]:
-    """Try inputs on so many processes; return the violations and the CPU time, s."""
-    left = iter(which)
-    workers = [Worker(seed) for _ in range(jobs)]
+def campaign(which: Sequence[tuple[str, int]], seed: int, workers: int) -> list[Violation]:
+    """Try inputs on so many processes; return the violations, printed as they come."""
     found: list[Violation] = []
-    more = True
-    while more or any(worker.at for worker in workers):
-        for worker in workers:
-            if worker.at is None and more:
-                following = next(left, None)
-                more = following is not None
-                if following is not None:
-                    worker.give(following)
-        ready = wait([worker.link for worker in workers if worker.at], timeout=1.0)
-        for worker in workers:
-            new = worker.taken() if worker.link in ready else worker.hangs()
-            for violation in new:
-                print(told(violation), flush=True)
-            found += new
-    for worker in workers:
-        worker.close()
-    return found, sum(worker.cpu_s for worker in workers)
+    with tempfile.TemporaryDirectory() as parent:
+        try:
+            for new in spread(partial(guarded, parent, seed), which, workers):
+                for violation in new:
+                    print(told(violation), flush=True)
+                found += new
+        except BrokenProcessPool:
+            names = [file.read_text() for file in Path(parent).glob(f"*/{TRYING}")]
+            refuse(f"a process hung or died at one of these inputs: {', '.join(names)}")
+    return found
 
 
 def told(violation: Violation) -> str:
@@ -491,7 +423,7 @@ def table(counts: dict[str, int], found: list[Violation]) -> str:
 def main(argv: Any = None) -> int:
     """Run the campaign."""
     given = arguments(
-        __doc__, argv, inputs=20000, seed=1, jobs=1,
+        __doc__, argv, inputs=20000, seed=1, workers=2,
         kinds={"nargs": "*", "choices": KINDS, "default": KINDS}, only={"metavar": "KIND:NUMBER"},
     )  # fmt: skip
     which = [(kind, number) for kind, number in inputs(given.inputs) if kind in given.kinds]
@@ -499,12 +431,9 @@ def main(argv: Any = None) -> int:
         kind, _, number = given.only.partition(":")
         which = [(kind, int(number))]
     begun = time.monotonic()
-    found, cpu_s = campaign(which, given.seed, given.jobs)
+    found = campaign(which, given.seed, given.workers)
     print(table(dict(Counter(kind for kind, _ in which)), found))
-    print(
-        f"{(time.monotonic() - begun) / 60:.1f} min, {cpu_s / 60:.1f} min of CPU, "
-        f"{given.jobs} processes, seed {given.seed}"
-    )
+    print(f"{(time.monotonic() - begun) / 60:.1f} min, {given.workers} processes, seed {given.seed}")
     return 1 if found else 0
 
 

@@ -21,16 +21,20 @@ from __future__ import annotations
 
 import argparse
 import time
+from dataclasses import replace
 
 import numpy as np
 
+from bench.calibration import calibrate
+from bench.calibration.noise import KnownStand
+from bench.calibration.result import Calibration
 from bench.history.learned import Learned, MeterRun, meter_differences
 from bench.history.learning import learn
 from bench.history.run_sums import run_fit
 from bench.model import ForwardModel
 from bench.model.geometry import COEFFICIENTS, INSTALLATION_1, INSTALLATION_2, Installation
+from bench.readings.table import Readings
 from benchmarks.campaign import Share, arguments
-from benchmarks.many_units import Batch, calibrate_batch
 from tests.support.learning_bench import KINDS, STATED, Bench, simulate
 from tests.support.paper_bench import ARCSEC
 
@@ -70,12 +74,15 @@ def next_blocks(
 ) -> tuple[np.ndarray, np.ndarray]:
     """z (count, 12) of further calibrations with what was learned, and u with it over u without, (12,)."""
     runs = simulate(rng, bench, count)
-    signals = np.array(runs.signals)
-    conditions = runs.tables()[0].conditions()
-    known = calibrate_batch(signals, conditions, MODEL, STATED, known=found.known)
-    plain = calibrate_batch(signals, conditions, MODEL, STATED)
-    z = (known.coefficients - runs.truths) / known.u
-    return z, np.median(known.u, axis=0) / np.median(plain.u, axis=0)
+    with_it, without = ([calibrated(one, known) for one in runs.tables()] for known in (found.known, None))
+    u, plain = (np.array([one.u for one in each]) for each in (with_it, without))
+    z = (np.array([one.block.vector for one in with_it]) - runs.truths) / u
+    return z, np.median(u, axis=0) / np.median(plain, axis=0)
+
+
+def calibrated(readings: Readings, known: KnownStand | None = None) -> Calibration:
+    """Calibrate a run whose readings have independent noise."""
+    return calibrate(readings, MODEL, STATED, 9.81, find_shared=False, known=known)
 
 
 def exchanged_meters(rng: np.random.Generator, benches: int, runs: int, extra: float) -> np.ndarray:
@@ -87,18 +94,17 @@ def exchanged_meters(rng: np.random.Generator, benches: int, runs: int, extra: f
     own = np.random.default_rng(rng.integers(2**32))
     gain, zero = own.uniform(-35e-6, 35e-6, (benches, 3)), own.uniform(-50e-6, 50e-6, (benches, 3))
     turns = [[(c + r) % 3 for c in range(3)] for r in range(runs)]
-    signals = []
+    rows = []
     for b, one in enumerate(made):
         K, U0 = one.truths[0][:9].reshape(3, 3), one.truths[0][9:]
+        signals = []
         for turn, was, read in zip(turns, one.truths, one.signals, strict=True):
             force = np.linalg.solve(was[:9].reshape(3, 3), (read - was[9:]).T).T
             sizes = extra * SCATTER * own.normal(size=(2, 3))
             true = (force @ K.T) * (1 + sizes[0]) + U0 + 2.0 * sizes[1]
             signals.append(true * (1 + gain[b, turn]) + zero[b, turn])
-    found = calibrate_batch(np.array(signals), made[0].tables()[0].conditions(), MODEL, STATED)
-    rows = []
-    for b in range(benches):
-        told = meter_differences([_seen(found, b * runs + r, turn) for r, turn in enumerate(turns)])
+        found = map(calibrated, replace(one, signals=signals).tables())
+        told = meter_differences([_seen(each, turn) for each, turn in zip(found, turns, strict=True)])
         if isinstance(told, str):
             raise SystemExit(told)
         one_of, other = ("ABC".index(meter) for meter in told.meters[:2])
@@ -114,10 +120,10 @@ SCATTER = 5e-6
 """About u of the length of a row by the readings of a run, in parts of it."""
 
 
-def _seen(found: Batch, k: int, turn: list[int]) -> MeterRun:
+def _seen(found: Calibration, turn: list[int]) -> MeterRun:
     meters = ("ABC"[turn[0]], "ABC"[turn[1]], "ABC"[turn[2]])
     return MeterRun.of(
-        f"run-{k}", "block", meters, 0.0, found.coefficients[k], found.covariance[k], np.zeros((12, 0)),
+        f"run-{turn}", "block", meters, 0.0, found.block.vector, found.covariance, np.zeros((12, 0)),
         np.zeros((3, 2)), 90.0,
     )  # fmt: skip
 

@@ -317,9 +317,9 @@ def worker(trials: Sequence[Trial]) -> list[Outcome]:
         return outcomes
 
 
-def campaign(trials: Sequence[Trial], jobs: int) -> list[Outcome]:
-    """Carry trials out on as many benches as there are jobs."""
-    parts = spread(worker, [trials[number::jobs] for number in range(jobs)], jobs, 1)
+def campaign(trials: Sequence[Trial], workers: int) -> list[Outcome]:
+    """Carry trials out on as many benches as there are processes."""
+    parts = spread(worker, [trials[number::workers] for number in range(workers)], workers, 1)
     return [outcome for part in parts for outcome in part]
 
 
@@ -338,8 +338,8 @@ def table(outcomes: Sequence[Outcome]) -> str:
 
 def main() -> None:
     """Carry the campaign out and print its table."""
-    options = arguments(__doc__, runs=240, seed=1, jobs=2)
-    outcomes = campaign(draw(options.runs, options.seed), options.jobs)
+    options = arguments(__doc__, runs=240, seed=1, workers=2)
+    outcomes = campaign(draw(options.runs, options.seed), options.workers)
     print(table(outcomes))
     amiss = sum(bool(outcome.violations) for outcome in outcomes)
     signals = sum(len(outcome.trial.signals) for outcome in outcomes)

@@ -1,18 +1,15 @@
 """What the program costs, part by part: time and memory, beside what is promised. Each part is a word:
 
-    python -m benchmarks.speed program            # start, help and a dry run
-    python -m benchmarks.speed plan               # expand, hash, check and list 100,000 steps
-    python -m benchmarks.speed record             # check, resume and list records of 100,000 events
-    python -m benchmarks.speed fits --times 60    # the estimators, the whole result, the batch
+    python -m benchmarks.speed program   # start, help, a dry run, a calibration
+    python -m benchmarks.speed plan      # expand, hash, check and list 100,000 steps
+    python -m benchmarks.speed record    # check, resume and list records of 100,000 events
     python -m benchmarks.speed diagnosis --each 17
-    python -m benchmarks.speed runs --runs 1 5 20 # one diagnosis of many runs
     python -m benchmarks.speed catalogue --folder LABORATORY --hold-back 100 [--catalogue FILE|URL]
 
-`plan`, `record`, `runs` and `catalogue` work in processes of their own, whose start is part of their cost.
-`diagnosis` takes cases of the blind trial: nothing hidden, one effect, one that is in no catalogue; each first
-without a simulated threshold, then with it in the cache. In `runs` each run hides the same effect of rho 2.3, which
-no run shows alone. `catalogue` sets the last folders of `benchmarks.many_folders` aside for a second sync. Exit
-status 1 where a promise is broken.
+`plan`, `record` and `catalogue` work in processes of their own, whose start is part of their cost. `diagnosis`
+takes cases of the blind trial: nothing hidden, one effect, one that is in no catalogue; each first without a
+simulated threshold, then with it in the cache. `catalogue` sets the last folders of `benchmarks.many_folders` aside
+for a second sync. Exit status 1 where a promise is broken.
 """
 
 from __future__ import annotations
@@ -43,7 +40,7 @@ from bench.config.bench_file.file import load_bench
 from bench.config.procedure.steps import Mount, Read, Turn
 from bench.config.shipped import find_bench
 from bench.model import ForwardModel
-from benchmarks.campaign import PROGRAM, Cost, arguments, command, cost_of, medians
+from benchmarks.campaign import PROGRAM, ROOT, Cost, arguments, command, cost_of
 
 # --- program ----------------------------------------------------------------------------------------
 
@@ -56,6 +53,7 @@ def program(given: argparse.Namespace) -> bool:
     commands = {
         "python -c pass": (*python, "pass"), "import bench": (*python, "import bench"),
         "bench --help": (*PROGRAM, "--help"), "bench run paper --dry-run": (*PROGRAM, "run", "paper", "--dry-run"),
+        "bench calibrate": (*PROGRAM, "calibrate", str(ROOT / "tests/data/records/readings.csv"), "--out", "."),
     }  # fmt: skip
     print(f"{'command':30} {'CPU / s':>10} {'wall / s':>10}   (median of {REPEATS})")
     for name, words in commands.items():
@@ -298,50 +296,9 @@ def copies(folder: Path, number: int) -> Path:
     return many
 
 
-# --- fits -------------------------------------------------------------------------------------------
-
-FIT, WHOLE, WHOLE_MS, BATCH_RATIO = (
-    "calibrate, gls", "the whole result, every source of the budget", 50.0, 20.0,
-)  # fmt: skip
-
-
-def fits(given: argparse.Namespace) -> bool:
-    """Print what estimates of 54 readings cost, in turns; of the whole result (62 readings); and of a batch."""
-    from bench.calibration import calibrate
-    from benchmarks.many_units import calibrate_batch
-    from benchmarks.signed_uncertainty import Calibrator
-    from tests.support.honest_runs import MODEL, simulate_many
-    from tests.support.paper_bench import STAND_U, simulate
-    from tests.support.whole_truth import simulate_whole
-
-    tables = [simulate(np.random.default_rng([3, k]), 1e-4) for k in range(given.times)]
-    runs = [simulate_whole(np.random.default_rng([4, k]), "stand").readings for k in range(given.times)]
-    whole = Calibrator()
-
-    def by(estimator: str, k: int) -> object:
-        return calibrate(tables[k], MODEL, STAND_U, 9.81, estimator)
-
-    estimators = ("gls", "robust", "least-squares", "closed-form")
-    calls: dict[str, Callable[[int], object]] = {f"calibrate, {one}": partial(by, one) for one in estimators}
-    calls[WHOLE] = lambda k: whole.of(runs[k])
-    ms = {name: 1e3 * each for name, each in medians(calls, given.times).items()}
-    for name, took_ms in ms.items():
-        print(f"{name:48}{took_ms:8.2f} ms")
-    signals, conditions = simulate_many(5, given.units, 1e-4), tables[0].conditions()
-    batch_s = medians({"": lambda _: calibrate_batch(signals, conditions, MODEL, STAND_U)}, 3)[""]
-    ratio = ms[FIT] * given.units / (1e3 * batch_s)
-    print(
-        f"{f'a unit of a batch of {given.units}':48}{ms[FIT] / ratio:8.4f} ms, {ratio:.0f} times as fast as a loop"
-    )
-    print(f"promised: {WHOLE_MS:g} ms for the whole, {BATCH_RATIO:g} times for the batch")
-    return ms[WHOLE] < WHOLE_MS and ratio >= BATCH_RATIO
-
-
-# --- diagnosis and runs -----------------------------------------------------------------------------
+# --- diagnosis ----------------------------------------------------------------------------------------
 
 FIRST_S, AGAIN_S = 60.0, 1.0
-RUNS_S, RUNS_MB = 30.0, 700.0
-RHO: Final = 2.3
 
 
 def diagnosis(given: argparse.Namespace) -> bool:
@@ -370,41 +327,6 @@ def diagnosis(given: argparse.Namespace) -> bool:
         print(f"| {verdict} | {len(took)} | {np.median(took):.2f} | {max(took):.2f} |")
     first = spent.pop("a first design")
     return max(first) < FIRST_S and all(max(took) < AGAIN_S for took in spent.values())
-
-
-def many_runs(given: argparse.Namespace) -> bool:
-    """Print what a diagnosis of many runs as one body of data costs, its page included, beside that of one."""
-    kept = True
-    print("runs  blocks     CPU / s   ratio   peak / MB   ratio   verdict")
-    for blocks in (False, True):
-        first: Cost | None = None
-        for runs in given.runs:
-            found = cost_of(diagnosed, runs, blocks)
-            first = first or found
-            kept = kept and (runs > 20 or (found.cpu_s <= RUNS_S and found.peak_mb <= RUNS_MB))
-            of = "a block each" if blocks else "one block"
-            times, larger = found.cpu_s / first.cpu_s, found.peak_mb / first.peak_mb
-            print(f"{runs:4}  {of:12} {found.cpu_s:6.1f}  {times:5.1f}  {found.peak_mb:9.0f}  {larger:6.1f}   "
-                  f"{found.result}", flush=True)  # fmt: skip
-    return kept
-
-
-def diagnosed(runs: int, blocks: bool) -> str:
-    """Return the verdict of a diagnosis in this very process."""
-    from bench.diagnosis import ThresholdCache
-    from bench.diagnosis.pipeline import diagnose_fully
-    from bench.results.diagnosis_page import render_diagnosis
-    from bench.results.diagnosis_words import NO_FILES
-    from benchmarks.blind_trial.cases import Row, make_case
-
-    case, _ = make_case(1, Row("single", rho=RHO, runs=runs, blocks=blocks), 0)
-    bench = load_bench(find_bench("paper-stand"))
-    model = ForwardModel(bench.installation_models())
-    full = diagnose_fully(
-        case.readings, model, bench, 9.81, ThresholdCache(None), source="many", simulated=False, stated=False
-    )
-    render_diagnosis(full, NO_FILES, "many", bench.verification_limit_g, {"model": model.name})
-    return full.diagnosis.verdict
 
 
 # --- catalogue --------------------------------------------------------------------------------------
@@ -489,8 +411,7 @@ def timed_question(where: str, kind: str, words: list[str], of: str) -> tuple[st
 
 
 PARTS: Final[dict[str, Callable[[argparse.Namespace], bool]]] = {
-    "program": program, "plan": plan, "record": record, "fits": fits,
-    "diagnosis": diagnosis, "runs": many_runs, "catalogue": catalogue,
+    "program": program, "plan": plan, "record": record, "diagnosis": diagnosis, "catalogue": catalogue,
 }  # fmt: skip
 
 
@@ -498,9 +419,8 @@ def main() -> int:
     """Print the table of one part."""
     given = arguments(
         __doc__, part={"positional": True, "choices": PARTS}, events=(100_000, "of a long record"),
-        many=(1000, "runs that are listed"), times=(60, "calls of each estimator"),
-        units=(2000, "units of the batch"), each=(17, "diagnosed cases of each kind"),
-        runs=([1, 5, 20], "runs of one diagnosis"), folder={"type": Path, "help": "of the runs of a catalogue"},
+        many=(1000, "runs that are listed"), each=(17, "diagnosed cases of each kind"),
+        folder={"type": Path, "help": "of the runs of a catalogue"},
         catalogue=("", "file or URL"), hold_back=(100, "folders of the second sync"),
     )  # fmt: skip
     return 0 if PARTS[given.part](given) else 1

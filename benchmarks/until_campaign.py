@@ -15,7 +15,7 @@ for every fourth run, z of the same number of readings fixed before: what stoppi
 
 `--stopping`: many runs at once (`--runs` for each size of the noise) that look at one order of the paper's points
 only: first the best fixed plan with the least number of repeats, then what helps most, `--step` points a look. At
-each look the readings so far are calibrated (`calibrate_batch`), and a run stops when its stated u reaches the
+each look the readings so far are calibrated, and a run stops when its stated u reaches the
 goal. Printed are rms z, coverage, the part that reached the goal and the mean number of settings; and the same
 where the number of settings was fixed at the mean and where the noise was known: what stopping does, and what
 estimating the noise from few repeats does.
@@ -41,8 +41,7 @@ from bench.planning.choice import REACHED, Chooser, NextPoints, Standing, scale_
 from bench.planning.pool import DesignTask, PlannedPoint, Visits, reached_by
 from bench.readings.table import Readings, make_readings
 from bench.services.until import chooser_of
-from benchmarks.campaign import arguments, parts_of
-from benchmarks.many_units import Batch, calibrate_batch
+from benchmarks.campaign import arguments, parts_of, rms_told
 from tests.support.paper_bench import U0, K, specific_force
 
 NOISES = (0.5, 0.7, 1.0, 1.2)
@@ -218,9 +217,7 @@ def part(goals: list[str], noises: list[float], seed: int, numbers: range) -> li
 
 def size_told(z: np.ndarray) -> str:
     """Return the rms of z (runs, 12) with its standard error over runs."""
-    by_run = np.mean(z**2, axis=1)
-    size = float(np.sqrt(by_run.mean()))
-    return f"{size:8.3f} ±{by_run.std(ddof=1) / np.sqrt(len(z)) / (2 * size):.3f}"
+    return f"{rms_told(z, by_run=True):>15}"
 
 
 def row(name: str, ended: list[Outcome], fixed_s: float, once_s: float, settings: float) -> str:
@@ -307,11 +304,18 @@ def drawn(points: list[PlannedPoint], scale: float, runs: int, rng: np.random.Ge
     return Drawn(points, signals, np.concatenate([own[0].reshape(runs, 9), own[1]], axis=1), scale)
 
 
-def calibrated_at(chooser: Chooser, data: Drawn, count: int, which: np.ndarray, known: bool = False) -> Batch:
-    signals = data.signals[which, :count]
-    conditions = table_of(data.points[:count], signals[0]).conditions()
+def calibrated_at(
+    chooser: Chooser, data: Drawn, count: int, which: np.ndarray, known: bool = False
+) -> tuple[np.ndarray, np.ndarray]:
+    """z (runs, 12) of the first readings of some runs, and their covariance (runs, 12, 12)."""
     noise = Noise(data.scale * READING_V, data.scale * SETTING_RAD, float("inf"), "given") if known else None
-    return calibrate_batch(signals, conditions, chooser.stand.model, chooser.stand.sizes, noise)
+    model, sizes = chooser.stand.model, chooser.stand.sizes
+    found = [
+        calibrate(table_of(data.points[:count], signal), model, sizes, 9.81, noise=noise, find_shared=False)
+        for signal in data.signals[which, :count]
+    ]
+    off = np.array([one.block.vector for one in found]) - data.truth[which]
+    return off / [one.u_readings for one in found], np.array([one.covariance_readings for one in found])
 
 
 def ratio_of(chooser: Chooser, covariance: np.ndarray) -> np.ndarray:
@@ -340,16 +344,14 @@ def stopped(chooser: Chooser, data: Drawn, first: int, step: int) -> Stopped:
     z, settings = np.zeros((runs, 12)), np.full(runs, n)
     reached, going = np.zeros(runs, dtype=bool), np.arange(runs)
     for count in [*range(first, n, step), n]:
-        found = calibrated_at(chooser, data, count, going)
-        z[going] = (found.coefficients - data.truth[going]) / found.u
-        enough = ratio_of(chooser, found.covariance) <= 1.0
+        z[going], covariance = calibrated_at(chooser, data, count, going)
+        enough = ratio_of(chooser, covariance) <= 1.0
         settings[going], reached[going[enough]] = count, True
         going = going[~enough]
         if not len(going):
             break
     every, mean = np.arange(runs), round(float(np.mean(settings)))
-    others = [calibrated_at(chooser, data, mean, every, known) for known in (False, True)]
-    fixed, known = ((other.coefficients - data.truth) / other.u for other in others)
+    fixed, known = (calibrated_at(chooser, data, mean, every, told)[0] for told in (False, True))
     return Stopped(z, fixed, known, reached, settings)
 
 

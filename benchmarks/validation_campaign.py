@@ -10,13 +10,11 @@ programs that append to one register at once.
 
 from __future__ import annotations
 
-import argparse
 import multiprocessing
 import re
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +25,8 @@ from bench.services.chain import Entry, opened
 from bench.services.validated import ACCEPTED, Validations, fingerprint
 from bench.validation import gum, machine, statistics
 from bench.validation.registry import Check, Context, carry_out, every
-from benchmarks.validation_faults import FAULTS, PlantedFault, planted
+from benchmarks.campaign import arguments
+from benchmarks.validation_faults import FAULTS, PlantedFault
 
 
 def accepted(bench: Path) -> dict[str, object]:
@@ -49,7 +48,7 @@ def found(fault: PlantedFault, bench: Path) -> tuple[list[ValidationCheck], bool
     failed: list[ValidationCheck] = []
     with tempfile.TemporaryDirectory() as scratch:
         context = Context(bench, Path(scratch), quick=True, accepted=accepted(bench))
-        with planted(fault, context) as spoilt:
+        with fault.plant(context) as spoilt:
             for one in checks:
                 failed += [row for row in carry_out(spoilt, [one]) if not row.passed]
                 if any(re.search(fault.place, f"{row.name} {row.where} {row.found}") for row in failed):
@@ -97,15 +96,9 @@ def killed(count: int, folder: Path) -> tuple[int, int]:
     return len(said), len(said - kept)
 
 
-def main(arguments: Sequence[str]) -> int:
+def main() -> int:
     """Run the campaign; print a line for each fault and run, and the counts."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--only", default="", help="pattern of the names of faults")
-    parser.add_argument("--healthy", type=int, default=50)
-    parser.add_argument("--kills", type=int, default=200)
-    asked = parser.parse_args(arguments)
+    asked = arguments(__doc__, only=("", "pattern of the names of faults"), healthy=50, kills=200)
     bench = find_bench("paper-stand")
     chosen = [fault for fault in FAULTS if re.search(asked.only, fault.name)]
     seen = named = 0
@@ -139,4 +132,4 @@ def main(arguments: Sequence[str]) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    sys.exit(main())

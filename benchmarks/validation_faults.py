@@ -1,7 +1,7 @@
 """Faults for `bench validate` to find: lines of the program edited in memory, unfit machines and files.
 
-    with planted(FAULTS[0], context) as context:
-        rows = carry_out(context, every())
+    with FAULTS[0].plant(context) as spoilt:
+        rows = carry_out(spoilt, every())
 
 An edit replaces text in the source of one function and puts the compiled result in its place.
 `place` is a pattern that a failed row must hold: its name, its place or what was found.
@@ -28,7 +28,6 @@ from pathlib import Path
 from typing import Any, Final
 from unittest import mock
 
-import numpy as np
 import yaml
 
 from bench.model.geometry import INSTALLATION_2
@@ -38,7 +37,10 @@ from bench.validation.registry import Context
 
 @dataclass(frozen=True)
 class PlantedFault:
-    """A fault by name: the pattern of its place, the family that should find it, and how it is planted."""
+    """A fault by name: the pattern of its place, the family that should find it, and how it is planted.
+
+    `plant(context)` is a context manager, which yields the context to validate in.
+    """
 
     name: str
     place: str
@@ -46,11 +48,15 @@ class PlantedFault:
     plant: Callable[[Context], AbstractContextManager[Context]]
 
 
-@contextlib.contextmanager
-def planted(fault: PlantedFault, context: Context) -> Iterator[Context]:
-    """Plant a fault; yield the context to validate in."""
-    with fault.plant(context) as spoilt:
-        yield spoilt
+def of_kind(plant: Callable[..., Iterator[Context]]) -> Callable[..., PlantedFault]:
+    """Return what makes the faults of a kind: `plant(context, …)` yields the context to validate in."""
+
+    def made(name: str, place: str, family: str, *given: Any, **options: Any) -> PlantedFault:
+        return PlantedFault(
+            name, place, family, lambda context: contextlib.contextmanager(plant)(context, *given, **options)
+        )
+
+    return made
 
 
 # --- edits of the program ---------------------------------------------------------------------------
@@ -85,114 +91,82 @@ def edited(target: str, old: str, new: str) -> Iterator[None]:
         function.__code__ = before
 
 
-def edit(name: str, place: str, family: str, target: str, old: str, new: str) -> PlantedFault:
-    """Return the fault of an edited line."""
-
-    @contextlib.contextmanager
-    def plant(context: Context) -> Iterator[Context]:
-        with edited(target, old, new):
-            yield context
-
-    return PlantedFault(name, place, family, plant)
+@of_kind
+def edit(context: Context, target: str, old: str, new: str) -> Iterator[Context]:
+    """An edited line."""
+    with edited(target, old, new):
+        yield context
 
 
-def patch(name: str, place: str, family: str, *arguments: Any, **options: Any) -> PlantedFault:
-    """Return the fault of a replaced attribute, as `unittest.mock.patch.object` takes it."""
-
-    @contextlib.contextmanager
-    def plant(context: Context) -> Iterator[Context]:
-        with mock.patch.object(*arguments, **options):
-            yield context
-
-    return PlantedFault(name, place, family, plant)
+@of_kind
+def patch(context: Context, *given: Any, **options: Any) -> Iterator[Context]:
+    """A replaced attribute, as `unittest.mock.patch.object` takes it."""
+    with mock.patch.object(*given, **options):
+        yield context
 
 
-def environment(name: str, place: str, variable: str, value: str, family: str = "machine") -> PlantedFault:
-    """Return the fault of an environment variable."""
-
-    @contextlib.contextmanager
-    def plant(context: Context) -> Iterator[Context]:
-        with mock.patch.dict(os.environ, {variable: value}):
-            time.tzset()
-            yield context
+@of_kind
+def environment(context: Context, variable: str, value: str) -> Iterator[Context]:
+    """An environment variable."""
+    with mock.patch.dict(os.environ, {variable: value}):
         time.tzset()
-
-    return PlantedFault(name, place, family, plant)
+        yield context
+    time.tzset()
 
 
 # --- files ------------------------------------------------------------------------------------------
 
 
-def bench_edit(name: str, place: str, family: str, change: Callable[[dict[str, Any]], None]) -> PlantedFault:
-    """Return the fault of an edited bench file."""
-
-    @contextlib.contextmanager
-    def plant(context: Context) -> Iterator[Context]:
-        data = yaml.safe_load(context.bench_path.read_text(encoding="utf-8"))
-        change(data)
-        path = context.scratch / context.bench_path.name
-        path.write_text(yaml.safe_dump(data, allow_unicode=True, sort_keys=False), encoding="utf-8")
-        yield replace(context, bench_path=path, shared={})
-
-    return PlantedFault(name, place, family, plant)
+@of_kind
+def bench_edit(context: Context, change: Callable[[dict[str, Any]], None]) -> Iterator[Context]:
+    """An edited bench file."""
+    data = yaml.safe_load(context.bench_path.read_text(encoding="utf-8"))
+    change(data)
+    path = context.scratch / context.bench_path.name
+    path.write_text(yaml.safe_dump(data, allow_unicode=True, sort_keys=False), encoding="utf-8")
+    yield replace(context, bench_path=path, shared={})
 
 
-def accepted_edit(name: str, place: str, change: Callable[[dict[str, Any]], None]) -> PlantedFault:
-    """Return the fault of something that is not as it was accepted: the accepted result is changed instead."""
-
-    @contextlib.contextmanager
-    def plant(context: Context) -> Iterator[Context]:
-        before = copy.deepcopy(context.accepted or {})
-        change(before)
-        yield replace(context, accepted=before)
-
-    return PlantedFault(name, place, "changes", plant)
+@of_kind
+def accepted_edit(context: Context, change: Callable[[dict[str, Any]], None]) -> Iterator[Context]:
+    """Something that is not as it was accepted: the accepted result is changed instead."""
+    before = copy.deepcopy(context.accepted or {})
+    change(before)
+    yield replace(context, accepted=before)
 
 
-def data_edit(name: str, place: str, file: str, old: str, new: str) -> PlantedFault:
-    """Return the fault of a damaged file of reference data."""
-
-    @contextlib.contextmanager
-    def plant(context: Context) -> Iterator[Context]:
-        folder = context.scratch / "data"
-        shutil.copytree(registry.REFERENCE, folder)
-        text = (folder / file).read_text(encoding="utf-8")
-        if old not in text:
-            raise ValueError(f"{file} does not have {old!r}")
-        (folder / file).write_text(text.replace(old, new, 1), encoding="utf-8")
-        with mock.patch.object(reference, "REFERENCE", folder):
-            yield context
-
-    return PlantedFault(name, place, "reference data", plant)
+@of_kind
+def data_edit(context: Context, file: str, old: str, new: str) -> Iterator[Context]:
+    """A damaged file of reference data."""
+    folder = context.scratch / "data"
+    shutil.copytree(registry.REFERENCE, folder)
+    text = (folder / file).read_text(encoding="utf-8")
+    if old not in text:
+        raise ValueError(f"{file} does not have {old!r}")
+    (folder / file).write_text(text.replace(old, new, 1), encoding="utf-8")
+    with mock.patch.object(reference, "REFERENCE", folder):
+        yield context
 
 
-def package_edit(name: str, place: str, package: str, change: Callable[[Path, Path], object]) -> PlantedFault:
-    """Return the fault of an installed package of which a copy is changed: `change(root, dist-info)`."""
-
-    @contextlib.contextmanager
-    def plant(context: Context) -> Iterator[Context]:
-        root = context.scratch / "site"
-        one = metadata.distribution(package)
-        for file in one.files or ():
-            there = Path(str(one.locate_file(file)))
-            if there.is_file() and ".." not in Path(file).parts:
-                (root / file).parent.mkdir(parents=True, exist_ok=True)
-                shutil.copy(there, root / file)
-        change(root, next(root.glob("*.dist-info")))
-        with mock.patch.object(sys, "path", [str(root), *sys.path]):
-            yield context
-
-    return PlantedFault(name, place, "machine", plant)
+@of_kind
+def package_edit(context: Context, package: str, change: Callable[[Path, Path], object]) -> Iterator[Context]:
+    """An installed package of which a copy is changed: `change(root, dist-info)`."""
+    root = context.scratch / "site"
+    one = metadata.distribution(package)
+    for file in one.files or ():
+        there = Path(str(one.locate_file(file)))
+        if there.is_file() and ".." not in Path(file).parts:
+            (root / file).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(there, root / file)
+    change(root, next(root.glob("*.dist-info")))
+    with mock.patch.object(sys, "path", [str(root), *sys.path]):
+        yield context
 
 
-def folder_fault(name: str, place: str, make: Callable[[Path], Path]) -> PlantedFault:
-    """Return the fault of a folder of runs: `make(scratch)` returns it."""
-
-    @contextlib.contextmanager
-    def plant(context: Context) -> Iterator[Context]:
-        yield replace(context, folders=(make(context.scratch),))
-
-    return PlantedFault(name, place, "machine", plant)
+@of_kind
+def folder_fault(context: Context, make: Callable[[Path], Path]) -> Iterator[Context]:
+    """A folder of runs: `make(scratch)` returns it."""
+    yield replace(context, folders=(make(context.scratch),))
 
 
 def _future_record(scratch: Path) -> Path:
@@ -241,23 +215,18 @@ class _NoLock:
     def __exit__(self, *_: Any) -> None: ...
 
 
-def _mirrored() -> np.ndarray[Any, Any]:
-    matrix = INSTALLATION_2.block_from_platform.copy()
-    matrix[0] = -matrix[0]
-    return matrix
-
-
-@contextlib.contextmanager
-def _wrong_installation(context: Context) -> Iterator[Context]:
+@of_kind
+def wrong_installation(context: Context) -> Iterator[Context]:
+    """Installation 2 is its mirror image."""
     before = INSTALLATION_2.block_from_platform
-    object.__setattr__(INSTALLATION_2, "block_from_platform", _mirrored())
+    object.__setattr__(INSTALLATION_2, "block_from_platform", before * [[-1.0], [1.0], [1.0]])
     try:
         yield context
     finally:
         object.__setattr__(INSTALLATION_2, "block_from_platform", before)
 
 
-REF, STAT, WIRE = "reference data", "statistics", "instruments"
+REF, STAT, WIRE, MACHINES = "reference data", "statistics", "instruments", "machine"
 GEOMETRY: Final = "bench.model.geometry"
 PROPAGATION: Final = "bench.calibration.budget.propagation"
 CHARTS: Final = "bench.stats.control_charts"
@@ -279,7 +248,7 @@ ARITHMETIC: Final = (
     edit("sign of the bias, inverse", "accelerometers|free", REF, f"{GEOMETRY}:Block.specific_force",
          "signal_v - self.U0", "signal_v + self.U0"),
     edit("K transposed", "geometry", REF, f"{GEOMETRY}:Block.output", "self.K.T", "self.K"),
-    PlantedFault("installation 2 mirrored", "geometry", REF, _wrong_installation),
+    wrong_installation("installation 2 mirrored", "geometry", REF),
     edit("g off by 50 mGal", "gravity", REF, f"{GEOMETRY}:normal_gravity_m_s2", "_EQUATOR_M_S2 * (1",
          "(_EQUATOR_M_S2 + 5e-4) * (1"),
     edit("one-sided coverage factor", "propagation", REF, f"{PROPAGATION}:coverage_factor",
@@ -363,42 +332,42 @@ RECORDS: Final = (
 )  # fmt: skip
 
 MACHINE: Final = (
-    environment("a zone that there is not", "TZ|time zone", "TZ", "Europe/Kiyv"),
-    environment("another zone than accepted", "time zone", "TZ", "Asia/Tokyo", "changes"),
-    environment("a locale that there is not", "locale|LC_ALL", "LC_ALL", "xx_XX.UTF-8"),
-    patch("clock of 2020", "clock", "machine", machine, "utc_now", lambda: datetime(2020, 1, 1, tzinfo=UTC)),
-    patch("clock that is set while it runs", "clock", "machine", time, "time",
+    environment("a zone that there is not", "TZ|time zone", MACHINES, "TZ", "Europe/Kiyv"),
+    environment("another zone than accepted", "time zone", "changes", "TZ", "Asia/Tokyo"),
+    environment("a locale that there is not", "locale|LC_ALL", MACHINES, "LC_ALL", "xx_XX.UTF-8"),
+    patch("clock of 2020", "clock", MACHINES, machine, "utc_now", lambda: datetime(2020, 1, 1, tzinfo=UTC)),
+    patch("clock that is set while it runs", "clock", MACHINES, time, "time",
           iter([float(k) for k in range(1_700_000_000, 1_700_100_000, 7)]).__next__),
-    folder_fault("a record from the future", "clock", _future_record),
-    folder_fault("read-only disk", "disk", lambda scratch: Path("/proc")),
-    folder_fault("folder that everybody may write", "permissions", _open_folder),
-    patch("full disk", "disk", "machine", shutil, "disk_usage", lambda _: mock.Mock(free=1e6)),
-    patch("locks that do not lock", "lock|disk", "machine", importlib.import_module("filelock"), "FileLock",
+    folder_fault("a record from the future", "clock", MACHINES, _future_record),
+    folder_fault("read-only disk", "disk", MACHINES, lambda scratch: Path("/proc")),
+    folder_fault("folder that everybody may write", "permissions", MACHINES, _open_folder),
+    patch("full disk", "disk", MACHINES, shutil, "disk_usage", lambda _: mock.Mock(free=1e6)),
+    patch("locks that do not lock", "lock|disk", MACHINES, importlib.import_module("filelock"), "FileLock",
           _NoLock),
-    patch("disk that refuses to flush", "disk", "machine", os, "fsync",
+    patch("disk that refuses to flush", "disk", MACHINES, os, "fsync",
           mock.Mock(side_effect=OSError(5, "Input/output error"))),
-    patch("names of files in ASCII", "locale|names", "machine", sys, "getfilesystemencoding", lambda: "ascii"),
-    package_edit("a changed file of a package", "h11", "h11", _appended),
-    package_edit("a missing file of a package", "h11", "h11",
+    patch("names of files in ASCII", "locale|names", MACHINES, sys, "getfilesystemencoding", lambda: "ascii"),
+    package_edit("a changed file of a package", "h11", MACHINES, "h11", _appended),
+    package_edit("a missing file of a package", "h11", MACHINES, "h11",
                  lambda root, info: next(root.glob("h11/_*.py")).unlink()),
-    package_edit("a package beyond its bounds", "filelock", "filelock", _version_99),
-    package_edit("a package without its list of files", "h11", "h11",
+    package_edit("a package beyond its bounds", "filelock", MACHINES, "filelock", _version_99),
+    package_edit("a package without its list of files", "h11", MACHINES, "h11",
                  lambda root, info: (info / "RECORD").write_text("")),
-    accepted_edit("a changed file of the program", "gls.py",
+    accepted_edit("a changed file of the program", "gls.py", "changes",
                   _set("program", "files", "bench/calibration/gls.py", "0" * 64)),
-    accepted_edit("a new file in the program", "statistics.py",
+    accepted_edit("a new file in the program", "statistics.py", "changes",
                   lambda one: one["program"]["files"].pop("bench/validation/statistics.py")),
-    accepted_edit("another package", "numpy", _set("program", "packages", "numpy", "version", "1.0")),
-    accepted_edit("another Python", "python", _set("program", "python", "CPython 3.9.1")),
-    accepted_edit("another locale", "locale", _set("machine", "locale", "de_DE.UTF-8")),
+    accepted_edit("another package", "numpy", "changes", _set("program", "packages", "numpy", "version", "1.0")),
+    accepted_edit("another Python", "python", "changes", _set("program", "python", "CPython 3.9.1")),
+    accepted_edit("another locale", "locale", "changes", _set("machine", "locale", "de_DE.UTF-8")),
     bench_edit("a changed bench file", "bench file", "changes", _set("verification", "limit", "1e-3 g")),
     bench_edit("a bench file with an unknown key", "colour", WIRE, _set("colour", "blue")),
     bench_edit("a bench file of another driver", "agilent-34402", WIRE,
                lambda data: data["instruments"]["voltmeters"][0].update(driver="agilent-34402")),
     bench_edit("wrong g in the bench file", "gravity", REF, _set("gravity", "9.18 m/s^2")),
-    data_edit("a damaged regression", "strd", "strd.json", "-6.860120914", "-6.860120941"),
-    data_edit("a damaged check standard", "kilogram", "kilogram-check.csv", "\n1975", "\n1986"),
-    data_edit("a damaged set of an accelerometer", "accelerometers", "innalabs-24.csv", "0.99", "0.98"),
+    data_edit("a damaged regression", "strd", REF, "strd.json", "-6.860120914", "-6.860120941"),
+    data_edit("a damaged check standard", "kilogram", REF, "kilogram-check.csv", "\n1975", "\n1986"),
+    data_edit("a damaged set of an accelerometer", "accelerometers", REF, "innalabs-24.csv", "0.99", "0.98"),
 )  # fmt: skip
 
 FAULTS: Final = (*ARITHMETIC, *INSTRUMENTS, *RECORDS, *MACHINE)

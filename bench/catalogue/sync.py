@@ -42,7 +42,7 @@ from bench.catalogue.store import (
 from bench.results.catalogue import FolderProblem, SyncResult
 from bench.run.events import EVENTS, MANIFEST
 from bench.run.folder import PLAN
-from bench.services.errors import Refused
+from bench.services.errors import Refused, refusing
 
 if TYPE_CHECKING:
     from sqlalchemy import Connection, Table
@@ -164,10 +164,8 @@ def _seen(roots: Sequence[str], processes: int) -> WalkResult:
     seen = WalkResult()
     now_ns = time.time_ns()
     for root in tracked(roots, "looking for runs"):
-        try:
+        with refusing("check name and permissions", Path(root), verb="read"):
             found, waiting = scan(root, now_ns, MANY if processes > 1 else None)
-        except OSError as error:
-            raise Refused(f"{root}: cannot be read ({error.strerror}); check name and permissions") from error
         seen.take(found)
         if waiting:
             _look_apart(seen, waiting, now_ns, processes)
@@ -356,7 +354,7 @@ def _write_registers(connection: Connection, registers: Sequence[str], done: Syn
         try:
             rows = issued_in(folder)
         except Refused as error:
-            done.problems[folder] = str(error)
+            done.problems[folder] = str(error).removeprefix(f"{folder}: ")
             continue
         of_it = ISSUED.c.register == folder
         known = {row["id"]: dict(row) for row in connection.execute(select(ISSUED).where(of_it)).mappings()}

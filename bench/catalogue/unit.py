@@ -34,6 +34,7 @@ from bench.catalogue.store import (
 from bench.catalogue.sync import pool_of
 from bench.catalogue.values import CoefficientTable, coefficient_table
 from bench.history.drift import Due, due
+from bench.history.measured import to_gravity
 from bench.model.geometry import COEFFICIENTS
 from bench.results.catalogue import (
     CoefficientThen,
@@ -319,7 +320,7 @@ def _rows(table: CoefficientTable, mask: Mask) -> CoefficientTable:
 
 def _per_g(table: CoefficientTable, g_m_s2: float) -> CoefficientTable:
     """Return the calibrations for another unit of acceleration, g = `g_m_s2` (m/s²); biases stay the same."""
-    factor = np.where(np.arange(len(COEFFICIENTS)) < 9, g_m_s2 / table.g_m_s2[:, None], 1.0)
+    factor = to_gravity(table.g_m_s2, g_m_s2)
     return replace(
         table,
         g_m_s2=np.full(len(table), g_m_s2),

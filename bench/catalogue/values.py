@@ -17,7 +17,7 @@ from bench.catalogue.questions import condition_of
 from bench.catalogue.store import CALIBRATIONS, RUNS, Catalogue
 from bench.history.comparison import Snapshot
 from bench.history.equivalence import BenchComparison, compare_benches
-from bench.history.measured import STANDARD_GRAVITY, ComparedCalibrations, coded, to_standard_gravity
+from bench.history.measured import STANDARD_GRAVITY, ComparedCalibrations, coded, to_gravity
 from bench.model.geometry import COEFFICIENTS
 from bench.services.coefficients import snapshots_in
 from bench.services.errors import Refused
@@ -163,7 +163,7 @@ def measured_of(table: CoefficientTable) -> tuple[ComparedCalibrations, Mask, tu
     signals = sorted(set(table.signal_unit[known].tolist()))
     if len(signals) > 1:
         raise Refused(f"signals in {', '.join(signals)} cannot be compared; narrow the question")
-    factor = to_standard_gravity(table.g_m_s2[known])
+    factor = to_gravity(table.g_m_s2[known])
     meters = np.nan_to_num(table.u_meters[known])
     if np.isnan(table.u_meters[known]).any():
         notes.append(

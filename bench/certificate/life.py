@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from datetime import datetime
 from itertools import count
@@ -114,9 +113,7 @@ def issue_all(names: Sequence[str], desk: Desk) -> Iterator[IssuedRun]:
     laboratory, order = desk.laboratory, desk.order
     person, register = desk.person(laboratory), Register(laboratory.register_folder)
     for name in names:
-        with _told(name) as outcomes:
-            outcomes.append(_issue(name, desk, laboratory, order, person, register))
-        yield outcomes[0]
+        yield _tried(name, lambda one: _issue(one, desk, laboratory, order, person, register))
 
 
 def drafts(request: IssueCertificates) -> Iterator[IssuedRun]:
@@ -127,26 +124,26 @@ def drafts(request: IssueCertificates) -> Iterator[IssuedRun]:
     """
     laboratory = None if request.laboratory is None else load_laboratory(request.laboratory)
     order = None if request.order is None else load_order(request.order)
+
+    def draft(name: str) -> IssuedRun:
+        certificate = certificate_of(name, runs_folder(request.runs), laboratory, order)
+        file = certificate.found.result.source.output("certificate-draft", ".pdf")
+        if request.out is not None:
+            file = request.out / f"{certificate.found.record.run}-{file.name}"
+            request.out.mkdir(parents=True, exist_ok=True)
+        write_whole(file, _body(certificate, b""))
+        return _outcome(name, files=[str(file)], lacks=list(missing(certificate)))
+
     for name in request.names:
-        with _told(name) as outcomes:
-            certificate = certificate_of(name, runs_folder(request.runs), laboratory, order)
-            file = certificate.found.result.source.output("certificate-draft", ".pdf")
-            if request.out is not None:
-                file = request.out / f"{certificate.found.record.run}-{file.name}"
-                request.out.mkdir(parents=True, exist_ok=True)
-            write_whole(file, _body(certificate, b""))
-            outcomes.append(_outcome(name, files=[str(file)], lacks=list(missing(certificate))))
-        yield outcomes[0]
+        yield _tried(name, draft)
 
 
-@contextmanager
-def _told(name: str) -> Iterator[list[IssuedRun]]:
-    """Yield a list for the outcome of a run; an exception becomes the outcome, so that other runs continue."""
-    outcomes: list[IssuedRun] = []
+def _tried(name: str, make: Callable[[str], IssuedRun]) -> IssuedRun:
+    """Return what `make` returns for a run; an exception becomes the outcome, so that other runs continue."""
     try:
-        yield outcomes
+        return make(name)
     except Exception as error:
-        outcomes.append(_outcome(name, why=sentence(error)))
+        return _outcome(name, why=sentence(error))
 
 
 def _issue(

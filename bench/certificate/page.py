@@ -213,21 +213,24 @@ def body_of(certificate: Certificate, dcc: bytes) -> bytes:
 
     Raises `Refused` for a logo that is not a picture, and for a character without a glyph in the fonts.
     """
-    given = {one.name: one.content.decode() for one in attachments_of(certificate, dcc)}
-    data = {"data": json.dumps(data_of(certificate, dcc)), **given}
-    return typeset_pdf(data, _moment(certificate))
+    return typeset_pdf(_inputs(certificate, dcc), _moment(certificate))
 
 
 def pictures_of(certificate: Certificate, dcc: bytes, dots_per_inch: float = 110.0) -> list[bytes]:
     """Return an image (PNG) of each page. Raises as `body_of`."""
-    given = {one.name: one.content.decode() for one in attachments_of(certificate, dcc)}
-    data = {"data": json.dumps(data_of(certificate, dcc)), **given}
     import typst
 
+    data = _inputs(certificate, dcc)
     made = typst.compile(
         _template(), format="png", ppi=dots_per_inch, ignore_system_fonts=True, sys_inputs=data
     )
     return made if isinstance(made, list) else [made]
+
+
+def _inputs(certificate: Certificate, dcc: bytes) -> dict[str, str]:
+    """Return the inputs of the template: its data, and the attachments by name."""
+    given = {one.name: one.content.decode() for one in attachments_of(certificate, dcc)}
+    return {"data": json.dumps(data_of(certificate, dcc)), **given}
 
 
 def typeset_pdf(data: dict[str, str], moment: int, template: bytes | None = None) -> bytes:

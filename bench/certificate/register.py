@@ -18,7 +18,7 @@ from typing import ClassVar, Final
 from bench.base.files import read_regular
 from bench.services import chain
 from bench.services.chain import LINES, MADE_FROM, Chain, Entry, first_head, sync_folder
-from bench.services.errors import Refused
+from bench.services.errors import Refused, refusing
 
 __all__ = ["ISSUED", "LINES", "MADE_FROM", "REVOKED", "Entry", "NumberStatus", "Register", "opened"]
 
@@ -81,12 +81,8 @@ class Register(Chain):
             raise Refused(
                 f"{self.folder}: no file {name} was issued; 'bench certificate register' lists the numbers"
             )
-        try:
+        with refusing("check name and permissions", self.folder / name, verb="read"):
             content = read_regular(self.folder / name)
-        except OSError as error:
-            raise Refused(
-                f"{self.folder / name}: cannot be read ({error.strerror}); check name and permissions"
-            ) from error
         if hashlib.sha256(content).hexdigest() != stated:
             raise Refused(f"{self.folder / name}: not the issued file; restore it from a copy")
         return content

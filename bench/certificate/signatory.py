@@ -13,7 +13,7 @@ from urllib.parse import unquote, unquote_to_bytes
 
 from bench.base.files import read_given
 from bench.run.seal import read_private, write_private
-from bench.services.errors import Refused
+from bench.services.errors import Refused, refusing
 
 if TYPE_CHECKING:
     from cryptography.x509 import Certificate
@@ -117,9 +117,8 @@ def certificates_in(file: Path) -> tuple[Certificate, ...]:
     from cryptography import x509
 
     try:
-        return tuple(x509.load_pem_x509_certificates(read_given(file)))
-    except OSError as error:
-        raise Refused(f"{file}: cannot be read ({error.strerror}); check name and permissions") from error
+        with refusing("check name and permissions", file, verb="read"):
+            return tuple(x509.load_pem_x509_certificates(read_given(file)))
     except ValueError as error:
         raise Refused(f"{file}: it has no X.509 certificate (PEM); give the chain's file") from error
 

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any, Final
 
+from lxml import etree
+
 from bench.certificate.signatory import Signatory
 from bench.services.errors import Refused
 
@@ -15,16 +17,21 @@ if TYPE_CHECKING:
     from cryptography.x509 import Certificate
 
 
-NAMESPACE: Final = "http://www.w3.org/2000/09/xmldsig#"
+SIGNATURE: Final = "http://www.w3.org/2000/09/xmldsig#"
 _XADES: Final = "http://uri.etsi.org/01903/v1.3.2#"
 _SIGNED_PROPERTIES: Final = "http://uri.etsi.org/01903#SignedProperties"
-_ENVELOPED: Final = "http://www.w3.org/2000/09/xmldsig#enveloped-signature"
+_ENVELOPED: Final = f"{SIGNATURE}enveloped-signature"
 _CANONICAL: Final = "http://www.w3.org/2006/12/xml-c14n11"
 _MOST_BYTES: Final = 64_000_000
 
 
 ORIGINAL: Final = "ask the laboratory for the original"
 """The remedy for a document that is not intact."""
+
+
+def parser() -> etree.XMLParser:
+    """Return an XML parser for documents from elsewhere, without entities, DTD or network access."""
+    return etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False, huge_tree=False)
 
 
 class NotIntact(Exception):
@@ -58,9 +65,9 @@ def sign_xml(document: bytes, signatory: Signatory, now: datetime) -> bytes:
 
     Raises `Refused` if the document is already signed.
     """
-    etree, xades, methods = _packages()
+    xades, methods = _packages()
     root = _read(document)
-    if next(root.iter(f"{{{NAMESPACE}}}Signature"), None) is not None:
+    if next(root.iter(f"{{{SIGNATURE}}}Signature"), None) is not None:
         raise Refused("the document is already signed; sign the unsigned one")
 
     class Signer(xades.XAdESSigner):  # type: ignore[misc, name-defined]
@@ -96,7 +103,7 @@ def check_xml(document: bytes) -> SignedXml:
     Raises `Unsigned` if there is no signature. Raises `NotIntact` if there are several, if the signature does not
     cover the whole document or has unsigned parts, or if anything signed was changed.
     """
-    etree, xades, methods = _packages()
+    xades, methods = _packages()
     root = _read(document)
     signature = _the_signature(root)
     certificates = _certificates(signature)
@@ -122,7 +129,6 @@ def check_xml(document: bytes) -> SignedXml:
 
 def unsigned_content(document: bytes) -> bytes:
     """Return the canonical form of an unsigned document, without comments. Raises `NotIntact` as `_read`."""
-    etree, _, _ = _packages()
     return bytes(etree.tostring(_read(document), method="c14n", with_comments=False))
 
 
@@ -132,12 +138,10 @@ def _read(document: bytes) -> Any:
     Raises `NotIntact` if it is too large, is not XML, or has a document type, entities or processing
     instructions.
     """
-    etree, _, _ = _packages()
     if len(document) > _MOST_BYTES:
         raise NotIntact(f"it has more than {_MOST_BYTES // 1_000_000} MB")
-    parser = etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False, huge_tree=False)
     try:
-        root = etree.fromstring(document, parser)
+        root: Any = etree.fromstring(document, parser())
     except (etree.XMLSyntaxError, ValueError) as error:
         raise NoCertificate(f"not XML ({_told(error)})") from error
     if root.getroottree().docinfo.doctype:
@@ -155,7 +159,7 @@ def _the_signature(root: Any) -> Any:
 
     Raises `Unsigned` if there is none, `NotIntact` if there are several or if one is misplaced or malformed.
     """
-    found = list(root.iter(f"{{{NAMESPACE}}}Signature"))
+    found = list(root.iter(f"{{{SIGNATURE}}}Signature"))
     if not found:
         raise Unsigned("it has no XML signature")
     if len(found) > 1:
@@ -164,7 +168,7 @@ def _the_signature(root: Any) -> Any:
     elements = [one for one in root if isinstance(one.tag, str)]
     if signature.getparent() is not root or elements[-1] is not signature:
         raise NotIntact("its signature is not the last element of the document")
-    ds = [f"{{{NAMESPACE}}}{name}" for name in ("SignedInfo", "SignatureValue", "KeyInfo", "Object")]
+    ds = [f"{{{SIGNATURE}}}{name}" for name in ("SignedInfo", "SignatureValue", "KeyInfo", "Object")]
     parts = {
         tuple(ds): signature,
         (f"{{{_XADES}}}QualifyingProperties",): signature[-1] if len(signature) else signature,
@@ -178,11 +182,11 @@ def _the_signature(root: Any) -> Any:
 
 def _check_references(signature: Any) -> None:
     """Raise `NotIntact` unless the signature covers the whole document, its properties and the certificates."""
-    info = signature.find(f"{{{NAMESPACE}}}SignedInfo")
-    key_info = signature.find(f"{{{NAMESPACE}}}KeyInfo")
+    info = signature.find(f"{{{SIGNATURE}}}SignedInfo")
+    key_info = signature.find(f"{{{SIGNATURE}}}KeyInfo")
     properties = signature.find(f".//{{{_XADES}}}SignedProperties")
-    references = info.findall(f"{{{NAMESPACE}}}Reference")
-    transforms = [one.get("Algorithm") for one in references[0].iter(f"{{{NAMESPACE}}}Transform")]
+    references = info.findall(f"{{{SIGNATURE}}}Reference")
+    transforms = [one.get("Algorithm") for one in references[0].iter(f"{{{SIGNATURE}}}Transform")]
     uris = [one.get("URI") for one in references]
     if (
         uris != ["", f"#{properties.get('Id')}", f"#{key_info.get('Id')}"]
@@ -200,7 +204,7 @@ def _certificates(signature: Any) -> tuple[Certificate, ...]:
     from cryptography import x509
 
     texts = signature.findall(
-        f"./{{{NAMESPACE}}}KeyInfo/{{{NAMESPACE}}}X509Data/{{{NAMESPACE}}}X509Certificate"
+        f"./{{{SIGNATURE}}}KeyInfo/{{{SIGNATURE}}}X509Data/{{{SIGNATURE}}}X509Certificate"
     )
     try:
         found = tuple(x509.load_der_x509_certificate(base64.b64decode(one.text or "")) for one in texts)
@@ -227,11 +231,10 @@ def _told(error: Exception) -> str:
     return " ".join(str(error).split())[:200] or type(error).__name__
 
 
-def _packages() -> tuple[Any, Any, Any]:
-    from lxml import etree
+def _packages() -> tuple[Any, Any]:
     from signxml import algorithms, xades
 
-    return etree, xades, algorithms
+    return xades, algorithms
 
 
 FIELD: Final = "Certificate"
@@ -321,8 +324,7 @@ def check_pdf(file: bytes) -> SignedPdf:
     except (NotIntact, Refused):
         raise
     except Exception as error:  # bad input raises many kinds of exception in the libraries below
-        told = " ".join(str(error).split())[:200] or type(error).__name__
-        raise NotIntact(f"its signature cannot be read ({told})") from error
+        raise NotIntact(f"its signature cannot be read ({_told(error)})") from error
 
 
 def _check_cover(file: bytes, signature: Any) -> None:

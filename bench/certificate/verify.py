@@ -38,9 +38,9 @@ from bench.certificate.signatures import (
 )
 from bench.results.certificate import RegisterSays, SignerPart, VerifyResult
 from bench.run.events import MANIFEST, RecordError, sha256
-from bench.run.folder import find_run
+from bench.run.folder import Run, find_run
 from bench.run.seal import Seal
-from bench.services.errors import Refused
+from bench.services.errors import Refused, refusing
 from bench.services.verification import NOTHING_ASKED, VerdictOptions
 
 if TYPE_CHECKING:
@@ -169,9 +169,9 @@ def verify_certificate(file: Path, trust: Path | None, runs: Path, register: Pat
         verdict.wrong.append(f"{error}; {ORIGINAL}")
         verdict.issued = not isinstance(error, NoCertificate)
     if verdict.shown is not None and verdict.intact:
-        _against_register(verdict, verdict.shown, file, content, register)
+        against_register(verdict, verdict.shown.says.number, file, content, register)
     if verdict.shown is not None and verdict.intact:
-        _against_record(verdict, verdict.shown, runs)
+        against_record(verdict, verdict.shown, runs)
     if verdict.unsigned:
         verdict.why_not_trusted = None if trust is None else "nobody signed it"
     elif verdict.why_not_trusted is None:
@@ -186,10 +186,8 @@ def verify_certificate(file: Path, trust: Path | None, runs: Path, register: Pat
 
 
 def _content(file: Path) -> bytes:
-    try:
+    with refusing("check name and permissions", file, verb="read"):
         return read_given(file)
-    except OSError as error:
-        raise Refused(f"{file}: cannot be read ({error.strerror}); check name and permissions") from error
 
 
 # --- the two forms ------------------------------------------------------------------------------------
@@ -320,7 +318,7 @@ def _name_signer(
         verdict.why_not_trusted = why_not_trusted(signed.chain, signed.signed_at, trusted)
 
 
-# --- numbers, register and record -----------------------------------------------------------------------
+# --- numbers ------------------------------------------------------------------------------------------
 
 
 def _agree_on_numbers(shown: ShownValues) -> None:
@@ -342,42 +340,11 @@ def _agree_on_numbers(shown: ShownValues) -> None:
         raise NotIntact("U of a coefficient differs from k times its u")
 
 
-def _against_register(
-    verdict: Verdict, shown: ShownValues, file: Path, content: bytes, register: Path | None
-) -> None:
-    form = "xml" if content.lstrip()[:1] == b"<" else "pdf"
-    verdict.standing, held = held_against_register(shown.says.number, form, content, file, register)
-    verdict.wrong += filter(None, [held.wrong])
-    verdict.agreed += filter(None, [held.told])
-
-
-def _against_record(verdict: Verdict, shown: ShownValues, runs: Path) -> None:
-    held = held_against_record(shown, runs)
-    if held is None:
-        verdict.not_proved.append(RECORD_NOT_HERE)
-    else:
-        verdict.wrong += filter(None, [held.wrong])
-        verdict.agreed += filter(None, [held.told])
-        verdict.not_proved += filter(None, [held.open])
-
-
 # --- the record of its run, and the register ------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Held:
-    """The outcome of a comparison, as text: `told` on what agrees, `wrong` on what differs.
-
-    `open` is the text on what the comparison could not prove. Each is empty if there is nothing to report.
-    """
-
-    told: str = ""
-    wrong: str = ""
-    open: str = ""
-
-
-def held_against_record(shown: ShownValues, runs: Path) -> Held | None:
-    """Compare a certificate with the record of its run in `runs`; return None if that record is not there.
+def against_record(verdict: Verdict, shown: ShownValues, runs: Path) -> None:
+    """Compare a certificate with the record of its run, if `runs` has it.
 
     A run of the same name with other inputs (`run.json`) is another record. In the right record the chain of hashes
     must end as in the seal, and the readings must give the same result: every digit on the same computer, within a
@@ -386,36 +353,47 @@ def held_against_record(shown: ShownValues, runs: Path) -> Held | None:
     try:
         seal = Seal.from_json(json.loads(shown.files["seal.json"]))
         folder = runs / seal.run
-        if not seal.run or Path(seal.run).name != seal.run or not folder.is_dir():
-            return None
-        run = find_run(seal.run, runs)
-        differences = seal.differences(run)
+        run = _recorded(seal, runs)
+        differences = None if run is None else seal.differences(run)
     except (KeyError, ValueError, TypeError, AttributeError, RecursionError, binascii.Error):
-        return Held(wrong="the seal in the digital certificate cannot be read")
+        verdict.wrong.append("the seal in the digital certificate cannot be read")
+        return
     except (RecordError, OSError):
-        return None
-    if seal.manifest_sha256 != sha256(read_regular(run.folder / MANIFEST)):
-        return None
+        differences = None
+    if differences is None:
+        verdict.not_proved.append(RECORD_NOT_HERE)
+        return
     if differences:
-        return Held(wrong=f"{folder}: {'; '.join(differences)}")
+        verdict.wrong.append(f"{folder}: {'; '.join(differences)}")
+        return
     try:
         k = next(iter(shown.says.coefficients.values())).k
         found = found_by(seal.run, runs, k, _asked(shown))
     except (Refused, RecordError, CalibrationError) as error:
-        return Held(wrong=f"{folder}: the record gives no result ({error})")
+        verdict.wrong.append(f"{folder}: the record gives no result ({error})")
+        return
+    told = f"the record in {folder} is unchanged"
     if found.result_json.encode() == shown.files["result.json"]:
-        return Held(told=f"the record in {folder} is unchanged and gives the same result to the last digit")
-    if _as_good_as(found, shown):
-        return Held(
-            told=f"the record in {folder} is unchanged and gives the same result within {_SAME:g} u, "
-            "within rounding of another computer"
+        verdict.agreed.append(f"{told} and gives the same result to the last digit")
+    elif _as_good_as(found, shown):
+        verdict.agreed.append(
+            f"{told} and gives the same result within {_SAME:g} u, within rounding of another computer"
         )
-    if shown.release != metadata.version("triaxial-bench"):
-        return Held(
-            told=f"the record in {folder} is unchanged",
-            open=f"that the record gives these results: release {shown.release} evaluated it, not this one",
+    elif shown.release != metadata.version("triaxial-bench"):
+        verdict.agreed.append(told)
+        verdict.not_proved.append(
+            f"that the record gives these results: release {shown.release} evaluated it, not this one"
         )
-    return Held(wrong=f"{folder}: the record gives another result than the certificate")
+    else:
+        verdict.wrong.append(f"{folder}: the record gives another result than the certificate")
+
+
+def _recorded(seal: Seal, runs: Path) -> Run | None:
+    """Return the sealed run in the folder `runs`, None if it or its inputs are not there."""
+    if not seal.run or Path(seal.run).name != seal.run or not (runs / seal.run).is_dir():
+        return None
+    run = find_run(seal.run, runs)
+    return run if seal.manifest_sha256 == sha256(read_regular(run.folder / MANIFEST)) else None
 
 
 def _asked(shown: ShownValues) -> VerdictOptions:
@@ -452,36 +430,30 @@ def _as_good_as(found: RunFindings, shown: ShownValues) -> bool:
     return same and told[0] == told[1]
 
 
-def held_against_register(
-    number: str, form: str, content: bytes, file: Path, folder: Path | None
-) -> tuple[RegisterSays | None, Held]:
+def against_register(verdict: Verdict, number: str, file: Path, content: bytes, folder: Path | None) -> None:
     """Compare the content of a certificate file with the entry for its number in a register.
 
-    `form` is "pdf" or "xml". `folder` is the register's folder; if it is None, a register in the folder of `file`
-    is used. Returns the entry and the comparison. The entry is None if there is no register, or if the register in
-    the folder of `file` lacks the number. Raises `Refused` for a register that is damaged or cannot be read.
+    `folder` is the register's folder; if it is None, a register in the folder of `file` is used, if it has the
+    number. Raises `Refused` for a register that is damaged or cannot be read.
     """
     place = file.absolute().parent if folder is None else folder
     if not (place / LINES).is_file():
         if folder is None:
-            return None, Held()
+            return
         raise Refused(f"{place}: no register there ({LINES}); check the laboratory file")
     register = Register(place)
-    try:
-        register.read_lines()
-    except OSError as error:
-        raise Refused(f"{place}: cannot be read ({error.strerror}); check name and permissions") from error
+    register.read_lines()
     known = register.standings.get(number)
-    if known is None:
-        return (
-            None if folder is None else RegisterSays(folder=str(place), named=True, state="unknown", by="")
-        ), Held()
-    name = f"{number}.{form}"
-    standing = RegisterSays.model_validate(
-        {"folder": str(place), "named": folder is not None, "state": known.state, "by": known.by}
+    if known is None and folder is None:
+        return
+    state, by = ("unknown", "") if known is None else (known.state, known.by)
+    verdict.standing = RegisterSays.model_validate(
+        {"folder": str(place), "named": folder is not None, "state": state, "by": by}
     )
-    if known.entry.files.get(name) != hashlib.sha256(content).hexdigest():
-        return standing, Held(
-            wrong=f"the register has another SHA-256 for {name}: this is not the issued file"
-        )
-    return standing, Held(told=f"the register in {place} has the SHA-256 of this file for {name}")
+    if known is None:
+        return
+    name = f"{number}.{'xml' if content.lstrip()[:1] == b'<' else 'pdf'}"
+    if known.entry.files.get(name) == hashlib.sha256(content).hexdigest():
+        verdict.agreed.append(f"the register in {place} has the SHA-256 of this file for {name}")
+    else:
+        verdict.wrong.append(f"the register has another SHA-256 for {name}: this is not the issued file")

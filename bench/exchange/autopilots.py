@@ -131,80 +131,96 @@ def _size(error_g: float) -> str:
     return quantity(error_g, "g").replace("µ", "u")
 
 
-REAL32: Final = 9
-"""MAV_PARAM_TYPE_REAL32."""
-ARDUPILOT_OFFSET, ARDUPILOT_SCALE = 3.5, (0.8, 1.2)
-PX4_SCALE: Final = (0.1, 3.0)
+@dataclass(frozen=True)
+class Autopilot:
+    """The parameters of an autopilot's first accelerometer: names with `{}` for the axis, and allowed ranges.
+
+    `id` and `turn` are its parameters for the sensor's id and for the turn to the board's axes. `head` and `before`
+    are the comments that its files begin with and have before the values; `row` is the line of a value; `read` is
+    Python that reads names and values from such a file. `sorted_by_name` puts the two values of an axis together.
+    """
+
+    name: str
+    offset: str
+    scale: str
+    id: str
+    turn: str
+    offsets: tuple[float, float]
+    scales: tuple[float, float]
+    row: str
+    read: str
+    head: tuple[str, ...] = ()
+    before: tuple[str, ...] = ()
+    sorted_by_name: bool = False
+
+    def values(self, form: Diagonal) -> dict[str, float]:
+        """Return the values by the names of the parameters, in the order of the file."""
+        rows = [(self.offset.format(axis), value) for axis, value in axis_rows(form.offset)]
+        rows += [(self.scale.format(axis), value) for axis, value in axis_rows(form.scale)]
+        return dict(sorted(rows) if self.sorted_by_name else rows)
+
+    def notes(self, result: BlockResult, nominal: Floats | None = None) -> list[str]:
+        """Return comment lines on what the form omits, and on values that the autopilot would refuse."""
+        form = diagonal(sensor_of(result, nominal))
+        limits = ((self.offset, form.offset, self.offsets), (self.scale, form.scale, self.scales))
+        return form.told() + [
+            f"{name.format(axis)} = {value:.4g} is outside {low:g} to {high:g}, which {self.name} allows: "
+            "remove more before it, in the electronics or with other scale factors (--nominal)"
+            for name, values, (low, high) in limits
+            for axis, value in axis_rows(values)
+            if not low <= value <= high
+        ]
+
+    def text(self, result: BlockResult, nominal: Floats | None = None) -> str:
+        """Return the file of parameters, which ground stations load."""
+        sensor = sensor_of(result, nominal)
+        values = self.values(diagonal(sensor))
+        offset, scale = self.offset.format("i"), self.scale.format("i")
+        lines = [
+            *self.head,
+            *_head(result, sensor, self.notes(result, nominal)),
+            *_tested(self, result, sensor, values),
+            f"# a = (z - {offset}) * {scale}; {self.name} takes them for the sensor whose id is in {self.id},",
+            f"# which this file leaves as it is; its axes are the sensor's, turned to the board's by {self.turn}",
+            *self.before,
+            *(self.row.format(name=name, value=value) for name, value in values.items()),
+        ]
+        return "\n".join(lines) + "\n"
 
 
-def px4_params(result: BlockResult, nominal: Floats | None = None) -> str:
-    """Return a .params file for the calibration in place 0 of PX4, as QGroundControl loads it."""
-    sensor = sensor_of(result, nominal)
-    lines = [
-        "# Onboard parameters for Vehicle 1",
-        "#",
-        *_head(result, sensor, px4_notes(result, nominal)),
-        *_tested(result, sensor, _px4_values(sensor), _PX4_READ, "CAL_ACC0_{}OFF", "CAL_ACC0_{}SCALE"),
-        "# a = (z - CAL_ACC0_iOFF) * CAL_ACC0_iSCALE; PX4 takes them for the sensor whose id is in CAL_ACC0_ID,",
-        "# which this file leaves as it is; its axes are the sensor's, turned to the board's by SENS_BOARD_ROT",
-        "#",
-        "# Vehicle-Id Component-Id Name Value Type",
-    ]
-    lines += [f"1\t1\t{name}\t{value:.9g}\t{REAL32}" for name, value in _px4_values(sensor)]
-    return "\n".join(lines) + "\n"
+PX4: Final = Autopilot(
+    "PX4", "CAL_ACC0_{}OFF", "CAL_ACC0_{}SCALE", "CAL_ACC0_ID", "SENS_BOARD_ROT",
+    offsets=(-math.inf, math.inf),
+    scales=(0.1, 3.0),
+    row="1\t1\t{name}\t{value:.9g}\t9",  # MAV_PARAM_TYPE_REAL32
+    read="{r[2]: float(r[3]) for r in (l.split() for l in open(sys.argv[1]) if l[0] != '#')}",
+    head=("# Onboard parameters for Vehicle 1", "#"),
+    before=("#", "# Vehicle-Id Component-Id Name Value Type"),
+    sorted_by_name=True,
+)  # fmt: skip
+"""A .params file for the calibration in place 0 of PX4, as QGroundControl loads it."""
+ARDUPILOT: Final = Autopilot(
+    "ArduPilot", "INS_ACCOFFS_{}", "INS_ACCSCAL_{}", "INS_ACC_ID", "AHRS_ORIENTATION",
+    offsets=(-3.5, 3.5),
+    scales=(0.8, 1.2),
+    row="{name},{value:.9g}",
+    read="{k: float(v) for k, v in (l.split(',') for l in open(sys.argv[1]) if l[0] != '#')}",
+)  # fmt: skip
+"""A .param file for the first accelerometer of ArduPilot, as MAVProxy and Mission Planner load it."""
 
 
-def _px4_values(sensor: Sensor) -> list[tuple[str, float]]:
-    form = diagonal(sensor)
-    offsets = [(f"CAL_ACC0_{axis}OFF", value) for axis, value in axis_rows(form.offset)]
-    return sorted(offsets + [(f"CAL_ACC0_{axis}SCALE", value) for axis, value in axis_rows(form.scale)])
-
-
-def px4_notes(result: BlockResult, nominal: Floats | None = None) -> list[str]:
-    """Return comment lines on what the form omits, and on values that PX4 would refuse."""
-    form = diagonal(sensor_of(result, nominal))
-    low, high = PX4_SCALE
-    return form.told() + _outside("CAL_ACC0_{}SCALE", form.scale, low, high, "PX4")
-
-
-def ardupilot_param(result: BlockResult, nominal: Floats | None = None) -> str:
-    """Return a .param file for the first accelerometer of ArduPilot, as MAVProxy and Mission Planner load it."""
-    sensor = sensor_of(result, nominal)
-    values = _ardupilot_values(sensor)
-    lines = [
-        *_head(result, sensor, ardupilot_notes(result, nominal)),
-        *_tested(result, sensor, values, _ARDUPILOT_READ, "INS_ACCOFFS_{}", "INS_ACCSCAL_{}"),
-        "# a = (z - INS_ACCOFFS_i) * INS_ACCSCAL_i; ArduPilot takes them for the sensor whose id is in INS_ACC_ID,",
-        "# which this file leaves as it is; its axes are the sensor's, turned to the board's by AHRS_ORIENTATION",
-    ]
-    lines += [f"{name},{value:.9g}" for name, value in values]
-    return "\n".join(lines) + "\n"
-
-
-def _ardupilot_values(sensor: Sensor) -> list[tuple[str, float]]:
-    form = diagonal(sensor)
-    offsets = [(f"INS_ACCOFFS_{axis}", value) for axis, value in axis_rows(form.offset)]
-    return offsets + [(f"INS_ACCSCAL_{axis}", value) for axis, value in axis_rows(form.scale)]
-
-
-_PX4_READ: Final = "{r[2]: float(r[3]) for r in (l.split() for l in open(sys.argv[1]) if l[0] != '#')}"
-_ARDUPILOT_READ: Final = "{k: float(v) for k, v in (l.split(',') for l in open(sys.argv[1]) if l[0] != '#')}"
-
-
-def _tested(
-    result: BlockResult, sensor: Sensor, values: list[tuple[str, float]], read: str, offset: str, scale: str
-) -> list[str]:
+def _tested(of: Autopilot, result: BlockResult, sensor: Sensor, values: dict[str, float]) -> list[str]:
     """Return comment lines with the picture of signs, the check vectors, and the test of the file.
 
     The accelerations are those of the form as it is written, in double precision: without cross-axis terms.
     """
-    written = {name: float(f"{value:.9g}") for name, value in values}
-    off, by = (np.array([written[name.format(axis)] for axis in "XYZ"]) for name in (offset, scale))
+    written = {name: float(f"{value:.9g}") for name, value in values.items()}
+    off, by = (np.array([written[name.format(axis)] for axis in "XYZ"]) for name in (of.offset, of.scale))
     raw = result.check[0]
     test = (
-        f"import sys; n = {read}; {READ_CHECKS}; S = {sensor.nominal.tolist()!r}",
-        f"def a(u): return [({STANDARD_GRAVITY} * u[k] / S[k] - n['{offset}'.format(i)]) * n['{scale}'.format(i)] "
-        "for k, i in enumerate('XYZ')]",
+        f"import sys; n = {of.read}; {READ_CHECKS}; S = {sensor.nominal.tolist()!r}",
+        f"def a(u): return [({STANDARD_GRAVITY} * u[k] / S[k] - n['{of.offset}'.format(i)]) * "
+        f"n['{of.scale}'.format(i)] for k, i in enumerate('XYZ')]",
         judged(repr(STANDARD_GRAVITY)),
     )
     lines = [
@@ -214,24 +230,6 @@ def _tested(
         *own_test(test),
     ]
     return [f"# {line}" for line in lines]
-
-
-def ardupilot_notes(result: BlockResult, nominal: Floats | None = None) -> list[str]:
-    """Return comment lines on what the form omits, and on values that ArduPilot would refuse."""
-    form = diagonal(sensor_of(result, nominal))
-    low, high = ARDUPILOT_SCALE
-    outside = _outside("INS_ACCOFFS_{}", form.offset, -ARDUPILOT_OFFSET, ARDUPILOT_OFFSET, "ArduPilot")
-    return form.told() + outside + _outside("INS_ACCSCAL_{}", form.scale, low, high, "ArduPilot")
-
-
-def _outside(name: str, values: Floats, low: float, high: float, program: str) -> list[str]:
-    """Return comment lines on the values outside the range that `program` allows for a parameter."""
-    return [
-        f"{name.format(axis)} = {value:.4g} is outside {low:g} to {high:g}, which {program} allows: "
-        "remove more before it, in the electronics or with other scale factors (--nominal)"
-        for axis, value in axis_rows(values)
-        if not low <= value <= high
-    ]
 
 
 def _head(result: BlockResult, sensor: Sensor, notes: list[str]) -> list[str]:

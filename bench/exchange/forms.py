@@ -18,19 +18,13 @@ from bench.base.numbers import fixed, places
 from bench.base.tables import table
 from bench.base.text import comment, double, visible
 from bench.calibration.result import INVERSE, Derived
-from bench.exchange.autopilots import (
-    ardupilot_notes,
-    ardupilot_param,
-    kalibr_notes,
-    kalibr_yaml,
-    px4_notes,
-    px4_params,
-)
+from bench.exchange.autopilots import ARDUPILOT, PX4, kalibr_notes, kalibr_yaml
 from bench.exchange.checks import TOLERANCE, c_self_test, how_to_test, judged, own_test, picture
 from bench.exchange.result import CONVENTION, NINE, BlockResult, ReportedNumber
 from bench.model.geometry import COEFFICIENTS
 
 if TYPE_CHECKING:
+    from openpyxl import Workbook
     from openpyxl.worksheet.worksheet import Worksheet
 
 
@@ -198,12 +192,7 @@ def workbook(result: BlockResult) -> bytes:
         _write(book.create_sheet(title), [["", *names], *rows])
     _conversion(book.create_sheet("a from U"), result)
     _checks(book.create_sheet("check"), result)
-    if result.simulated:
-        for sheet in book.worksheets:
-            sheet.oddHeader.center.text = "SIMULATED"
-    out = io.BytesIO()
-    book.save(out)
-    return out.getvalue()
+    return _saved(book, simulated=result.simulated)
 
 
 def tables_workbook(tables: Mapping[str, Sequence[Sequence[Any]]], *, simulated: bool = False) -> bytes:
@@ -216,8 +205,13 @@ def tables_workbook(tables: Mapping[str, Sequence[Sequence[Any]]], *, simulated:
         sheet = book.create_sheet(title)
         _write(sheet, rows)
         sheet.freeze_panes = "A2"
-        if simulated:
-            sheet.oddHeader.center.text = "SIMULATED"
+    return _saved(book, simulated=simulated)
+
+
+def _saved(book: Workbook, *, simulated: bool) -> bytes:
+    """Return the file of a workbook; with `simulated`, each printed page says so."""
+    for sheet in book.worksheets if simulated else ():
+        sheet.oddHeader.center.text = "SIMULATED"
     out = io.BytesIO()
     book.save(out)
     return out.getvalue()
@@ -341,7 +335,7 @@ FORMS: Final = {
     "c": ExportForm("C header", ".h", lambda result, _: c_header(result)),
     "excel": ExportForm("Excel workbook", ".xlsx", lambda result, _: workbook(result)),
     "kalibr": ExportForm("Kalibr YAML", "-kalibr.yaml", kalibr_yaml, kalibr_notes),
-    "px4": ExportForm("PX4 parameters", "-px4.params", px4_params, px4_notes),
-    "ardupilot": ExportForm("ArduPilot parameters", "-ardupilot.param", ardupilot_param, ardupilot_notes),
+    "px4": ExportForm("PX4 parameters", "-px4.params", PX4.text, PX4.notes),
+    "ardupilot": ExportForm("ArduPilot parameters", "-ardupilot.param", ARDUPILOT.text, ARDUPILOT.notes),
 }
 """The forms by the names that `--as` takes."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -111,7 +111,7 @@ def capability(measured: ComparedCalibrations, quantile: float = EVERYDAY) -> Ca
         measured.signal, measured.simulated, _notes(found, of, several=several),
     )  # fmt: skip
     below = np.sum(np.sqrt(measured.variance) < shown.u, axis=0)
-    return Capability(**{**shown.__dict__, "below": below.astype(float)})
+    return replace(shown, below=below.astype(float))
 
 
 def _notes(found: tuple[CalibrationSpread, ...], of: Histories, *, several: bool) -> tuple[str, ...]:

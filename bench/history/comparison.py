@@ -17,11 +17,12 @@ from scipy import special
 
 from bench.base.arrays import Floats, Ints, Mask, u_of
 from bench.calibration.conformity import COVERAGE_FACTOR
-from bench.calibration.intrinsic import INTRINSIC, intrinsic, through
+from bench.calibration.intrinsic import INTRINSIC, through
 from bench.calibration.noise import METERS_DRIFT, drifted
 from bench.calibration.result import CalibrationError
-from bench.model.geometry import COEFFICIENTS, Block
-from bench.stats import holm
+from bench.history.measured import nine_of, to_gravity
+from bench.model.geometry import COEFFICIENTS
+from bench.stats import chi_square, holm
 
 CHANGED_P: Final = 0.05
 """Significance level of a change: of the nine jointly, and of single numbers after Holm's correction."""
@@ -63,7 +64,7 @@ class Snapshot:
 
     def per(self, g_m_s2: float) -> Snapshot:
         """Return the snapshot with scale factors converted to another local g; per m/s² they stay the same."""
-        factor = np.where(np.arange(len(COEFFICIENTS)) < 9, g_m_s2 / self.g_m_s2, 1.0)
+        factor = to_gravity(self.g_m_s2, g_m_s2)
         both = np.outer(factor, factor)
         own = None if self.same_meters is None else self.same_meters * both
         return replace(
@@ -80,10 +81,7 @@ class Snapshot:
 
         Raises `CalibrationError` if they are undefined, as for a block with a dead channel.
         """
-        try:
-            own = intrinsic(Block.from_vector(self.vector), self.covariance)
-        except np.linalg.LinAlgError as error:
-            raise CalibrationError(f"{self.name}: its K describes no block, as {error}") from error
+        own = nine_of(self.name, self.vector, self.covariance)
         J = own.jacobian
         return replace(
             self,
@@ -274,7 +272,7 @@ def _of_free_positions(snapshot: Snapshot) -> bool:
 
 def _changes(first: Snapshot, later: Snapshot, difference: Floats, u: Floats, p: Floats) -> Changes:
     en = np.abs(difference) / (COVERAGE_FACTOR * u)
-    chi2 = _chi2(difference, first.covariance + later.covariance)
+    chi2 = chi_square(difference, first.covariance + later.covariance)
     joint = _p_of(chi2, len(difference), min(first.dof, later.dof))
     return Changes(later, difference, u, en, p, chi2, joint)
 
@@ -299,18 +297,11 @@ def _require_regular(snapshot: Snapshot) -> None:
         )
 
 
-def _chi2(difference: Floats, covariance: Floats) -> float:
-    """Return the chi-square of a difference (m,), computed from correlations to be independent of units."""
-    u = u_of(covariance)
-    scaled = difference / u
-    return float(scaled @ np.linalg.solve(covariance / np.outer(u, u), scaled))
-
-
 def _constant(snapshots: Sequence[Snapshot]) -> float:
     """Return the p-value of the hypothesis that all calibrations have one common vector."""
     weights = [np.linalg.inv(snapshot.covariance) for snapshot in snapshots]
     mean = np.linalg.solve(sum(weights), sum(w @ s.vector for w, s in zip(weights, snapshots, strict=True)))
-    chi2 = sum(_chi2(s.vector - mean, s.covariance) for s in snapshots)
+    chi2 = sum(chi_square(s.vector - mean, s.covariance) for s in snapshots)
     return _p_of(chi2, len(mean) * (len(snapshots) - 1), min(s.dof for s in snapshots))
 
 
@@ -329,7 +320,7 @@ def _drift(snapshots: Sequence[Snapshot], dates: Sequence[datetime]) -> DriftLin
     covariance = np.linalg.inv(normal * np.outer(scale, scale)) * np.outer(scale, scale)
     line = covariance @ right
     left = [s.vector - d @ line for d, s in zip(designs, snapshots, strict=True)]
-    chi2 = sum(_chi2(gap, s.covariance) for gap, s in zip(left, snapshots, strict=True))
+    chi2 = sum(chi_square(gap, s.covariance) for gap, s in zip(left, snapshots, strict=True))
     slope, u = line[count:], u_of(covariance)[count:]
     dof = count * (len(snapshots) - 2)
     p = holm(special.erfc(np.abs(slope) / u / np.sqrt(2)))
@@ -381,7 +372,7 @@ def _on_meters(snapshots: Sequence[Snapshot]) -> str:
     if all(snapshot.meters == snapshots[0].meters != () for snapshot in snapshots):
         return (
             "the same meters, by identity and address: the uncertainty includes the drift of their gain "
-            "and offset ({METERS_DRIFT.days} days: all)"
+            f"and offset ({METERS_DRIFT.days} days: all)"
         )
     return "perhaps other meters: every uncertainty includes their gain and offset"
 

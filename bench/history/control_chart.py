@@ -15,9 +15,11 @@ import numpy as np
 from bench.base.arrays import Floats
 from bench.base.numbers import MINUS, probability
 from bench.base.text import listed
-from bench.calibration.intrinsic import INTRINSIC, intrinsic, through
-from bench.calibration.result import CalibrationError, Derived
-from bench.model.geometry import COEFFICIENTS, Block
+from bench.calibration.intrinsic import INTRINSIC, through
+from bench.calibration.result import CalibrationError
+from bench.history.comparison import SECONDS_PER_YEAR
+from bench.history.measured import nine_of
+from bench.model.geometry import COEFFICIENTS
 from bench.stats.control_charts import (
     ALIKE_P,
     Centre,
@@ -142,7 +144,6 @@ def _on_drift(chart: ControlChart) -> list[str]:
     ]
 
 
-SECONDS_PER_YEAR = 365.25 * 86400.0
 LEAST_FOR_DRIFT = 5
 LEAST_SPAN_YEARS = 7.0 / 365.25
 
@@ -175,7 +176,7 @@ class CheckRun:
         """Return the run in the nine intrinsic numbers. Raises `CalibrationError` for a K that describes no
         block.
         """
-        own = _nine(self.name, self.value, self.covariance)
+        own = nine_of(self.name, self.value, self.covariance)
         J = own.jacobian
         return replace(
             self,
@@ -185,13 +186,6 @@ class CheckRun:
             of_meters=through(J, self.of_meters),
             lasting=through(J, self.lasting),
         )
-
-
-def _nine(name: str, value: Floats, covariance: Floats) -> Derived:
-    try:
-        return intrinsic(Block.from_vector(value), covariance)
-    except np.linalg.LinAlgError as error:
-        raise CalibrationError(f"{name}: its K describes no block, as {error}") from error
 
 
 @dataclass(frozen=True)
@@ -208,7 +202,7 @@ class Reference:
 
         Raises `CalibrationError` for a K that describes no block.
         """
-        own = _nine(self.name, self.value, self.covariance)
+        own = nine_of(self.name, self.value, self.covariance)
         return replace(self, value=own.values, covariance=own.covariance)
 
 
@@ -221,7 +215,7 @@ class KnownDrift:
 
     def in_nine(self, value: Floats) -> KnownDrift:
         """Return the drift in the nine intrinsic numbers of a block with the coefficients `value` (12,)."""
-        J = _nine("the check block", value, np.eye(len(value))).jacobian
+        J = nine_of("the check block", value, np.eye(len(value))).jacobian
         return KnownDrift(J @ self.per_year, np.sqrt(J**2 @ self.u**2))
 
 

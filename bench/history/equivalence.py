@@ -17,7 +17,7 @@ from bench.calibration.result import CalibrationError
 from bench.history.comparison import Joint, Snapshot, joint_covariances, joint_of
 from bench.history.measured import ComparedCalibrations, coded
 from bench.model.geometry import COEFFICIENTS
-from bench.stats import holm
+from bench.stats import chi_square, holm
 
 CONSISTENT_P: Final = 0.05
 """The least p-value at which values count as consistent with their stated uncertainties."""
@@ -460,10 +460,7 @@ def against_others(
         difference = values[own] - np.einsum("km,km->m", weights, values[rest])
         joint = covariances[own] + np.einsum("ka,kb,kab->ab", weights, weights, covariances[rest])
         joint[np.diag_indices(m)] += dark**2 * np.sum(weights**2, axis=0)
-        u = u_of(joint)
-        scaled = difference / u
-        chi2 = float(scaled @ np.linalg.solve(joint / np.outer(u, u), scaled))
-        found.append((difference, u, dark, chi2))
+        found.append((difference, u_of(joint), dark, chi_square(difference, joint)))
     p = np.asarray(special.chdtrc(m, np.array([chi2 for *_, chi2 in found])))
     return tuple(
         LaboratoryJudged(*one, alone, looks)

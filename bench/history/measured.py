@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from bench.base.arrays import Floats, Ints, Labels, Mask
 from bench.calibration.intrinsic import intrinsic
-from bench.calibration.result import CalibrationError
+from bench.calibration.result import CalibrationError, Derived
 from bench.model.geometry import COEFFICIENTS, Block
 
 STANDARD_GRAVITY: Final = 9.80665
@@ -94,11 +94,21 @@ class ComparedCalibrations:
         return np.maximum(self.variance - self.meters**2, LEAST_OWN * self.variance)
 
 
-def to_standard_gravity(g_m_s2: Floats) -> Floats:
-    """Return the factors (n, 12) that convert coefficients per local g `g_m_s2` (n,) to standard gravity."""
-    factor = np.ones((len(g_m_s2), len(COEFFICIENTS)))
-    factor[:, :9] = (STANDARD_GRAVITY / g_m_s2)[:, None]
-    return factor
+def to_gravity(g_m_s2: Floats | float, other: float = STANDARD_GRAVITY) -> Floats:
+    """Return the factors (…, 12) that convert coefficients per local g `g_m_s2` (…) to those per another g."""
+    ratio = other / np.asarray(g_m_s2)[..., None]
+    return np.where(np.arange(len(COEFFICIENTS)) < 9, ratio, 1.0)
+
+
+def nine_of(name: str, vector: Floats, covariance: Floats) -> Derived:
+    """Return the nine intrinsic numbers of coefficients (12,) with a covariance (12, 12).
+
+    Raises `CalibrationError` if they are undefined, as for a block with a dead channel; it begins with `name`.
+    """
+    try:
+        return intrinsic(Block.from_vector(vector), covariance)
+    except np.linalg.LinAlgError as error:
+        raise CalibrationError(f"{name}: its K describes no block, as {error}") from error
 
 
 def coded(labels: Sequence[str] | Labels) -> tuple[Labels, Ints]:

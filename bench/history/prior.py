@@ -17,8 +17,8 @@ from scipy import special
 
 from bench.base.arrays import Floats, Ints, u_of
 from bench.calibration.result import CalibrationError
-from bench.history.measured import STANDARD_GRAVITY, ComparedCalibrations, coded
-from bench.model.geometry import COEFFICIENTS
+from bench.history.measured import STANDARD_GRAVITY, ComparedCalibrations, coded, to_gravity
+from bench.stats import chi_square
 
 LEAST_UNITS: Final = 6
 """Fewer units give no meaningful covariance of twelve coefficients."""
@@ -61,7 +61,7 @@ class Prior:
 
     def per(self, g_m_s2: float) -> tuple[Floats, Floats]:
         """Return the mean (12,) and the covariance (12, 12) with scale factors per a local g of `g_m_s2`."""
-        factor = np.where(np.arange(len(COEFFICIENTS)) < 9, g_m_s2 / STANDARD_GRAVITY, 1.0)
+        factor = to_gravity(STANDARD_GRAVITY, g_m_s2)
         return self.mean * factor, self.covariance * np.outer(factor, factor)
 
 
@@ -201,9 +201,7 @@ def join(calibration: Floats, own: Floats, alike: Floats, prior: Prior, g_m_s2: 
     mean, covariance = prior.per(g_m_s2)
     gap = calibration - mean
     between = own + covariance
-    scale = u_of(between)
-    solved = np.linalg.solve(between / np.outer(scale, scale), gap / scale)
-    chi2 = float(gap / scale @ solved)
+    scale, chi2 = u_of(between), chi_square(gap, between)
     # the prior's part of the covariance is an estimate: hence the F distribution with its degrees of freedom
     of_prior = float(np.mean(np.diag(covariance) / np.diag(between)))
     dof = max(prior.dof / of_prior**2, LEAST_DOF)

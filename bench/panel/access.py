@@ -17,7 +17,7 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any, Final
 
-from filelock import FileLock
+from filelock import FileLock, Timeout
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.requests import Request
 from starlette.responses import Response
@@ -254,6 +254,17 @@ def private_folder(folder: Path) -> Path:
             message(f"{folder}: cannot be used ({error.strerror}); choose another folder of runs")
         ) from error
     return folder
+
+
+def is_held(lock: FileLock) -> bool:
+    """Return whether a program holds a lock now; false for one that cannot be taken at all."""
+    try:
+        with lock.acquire(timeout=0):
+            return False
+    except Timeout:
+        return True
+    except OSError:
+        return False
 
 
 class KeptList:

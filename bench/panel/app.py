@@ -28,7 +28,17 @@ from bench.base.files import from_text, read_regular, to_text, write_whole
 from bench.base.yaml_files import FileMistakes
 from bench.config.bench_file.file import load_bench
 from bench.config.shipped import find_bench
-from bench.panel.access import PORT, STATE, Access, Gate, Refusal, Settings, is_loopback, private_folder
+from bench.panel.access import (
+    PORT,
+    STATE,
+    Access,
+    Gate,
+    Refusal,
+    Settings,
+    is_held,
+    is_loopback,
+    private_folder,
+)
 from bench.panel.launching import Started, wait_until
 from bench.panel.launching import start as start_program
 from bench.panel.pages import (
@@ -127,7 +137,6 @@ def make_app(settings: Settings) -> Starlette:
 LATE: Final = (
     "bench.calibration.conformity",
     "bench.calibration.verification",
-    "bench.panel.round_trip",
     "bench.exchange.forms",
     "bench.services.calibration",
     "bench.services.check_block",
@@ -356,12 +365,7 @@ def is_serving(runs: Path) -> bool:
     """Return whether a panel serves this folder now."""
     if not (runs / STATE / LOCK).exists():
         return False
-    lock = FileLock(runs / STATE / LOCK, mode=0o600)
-    try:
-        with lock.acquire(timeout=0):
-            return False
-    except Timeout:
-        return True
+    return is_held(FileLock(runs / STATE / LOCK, mode=0o600))
 
 
 def link_of(runs: Path, name: str = "", laboratory: Path | None = None) -> str:

@@ -19,7 +19,6 @@ from bench.panel.access import Refusal
 from bench.run.events import EVENTS, MANIFEST, RecordError
 from bench.run.folder import BENCH, PLAN, PROCEDURE, RESULTS, VERIFY, Digests, Run
 from bench.run.record import is_being_written
-from bench.services.errors import Refused
 from bench.services.records import run_summary
 from drivers.clock import Clock, SystemClock
 
@@ -124,12 +123,7 @@ class Certificates:
             return None
         with self._lock:
             register = self._register or Register(self._folder)
-            try:
-                register.read_lines()
-            except OSError as error:
-                raise Refused(
-                    message(f"{self._folder}: cannot be read ({error.strerror}); check name and permissions")
-                ) from error
+            register.read_lines()
             self._register = register
             return register
 

@@ -14,7 +14,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
-from filelock import FileLock, Timeout
+from filelock import FileLock
 
 from bench.base.files import from_text, open_regular, read_regular, to_text, write_whole
 from bench.base.languages import message
@@ -22,7 +22,7 @@ from bench.base.requests import fields_of
 from bench.base.text import visible
 from bench.base.yaml_files import FileMistakes
 from bench.config.shipped import CONFIG, PROCEDURES, shipped_folder
-from bench.panel.access import Refusal, private_folder
+from bench.panel.access import Refusal, is_held, private_folder
 from bench.panel.folder import RunsFolder
 from bench.run.events import EVENTS, RecordError, sha256
 from bench.run.folder import Run, checked_name
@@ -178,11 +178,27 @@ class TrialResult:
         return self.tried in {0, 1} or bool(self.check["dry_run_refuses"])
 
 
-class WishFolder:
-    """The folder of one requested run (a wish)."""
+class WorkFolder:
+    """A folder in which a process of the panel stores its findings; it holds a lock while it is alive."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
+
+    def tell(self, found: Any) -> None:
+        """Store the findings so far, a dataclass."""
+        write_whole(self.path / FOUND, to_text(asdict(found)))
+
+    def lock(self) -> FileLock:
+        """Return the lock that the process holds while it is alive."""
+        return FileLock(self.path / LOCK, mode=0o600)
+
+    def at_work(self) -> bool:
+        """Return whether a process is at work in the folder now."""
+        return is_held(self.lock())
+
+
+class WishFolder(WorkFolder):
+    """The folder of one requested run (a wish)."""
 
     @property
     def id(self) -> str:
@@ -196,24 +212,6 @@ class WishFolder:
     def found(self) -> TrialResult:
         """Return the findings so far. Raises `Refusal` (404) if they were deleted."""
         return TrialResult(**self._read(FOUND))
-
-    def tell(self, found: TrialResult) -> None:
-        """Store the findings so far."""
-        write_whole(self.path / FOUND, to_text(asdict(found)))
-
-    def lock(self) -> FileLock:
-        """Return the lock that the checking process holds while it is alive."""
-        return FileLock(self.path / LOCK, mode=0o600)
-
-    def at_work(self) -> bool:
-        """Return whether a process is checking or trying the run now."""
-        try:
-            with self.lock().acquire(timeout=0):
-                return False
-        except Timeout:
-            return True
-        except OSError:
-            return False
 
     def mark_started(self, name: str) -> None:
         """Record the name of the run started from this wish. Raises `Refusal` if one was started already."""

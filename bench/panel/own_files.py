@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
@@ -14,6 +14,7 @@ from bench.base.files import MEGABYTE, read_regular, write_whole
 from bench.base.languages import message
 from bench.config.shipped import CONFIG, PROCEDURES, shipped_folder
 from bench.panel.access import Refusal, private_folder
+from bench.panel.bench_fields import Placed
 from bench.panel.launching import choices
 from bench.run.events import sha256
 
@@ -30,6 +31,37 @@ class FileText:
     path: Path
     text: str
     sha256: str = ""
+
+
+@dataclass
+class EditedFile:
+    """A bench file or a procedure in its form: the file as it was read (`base`), and what the page says of it.
+
+    `start` is the file from which a new one begins, empty for one that exists; `name` is the name of the file.
+    """
+
+    name: str
+    start: str
+    base: FileText
+    placed: Placed = field(default_factory=Placed)
+    note: str = ""
+    refusal: str = ""
+    difference: str = ""
+
+    def target(self, kind: str) -> Path | None:
+        """Return the path to write; None, with the mistake at its field, for a new name that cannot be used."""
+        try:
+            return new_path(kind, self.name) if self.start else self.base.path
+        except Refusal as refusal:
+            self.placed.at.setdefault("new_name", []).append(refusal.text)
+            return None
+
+    def write(self, path: Path, text: str, expected_sha256: str, state: Path) -> bool:
+        """Write the file as `write_file` does; if it has changed meanwhile, note the difference."""
+        if expected_sha256 == self.base.sha256 and write_file(path, text, expected_sha256, state):
+            return True
+        self.difference = difference(read_file(path).text, text, path.name)
+        return False
 
 
 def own_files(kind: str) -> dict[str, Path]:

@@ -5,21 +5,20 @@ from __future__ import annotations
 import csv
 import io
 import threading
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
 
-from bench.base.files import from_text
 from bench.base.languages import message
 from bench.base.numbers import without_infinity
 from bench.base.text import visible
 from bench.base.yaml_files import FileMistakes
 from bench.panel.access import Refusal
-from bench.panel.folder import RunsFolder, read_page
+from bench.panel.folder import RunsFolder
 from bench.panel.outcome import previous_calibration
-from bench.panel.results import CALIBRATE, DIAGNOSE, UNREADABLE, VERIFY, is_plain
+from bench.panel.results import CALIBRATE, DIAGNOSE, VERIFY, is_plain, told_by
 from bench.readings.csv import ReadingsError
 from bench.run.events import EVENTS, RecordError
 from bench.run.folder import BENCH, Run
@@ -27,9 +26,6 @@ from bench.services.errors import Refused
 
 COVERAGE: Final = 2.0
 """Coverage factor: half-width of the plotted bands in standard uncertainties."""
-
-BROKEN: Final = (ValueError, KeyError, TypeError, AttributeError, IndexError)
-"""What a damaged result file raises while its numbers are taken out."""
 
 Numbers = dict[str, Any]
 Rows = list[list[Any]]
@@ -55,7 +51,7 @@ def plots_of(run: Run, runs: RunsFolder) -> Numbers:
         "k": COVERAGE,
         **own,
         "previous": before and {"run": earlier and earlier.name, **before},
-        "diagnosis": _told(run, DIAGNOSE, _diagnosis, trouble),
+        "diagnosis": told_by(run, DIAGNOSE, _diagnosis, trouble),
         "trouble": trouble,
     }
     cleaned: Numbers = without_infinity(told)
@@ -79,22 +75,8 @@ def _measured(run: Run, trouble: list[str]) -> Numbers:
     times = {} if fitted is None else fitted.times
     return {
         "residuals": fitted and {"unit": fitted.unit, "points": list(fitted.points)},
-        "delta_g": _told(run, VERIFY, lambda told: _delta_g(told, times), trouble),
+        "delta_g": told_by(run, VERIFY, lambda told: _delta_g(told, times), trouble),
     }
-
-
-def _told(
-    run: Run, name: str, numbers: Callable[[Mapping[str, Any]], Numbers], trouble: list[str]
-) -> Numbers | None:
-    """Return what `numbers` takes from a result file of a run; None if there is no such file or it is damaged."""
-    try:
-        content = from_text(read_page(run, name))
-        return None if content is None else numbers(content)
-    except Refusal:
-        return None
-    except BROKEN:
-        trouble.append(UNREADABLE.format(name, run.name))
-        return None
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,6 @@ VERIFY: Final = "verify.json"
 DIAGNOSE: Final = "diagnose.json"
 REPORT: Final = "report.html"
 DIAGNOSIS: Final = "diagnose.html"
-UNREADABLE: Final = "{}: cannot be read; 'bench report {}' makes it again"
 
 FIGURES: Final = {
     "residuals": b"residuals-angle",
@@ -130,20 +129,25 @@ class Results:
 def results_of(run: Run) -> Results:
     """Return the results of a run, read from the files in its folder."""
     trouble: list[str] = []
-
-    def told(name: str, words: Callable[[Mapping[str, Any]], Told]) -> Told | None:
-        try:
-            content = from_text(read_page(run, name))
-            return None if content is None else words(content)
-        except Refusal:
-            return None
-        except (ValueError, KeyError, TypeError, AttributeError, OverflowError, ArithmeticError):
-            trouble.append(UNREADABLE.format(name, run.name))
-            return None
-
-    found = (told(VERIFY, _verdict), told(CALIBRATE, _calibration), told(DIAGNOSE, _diagnosis))
+    verdict = told_by(run, VERIFY, _verdict, trouble)
+    calibration = told_by(run, CALIBRATE, _calibration, trouble)
+    diagnosis = told_by(run, DIAGNOSE, _diagnosis, trouble)
     there = [name for name in (REPORT, DIAGNOSIS) if is_plain(run.folder / name)]
-    return Results(*found, tuple(there), tuple(trouble))
+    return Results(verdict, calibration, diagnosis, tuple(there), tuple(trouble))
+
+
+def told_by(
+    run: Run, name: str, words: Callable[[Mapping[str, Any]], Told], trouble: list[str]
+) -> Told | None:
+    """Return what `words` takes from a result file of a run; None for no file, or a damaged one (see `trouble`)."""
+    try:
+        content = from_text(read_page(run, name))
+        return None if content is None else words(content)
+    except Refusal:
+        return None
+    except (ValueError, LookupError, TypeError, AttributeError, ArithmeticError):
+        trouble.append(f"{name}: cannot be read; 'bench report {run.name}' makes it again")
+        return None
 
 
 def is_plain(path: Path) -> bool:

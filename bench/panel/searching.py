@@ -8,21 +8,17 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
-from filelock import FileLock, Timeout
-
 from bench.base.files import from_text, read_regular, to_text, write_whole
 from bench.base.languages import message
 from bench.base.text import visible
 from bench.base.yaml_files import FileMistakes
 from bench.panel.access import Refusal, private_folder
-from bench.panel.launching import start
+from bench.panel.launching import FOUND, WorkFolder, start
 from bench.services.errors import Refused
 from drivers.clock import utc_now
 from drivers.interfaces import BenchError
 
 ASKED: Final = "asked.json"
-FOUND: Final = "found.json"
-LOCK: Final = "lock"
 LOG: Final = "search.log"
 OFFERS: Final = "offers"
 IDENTIFY: Final = "identify"
@@ -51,11 +47,8 @@ class Findings:
     """The resources that are addressed."""
 
 
-class Search:
+class Search(WorkFolder):
     """The latest search of a panel, in a folder of its own; one search at a time addresses the instruments."""
-
-    def __init__(self, folder: Path) -> None:
-        self.path = folder
 
     def found(self) -> Findings:
         """Return the findings so far; they are empty before the first search."""
@@ -65,26 +58,15 @@ class Search:
         except (OSError, ValueError, TypeError):
             return Findings()
 
-    def tell(self, found: Findings) -> None:
-        """Store the findings so far."""
-        write_whole(self.path / FOUND, to_text(asdict(found)))
-
-    def lock(self) -> FileLock:
-        """Return the lock that the searching process holds while it is alive."""
-        return FileLock(self.path / LOCK, mode=0o600)
-
     def at_work(self) -> bool:
         """Return whether a process searches now, or was started a moment ago and may not have begun yet."""
         if self.found().done:
             return False
         try:
-            with self.lock().acquire(timeout=0):
-                age_s = utc_now().timestamp() - (self.path / ASKED).stat().st_mtime
-                return age_s < BEGINS_WITHIN_S
-        except Timeout:
-            return True
+            age_s = utc_now().timestamp() - (self.path / ASKED).stat().st_mtime
         except OSError:
-            return False
+            age_s = BEGINS_WITHIN_S
+        return age_s < BEGINS_WITHIN_S or super().at_work()
 
     def begin(self, what: str, *, resources: Sequence[str] = (), bench: Path | None = None) -> None:
         """Start a process that searches, asks these resources for their identity, or tests a bench's instruments.

@@ -75,6 +75,13 @@ def looking(request: Request) -> Person:
     return person
 
 
+def operator(request: Request) -> Person:
+    """Return the signed-in person who requests a page for operators. Raises `Refusal` for anybody else."""
+    person = looking(request)
+    person.require(Role.OPERATOR)
+    return person
+
+
 async def acting(request: Request, least: Role, most: int = MOST_FIELDS) -> tuple[Person, dict[str, str]]:
     """Return the person requesting a change, and the form's fields, `most` at most.
 

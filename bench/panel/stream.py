@@ -6,7 +6,7 @@ import asyncio
 import json
 from collections import deque
 from collections.abc import AsyncIterator, Callable
-from contextlib import suppress
+from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -396,45 +396,32 @@ class Followers:
 
     async def state(self, folder: Path) -> dict[str, Any]:
         """Return the snapshot of a run. Raises `RecordError` if it cannot be read."""
-        shared = await self._of(folder)
-        try:
+        async with self._watched(folder) as shared:
             return shared.state
-        finally:
-            self._leave(folder, shared)
 
     async def prompt(self, folder: Path) -> AskedPrompt | None:
         """Return the open question of a run. Raises `RecordError` if its record cannot be read."""
-        shared = await self._of(folder)
-        try:
+        async with self._watched(folder) as shared:
             return shared.prompt
-        finally:
-            self._leave(folder, shared)
 
     async def points(self, folder: Path) -> tuple[dict[str, Any], ...]:
         """Return the points of a run once all its readings were compared with their predictions.
 
         Raises `RecordError`.
         """
-        shared = await self._of(folder)
-        try:
+        async with self._watched(folder) as shared:
             while shared.judging and not shared.trouble:
                 await shared.wait(shared.version)
             return shared.points.points
-        finally:
-            self._leave(folder, shared)
 
     async def stream(self, folder: Path) -> AsyncIterator[bytes]:
         """Yield server-sent events of a run for one viewer: "state", "points", "live", "beat" and "trouble".
 
         Raises `RecordError` before the first event if the record cannot be read.
         """
-        shared = await self._of(folder)
-        try:
+        async with self._watched(folder) as shared:
             told, sent, live = PlottedPoints(), b"", b""
-            while True:
-                if shared.trouble:
-                    yield as_event("trouble", {"words": shared.trouble})
-                    return
+            while not shared.trouble:
                 version = shared.version
                 if shared.sent_state is not sent:
                     sent = shared.sent_state
@@ -447,8 +434,7 @@ class Followers:
                     told = points
                 if not await shared.wait(version):
                     yield as_event("beat", {})
-        finally:
-            self._leave(folder, shared)
+            yield as_event("trouble", {"words": shared.trouble})
 
     def close(self) -> None:
         """Stop following all runs."""
@@ -456,7 +442,9 @@ class Followers:
             shared.stop()
         self._shared.clear()
 
-    async def _of(self, folder: Path) -> SharedFollower:
+    @asynccontextmanager
+    async def _watched(self, folder: Path) -> AsyncIterator[SharedFollower]:
+        """Yield the follower of a run, begun if there is none. Raises `RecordError` if it cannot be read."""
         shared = self._shared.get(folder)
         if shared is None or shared.over:
             shared = self._shared[folder] = SharedFollower(folder, self._add)
@@ -465,16 +453,12 @@ class Followers:
             await shared.ready()
             if shared.trouble:
                 raise RecordError(shared.trouble)
-        except BaseException:
-            self._leave(folder, shared)
-            raise
-        return shared
-
-    def _leave(self, folder: Path, shared: SharedFollower) -> None:
-        shared.watchers -= 1
-        if shared.watchers == 0:
-            with suppress(RuntimeError):  # the loop has ended
-                asyncio.get_running_loop().call_later(LINGER_S, self._forget, folder, shared)
+            yield shared
+        finally:
+            shared.watchers -= 1
+            if shared.watchers == 0:
+                with suppress(RuntimeError):  # the loop has ended
+                    asyncio.get_running_loop().call_later(LINGER_S, self._forget, folder, shared)
 
     def _forget(self, folder: Path, shared: SharedFollower) -> None:
         if shared.watchers == 0:

@@ -122,17 +122,18 @@ class Chain:
     def read_lines(self) -> None:
         """Read the lines that were added since the last call, without changing any file.
 
-        Raises `Refused` for a changed line.
+        Raises `Refused` for a changed line, and for a file that cannot be read.
         """
         path = self.folder / LINES
-        if (path.stat().st_size if path.exists() else 0) < self.length:
-            raise Refused(f"{path}: its last lines are missing; restore it from a copy")
-        if path.exists():
-            with open_regular(path) as file:
-                file.seek(self.length)
-                for line in file:
-                    if line.endswith(b"\n"):
-                        self._take(line[:-1])
+        with refusing("check name and permissions", self.folder, verb="read"):
+            if (path.stat().st_size if path.exists() else 0) < self.length:
+                raise Refused(f"{path}: its last lines are missing; restore it from a copy")
+            if path.exists():
+                with open_regular(path) as file:
+                    file.seek(self.length)
+                    for line in file:
+                        if line.endswith(b"\n"):
+                            self._take(line[:-1])
 
     def _take(self, line: bytes) -> None:
         where = f"{self.folder / LINES}, line {self.count + 1}"

@@ -1,4 +1,4 @@
-"""Statistics without reference to a bench; this module: adjusted p-values, and contrasts within groups.
+"""Statistics without reference to a bench; this module: adjusted p-values, chi-square, contrasts.
 
 Source: S. Holm, "A simple sequentially rejective multiple test procedure", Scand. J. Statist. 6 (1979) 65.
 """
@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from bench.base.arrays import Floats, Ints
+from bench.base.arrays import Floats, Ints, u_of
 
 
 def holm(p: Floats) -> Floats:
@@ -30,3 +30,10 @@ def contrasts_within(group: Ints) -> Floats:
         left -= np.outer(own, own) / own.sum()
     size, vectors = np.linalg.eigh(left)
     return np.asarray(vectors[:, size > 0.5])
+
+
+def chi_square(difference: Floats, covariance: Floats) -> float:
+    """Return the chi-square of a difference (m,), computed from correlations to be independent of units."""
+    u = u_of(covariance)
+    scaled = difference / u
+    return float(scaled @ np.linalg.solve(covariance / np.outer(u, u), scaled))

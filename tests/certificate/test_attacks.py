@@ -9,14 +9,14 @@ import pytest
 from lxml import etree
 from pyhanko.pdf_utils.incremental_writer import IncrementalPdfFileWriter
 
-from bench.certificate.signatures import NAMESPACE, NotIntact, check_pdf, check_xml, sign_pdf, sign_xml
+from bench.certificate.signatures import SIGNATURE, NotIntact, check_pdf, check_xml, sign_pdf, sign_xml
 from bench.services.errors import Refused
 from tests.support.signed import NOW, a_signatory, blank_pdf
 
 XML = b"""<c:cert xmlns:c="urn:c" version="3"><!-- made by hand -->
   <c:value unit="V">-2.177</c:value><c:id>2026-0001</c:id>
 </c:cert>"""
-DS = f"{{{NAMESPACE}}}"
+DS = f"{{{SIGNATURE}}}"
 
 
 @pytest.fixture(scope="module")

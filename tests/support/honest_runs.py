@@ -224,16 +224,3 @@ def run_joined(seed: int, numbers: range, noise_v: float, passes: int = 3, count
         for k in numbers
     ]
     return np.array([(r.block.vector - TRUTH) / r.u for r in results])
-
-
-def simulate_many(seed: int, runs: int, noise_v: float) -> Floats:
-    """Signals (runs, 54, 3) of as many runs of the paper's procedure, each with stand errors of its own."""
-    rng = np.random.default_rng(seed)
-    installation, _, _, phi = design()
-    at = np.array([int(i) - 1 for i in installation])
-    stand = rng.normal(0.0, list(STAND_U.values()), (runs, 2, 3))[:, at].reshape(-1, 3)
-    setting = rng.normal(0.0, SETTING_U_RAD, len(stand))
-    alpha1, alpha2, alpha3 = stand.T
-    force = specific_force(installation * runs, np.tile(phi, runs), alpha1, alpha2, alpha3, setting)
-    signal = force @ K.T + U0 + rng.normal(0.0, noise_v, force.shape)
-    return np.asarray(signal.reshape(runs, len(phi), 3))

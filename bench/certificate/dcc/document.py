@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import datetime
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
 from importlib import metadata
 from typing import Final
 
@@ -19,38 +18,16 @@ _XSI: Final = "http://www.w3.org/2001/XMLSchema-instance"
 _PLACE: Final = f"{NAMESPACES['dcc']} {NAMESPACES['dcc']}/v{VERSION}/dcc.xsd"
 
 
-@dataclass(frozen=True)
-class _Whole:
-    """A certificate with every item that a DCC requires; none of them is None."""
-
-    certificate: Certificate
-    laboratory: Laboratory
-    order: Order
-    unit: UnitOrder
-    issue: Issue
-    days: tuple[datetime.date, datetime.date]
-
-    @property
-    def texts(self) -> tuple[Texts, ...]:
-        return self.certificate.texts
-
-
-def _whole(certificate: Certificate) -> _Whole:
-    laboratory, order, unit, issue, days = (
-        certificate.laboratory, certificate.order, certificate.unit, certificate.issue, certificate.calibrated,
-    )  # fmt: skip
-    if laboratory is None or order is None or unit is None or issue is None or days is None:
-        raise ValueError("give a machine-readable certificate a laboratory, an order, dates and a number")
-    return _Whole(certificate, laboratory, order, unit, issue, days)
-
-
 def document_of(certificate: Certificate) -> bytes:
     """Return the unsigned DCC (XML) of a numbered certificate: the same bytes for the same certificate.
 
     Raises `ValueError` for a draft, or if laboratory, order, unit or calibration days are not stated.
     """
-    whole = _whole(certificate)
-    laboratory, order = whole.laboratory, whole.order
+    laboratory, order, unit, issue, days = (
+        certificate.laboratory, certificate.order, certificate.unit, certificate.issue, certificate.calibrated,
+    )  # fmt: skip
+    if laboratory is None or order is None or unit is None or issue is None or days is None:
+        raise ValueError("give a machine-readable certificate a laboratory, an order, dates and a number")
     root = etree.Element(
         f"{{{NAMESPACES['dcc']}}}digitalCalibrationCertificate", nsmap={**NAMESPACES, "xsi": _XSI}
     )
@@ -60,8 +37,8 @@ def document_of(certificate: Certificate) -> bytes:
         node(
             "dcc:administrativeData",
             node("dcc:dccSoftware", software()),
-            _core(whole),
-            _items(whole),
+            _core(certificate.texts, laboratory, order, unit, issue, days),
+            _items(certificate, unit),
             node(
                 "dcc:calibrationLaboratory",
                 None
@@ -69,9 +46,9 @@ def document_of(certificate: Certificate) -> bytes:
                 else node("dcc:calibrationLaboratoryCode", laboratory.accreditation.number),
                 contact("dcc:contact", laboratory),
             ),
-            node("dcc:respPersons", *_persons(whole)),
+            node("dcc:respPersons", *_persons(issue, certificate.found.operator)),
             contact("dcc:customer", order.customer),
-            node("dcc:statements", *_statements(whole)),
+            node("dcc:statements", *_statements(certificate, order, unit, issue)),
         )
     )
     root.append(measurement_results(certificate))
@@ -108,26 +85,28 @@ def contact(name: str, of: Contact) -> Node:
     )
 
 
-def _core(whole: _Whole) -> Node:
-    issue, order, days = whole.issue, whole.order, whole.days
-    languages = [one.language for one in whole.texts]
+def _core(
+    texts: Sequence[Texts], laboratory: Laboratory, order: Order, unit: UnitOrder, issue: Issue,
+    days: tuple[datetime.date, datetime.date],
+) -> Node:  # fmt: skip
+    languages = [one.language for one in texts]
     return node(
         "dcc:coreData",
-        node("dcc:countryCodeISO3166_1", whole.laboratory.address.country),
+        node("dcc:countryCodeISO3166_1", laboratory.address.country),
         *(node("dcc:usedLangCodeISO639_1", one) for one in languages),
         node("dcc:mandatoryLangCodeISO639_1", languages[0]),
         node("dcc:uniqueIdentifier", issue.number),
-        node("dcc:identifications", _identification(whole, "customer", order.number, "order")),
-        node("dcc:receiptDate", str(whole.unit.received)),
+        node("dcc:identifications", _identification(texts, "customer", order.number, "order")),
+        node("dcc:receiptDate", str(unit.received)),
         node("dcc:beginPerformanceDate", str(days[0])),
         node("dcc:endPerformanceDate", str(days[1])),
         node("dcc:performanceLocation", "laboratory" if order.place is None else "other"),
         node("dcc:issueDate", issue.day),
-        *(_before(whole, issue.before) if issue.before else ()),
+        *(_before(texts, issue.before) if issue.before else ()),
     )
 
 
-def _before(whole: _Whole, before: Before) -> Iterator[Node]:
+def _before(texts: Sequence[Texts], before: Before) -> Iterator[Node]:
     yield node(
         "dcc:reportAmendedSubstituted",
         node("dcc:typeOfChange", "amended" if before.kind == "amended" else "substituted"),
@@ -135,7 +114,7 @@ def _before(whole: _Whole, before: Before) -> Iterator[Node]:
     )
     yield node(
         "dcc:previousReport",
-        node("dcc:referral", *said(whole.texts, "title")),
+        node("dcc:referral", *said(texts, "title")),
         node("dcc:referralID", before.number),
         node("dcc:procedure", "SHA-256"),
         node("dcc:value", before.sha256),
@@ -143,17 +122,17 @@ def _before(whole: _Whole, before: Before) -> Iterator[Node]:
     )
 
 
-def _identification(whole: _Whole, issuer: str, value: str, key: str) -> Node:
+def _identification(texts: Sequence[Texts], issuer: str, value: str, key: str) -> Node:
     return node(
         "dcc:identification",
         node("dcc:issuer", issuer),
         node("dcc:value", value),
-        node("dcc:name", *said(whole.texts, key)),
+        node("dcc:name", *said(texts, key)),
     )
 
 
-def _items(whole: _Whole) -> Node:
-    item, unit = whole.certificate.found.item, whole.unit
+def _items(certificate: Certificate, unit: UnitOrder) -> Node:
+    item, texts = certificate.found.item, certificate.texts
     reference, maker = unit.reference, unit.manufacturer
     return node(
         "dcc:items",
@@ -162,23 +141,23 @@ def _items(whole: _Whole) -> Node:
             node("dcc:name", plain(item.type)),
             node(
                 "dcc:description",
-                node("dcc:name", *said(whole.texts, "condition")),
+                node("dcc:name", *said(texts, "condition")),
                 plain(unit.condition),
             ),
             None if maker is None else node("dcc:manufacturer", node("dcc:name", plain(maker))),
             node("dcc:model", item.type),
             node(
                 "dcc:identifications",
-                _identification(whole, "manufacturer", item.serial, "serial"),
-                None if reference is None else _identification(whole, "customer", reference, "reference"),
+                _identification(texts, "manufacturer", item.serial, "serial"),
+                None if reference is None else _identification(texts, "customer", reference, "reference"),
             ),
             id="item",
         ),
     )
 
 
-def _persons(whole: _Whole) -> Iterator[Node]:
-    who, operator = whole.issue.authorised_by, whole.certificate.found.operator
+def _persons(issue: Issue, operator: str) -> Iterator[Node]:
+    who = issue.authorised_by
     yield node(
         "dcc:respPerson",
         node("dcc:person", node("dcc:name", plain(who.name))),
@@ -194,12 +173,12 @@ def _persons(whole: _Whole) -> Iterator[Node]:
         )
 
 
-def _statements(whole: _Whole) -> Iterator[Node]:
-    certificate, texts, order, unit = whole.certificate, whole.texts, whole.order, whole.unit
+def _statements(certificate: Certificate, order: Order, unit: UnitOrder, issue: Issue) -> Iterator[Node]:
+    texts = certificate.texts
     if certificate.simulated:
         yield _statement("simulated", *said(texts, "simulated"))
     signing = "unsigned" if certificate.unsigned else "signed"
-    yield _statement(signing, *said(texts, f"statement_{signing}", name=whole.issue.signed_by))
+    yield _statement(signing, *said(texts, f"statement_{signing}", name=issue.signed_by))
     for key in (*certificate.terms, "statement_supplied", "statement_recalibration"):
         yield _statement(key, *said(texts, key))
     for head, told in certificate.origins.items():

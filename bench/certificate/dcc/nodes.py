@@ -17,6 +17,7 @@ from lxml import etree
 from bench.base.text import visible
 from bench.certificate.content import Attached
 from bench.certificate.laboratory import SIMULATED_SERIES, Texts
+from bench.certificate.signatures import SIGNATURE, parser
 from bench.services.coefficients import impossible
 from bench.services.errors import Refused
 
@@ -116,7 +117,6 @@ def _parts(text: str) -> list[tuple[int, str, int]]:
 
 DCC: Final = "https://ptb.de/dcc"
 SI: Final = "https://ptb.de/si"
-SIGNATURE: Final = "http://www.w3.org/2000/09/xmldsig#"
 VERSION: Final = "3.3.0"
 SI_VERSION: Final = "2.2.1"
 NAMESPACES: Final = {"dcc": DCC, "si": SI}
@@ -266,11 +266,6 @@ def broken_rules(document: bytes) -> tuple[str, ...]:
     except etree.XMLSyntaxError as error:
         return (f"not XML: {error}",)
     return tuple(dict.fromkeys(told for rule in _RULES for told in rule(root)))
-
-
-def parser() -> etree.XMLParser:
-    """Return an XML parser for documents from elsewhere, without entities, DTD or network access."""
-    return etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False, huge_tree=False)
 
 
 def local(element: Node) -> str:

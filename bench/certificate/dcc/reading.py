@@ -20,11 +20,12 @@ from bench.base.arrays import Floats
 from bench.base.files import from_text, read_regular
 from bench.base.text import visible
 from bench.base.units import VOLTAGE, parse_quantity
-from bench.certificate.dcc.nodes import DCC, NAMESPACES, SI, SIGNATURE, Node, parser, read_unit
+from bench.certificate.dcc.nodes import DCC, NAMESPACES, SI, Node, read_unit
+from bench.certificate.signatures import ORIGINAL, SIGNATURE, NotIntact, check_xml, parser
 from bench.config.devices.device import ChamberCertificate, HeadCertificate
 from bench.model.geometry import COEFFICIENTS
 from bench.services.coefficients import coefficients_of, impossible
-from bench.services.errors import Refused
+from bench.services.errors import Refused, refusing
 
 MOST_BYTES: Final = 64_000_000
 OURS: Final = "bench_coefficients"
@@ -49,12 +50,11 @@ def document_in(path: Path) -> tuple[Node, tuple[str, ...]]:
     a DCC, or has an invalid signature.
     """
     try:
-        content = read_regular(path, MOST_BYTES)
+        with refusing("check name and permissions", path, verb="read"):
+            content = read_regular(path, MOST_BYTES)
         if content.startswith(b"%PDF"):
             content = _attached(path, content)
         root = etree.fromstring(content, parser())
-    except OSError as error:
-        raise Refused(f"{path}: cannot be read ({error.strerror}); check name and permissions") from error
     except etree.XMLSyntaxError as error:
         raise Refused(
             f"{path}: not XML ({error}); give the XML of a digital calibration certificate, or the PDF that has it"
@@ -64,7 +64,6 @@ def document_in(path: Path) -> tuple[Node, tuple[str, ...]]:
     if root.find(f".//{{{SIGNATURE}}}Signature") is None:
         return root, ("this document has no signature",)
     from bench.certificate.signatory import name_of
-    from bench.certificate.signatures import ORIGINAL, NotIntact, check_xml
 
     try:
         signed = check_xml(content)

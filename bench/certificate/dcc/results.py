@@ -40,7 +40,7 @@ from bench.certificate.dcc.nodes import (
     si_unit,
 )
 from bench.certificate.laboratory import Texts
-from bench.certificate.signatures import NoCertificate, NotIntact
+from bench.certificate.signatures import NoCertificate, NotIntact, parser
 from bench.readings.table import Readings
 from bench.results.certificate import CertificateSays, CertifiedCoefficient
 
@@ -370,7 +370,7 @@ class ShownValues:
 
 def shown_of(content: bytes) -> ShownValues:
     """Return the values in an XML. Raises `NotIntact` if it is not a DCC or cannot be read completely."""
-    root = etree.fromstring(content, nodes.parser())
+    root = etree.fromstring(content, parser())
     if root.tag != nodes.tag("dcc:digitalCalibrationCertificate"):
         raise NoCertificate("it is not a digital calibration certificate (DCC)")
     administrative = "dcc:administrativeData"

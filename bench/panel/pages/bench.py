@@ -23,7 +23,6 @@ from bench.panel.bench_fields import (
     METERS_PLACE,
     OF_BENCH,
     Group,
-    Placed,
     completed,
     groups_of,
     number_of_meters,
@@ -32,18 +31,17 @@ from bench.panel.bench_fields import (
 )
 from bench.panel.launching import choices
 from bench.panel.own_files import (
+    EditedFile,
     FileText,
-    difference,
-    new_path,
     own_file,
     own_files,
     read_file,
     shipped_file,
     shipped_files,
-    write_file,
 )
+from bench.panel.round_trip import changed_text, signed
 from bench.panel.searching import IDENTIFY, OFFERS, TEST, Findings, Search
-from bench.panel.shared import Panel, acting, looking, page, panel_of
+from bench.panel.shared import Panel, acting, operator, page, panel_of
 from drivers.clock import utc_now
 
 MOST_FIELDS: Final = 300
@@ -53,24 +51,13 @@ TARGETS: Final = ("x", "y", "z", "scanner", "head", "chamber")
 
 
 @dataclass
-class FormState:
-    """The state of the form: its file, the typed values, and the findings.
+class FormState(EditedFile):
+    """The state of the form: its file, the typed values, the findings; `written` is the text with the values."""
 
-    `start` is the shipped file from which a new file begins, `name` the name of the file. `base` is the text that
-    the form edits; `written` is this text with the typed values.
-    """
-
-    name: str
-    start: str
-    base: FileText
-    values: dict[str, str]
+    values: dict[str, str] = field(default_factory=dict)
     groups: list[Group] = field(default_factory=list)
-    placed: Placed = field(default_factory=Placed)
     written: str = ""
     file: BenchFile | None = None
-    note: str = ""
-    refusal: str = ""
-    difference: str = ""
     further: str = ""
 
 
@@ -79,7 +66,7 @@ class FormState:
 
 def benches(request: Request) -> Response:
     """Show the bench files of the working folder and the shipped ones to start from."""
-    _operator(request)
+    operator(request)
     return page(
         request,
         "benches.html.j2",
@@ -128,7 +115,7 @@ def mistakes_in(text: str, path: Path) -> tuple[tuple[FileMistake, ...], BenchFi
 
 def form(request: Request) -> Response:
     """Show the form of a bench file (`file`), or of a new file that begins as a copy of a shipped one (`start`)."""
-    _operator(request)
+    operator(request)
     asked = request.query_params
     state = _begun(asked.get("file", ""), asked.get("start", ""), asked.get("name", ""))
     if asked.get("written"):
@@ -141,12 +128,12 @@ def _begun(name: str, start: str, new_name: str = "") -> FormState:
     """Return the form of a file as it is. Raises `Refusal` if there is none."""
     if name:
         base = read_file(own_file(CONFIG, name))
-        return FormState(name, "", base, _values(base.text))
+        return FormState(name, "", base, values=_values(base.text))
     shipped = read_file(shipped_file(CONFIG, start))
     values = _values(shipped.text)
     if new_name := new_name.strip():
         values["name"] = new_name
-    return FormState(new_name, start, FileText(shipped.path, shipped.text), values)
+    return FormState(new_name, start, FileText(shipped.path, shipped.text), values=values)
 
 
 def _values(text: str) -> dict[str, str]:
@@ -160,8 +147,6 @@ def _values(text: str) -> dict[str, str]:
 
 def _judge(state: FormState) -> None:
     """Make the text to be written from what is typed, and put its mistakes at their fields."""
-    from bench.panel.round_trip import changed_text
-
     state.groups = groups_of(state.values)
     try:
         state.written = changed_text(state.base.text, state.values, state.groups)
@@ -253,25 +238,17 @@ def _addressed(given: Mapping[str, str]) -> list[str]:
 
 def _write(panel: Panel, person: Person, state: FormState, expected: str) -> bool:
     """Write the file if it has no mistakes and was not changed meanwhile; return whether it was written."""
-    from bench.panel.round_trip import signed
-
-    try:
-        path = state.base.path if not state.start else new_path(CONFIG, state.name)
-    except Refusal as refusal:
-        state.placed.at.setdefault("new_name", []).append(refusal.text)
+    if (path := state.target(CONFIG)) is None:
         return False
     if state.placed.number:
         state.refusal = message(f"Not written: {state.placed.number} mistakes. See each at its field.")
         return False
     state.written = signed(state.written, person.name, utc_now())
-    if expected == state.base.sha256 and write_file(
-        path, state.written, expected, panel.settings.runs / STATE
-    ):
+    if state.write(path, state.written, expected, panel.settings.runs / STATE):
         return True
     state.refusal = message(
         "Not written: the file changed since this form was opened. See the difference below."
     )
-    state.difference = difference(read_file(path).text, state.written, path.name)
     return False
 
 
@@ -328,7 +305,7 @@ def search_of(panel: Panel) -> Search:
 
 def searched(request: Request) -> Response:
     """Tell the script of the form whether a search is in progress."""
-    _operator(request)
+    operator(request)
     return JSONResponse({"at_work": search_of(panel_of(request)).at_work()})
 
 
@@ -339,9 +316,3 @@ async def test(request: Request) -> Response:
     path = own_file(CONFIG, name)
     await run_in_threadpool(search_of(panel_of(request)).begin, TEST, bench=path)
     return RedirectResponse(f"/bench/form?file={quote(name)}#try", status_code=303)
-
-
-def _operator(request: Request) -> Person:
-    person = looking(request)
-    person.require(Role.OPERATOR)
-    return person

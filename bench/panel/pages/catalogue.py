@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Final, TypeVar
 from urllib.parse import quote
 
 from starlette.concurrency import run_in_threadpool
@@ -15,17 +16,18 @@ from bench.panel.shared import looking, page, panel_of
 
 if TYPE_CHECKING:
     from bench.catalogue.questions import AnswerTable
+    from bench.catalogue.store import Catalogue
     from bench.results.catalogue import UnitResult
 
+Told = TypeVar("Told")
 LONGEST: Final = 300
 ON_A_PAGE: Final = 100
 
 
 async def units(request: Request) -> Response:
     """Show the units whose runs match the search."""
-    looking(request)
     asked = request.query_params.get("ask", "")[:LONGEST]
-    found = await run_in_threadpool(_units, _where(request), asked)
+    found = await _asked(request, _units, asked)
     rows = [
         {"address": f"/catalogue/unit/{quote(row[0], safe='')}", **dict(zip(found.columns, row, strict=True))}
         for row in found.rows[:ON_A_PAGE]
@@ -36,9 +38,7 @@ async def units(request: Request) -> Response:
 
 async def unit(request: Request) -> Response:
     """Show a unit: its coefficients over time, its runs, its next due date."""
-    looking(request)
-    name = request.path_params["unit"][:LONGEST]
-    history = await run_in_threadpool(_history, _where(request), name)
+    history = await _asked(request, _history, request.path_params["unit"][:LONGEST])
     from bench.results.catalogue import coefficient_rows
 
     return page(
@@ -53,47 +53,46 @@ async def unit(request: Request) -> Response:
 
 async def figure(request: Request) -> Response:
     """Send the figure of a unit as a standalone SVG file."""
-    looking(request)
-    name = request.path_params["unit"][:LONGEST]
-    drawn = await run_in_threadpool(_figure, _where(request), name)
+    drawn = await _asked(request, _figure, request.path_params["unit"][:LONGEST])
     return Response(drawn, media_type="image/svg+xml", headers={"cache-control": "no-store"})
 
 
-def _where(request: Request) -> str:
-    """Return the catalogue that the panel shows. Raises `Refusal` (404) if it has none."""
+async def _asked(request: Request, question: Callable[[Catalogue, str], Told], asked: str) -> Told:
+    """Return the answer to a question to the panel's catalogue. Raises `Refusal` (404) if it has none."""
+    looking(request)
     where = panel_of(request).settings.catalogue
     if not where:
         raise Refusal(404, message("this panel has no catalogue; start it with --catalogue"))
-    return where
-
-
-def _units(where: str, asked: str) -> AnswerTable:
-    from bench.catalogue.questions import answer
     from bench.catalogue.store import open_catalogue
+
+    def answered() -> Told:
+        with open_catalogue(where, existing=True) as catalogue:
+            return question(catalogue, asked)
+
+    return await run_in_threadpool(answered)
+
+
+def _units(catalogue: Catalogue, asked: str) -> AnswerTable:
+    from bench.catalogue.questions import answer
 
     # a word without a key is searched for in the names of units
     words = [
         word if "=" in word or "<" in word or ">" in word else f"unit=*{word}*" for word in asked.split()
     ]
-    with open_catalogue(where, existing=True) as catalogue:
-        return answer(catalogue, words, "units")
+    return answer(catalogue, words, "units")
 
 
-def _history(where: str, unit: str) -> UnitResult:
-    from bench.catalogue.store import open_catalogue
+def _history(catalogue: Catalogue, unit: str) -> UnitResult:
     from bench.catalogue.unit import unit_history
 
-    with open_catalogue(where, existing=True) as catalogue:
-        return unit_history(catalogue, unit)
+    return unit_history(catalogue, unit)
 
 
-def _figure(where: str, unit: str) -> str:
-    from bench.catalogue.store import open_catalogue
+def _figure(catalogue: Catalogue, unit: str) -> str:
     from bench.catalogue.unit import unit_calibrations
     from bench.results.catalogue import unit_file
 
-    with open_catalogue(where, existing=True) as catalogue:
-        calibrations = unit_calibrations(catalogue, unit)
+    calibrations = unit_calibrations(catalogue, unit)
     if not calibrations:
         raise Refusal(404, message(f"{unit}: no calibration to draw; calibrate a run of it"))
     return unit_file(calibrations)

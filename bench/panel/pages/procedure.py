@@ -21,18 +21,9 @@ from bench.config.bench_file.file import load_bench
 from bench.config.procedure.load import Procedure
 from bench.config.shipped import CONFIG, PROCEDURES
 from bench.panel.access import STATE, Person, Refusal, Role
-from bench.panel.bench_fields import BenchField, Group, Placed, placed
+from bench.panel.bench_fields import BenchField, Group, placed
 from bench.panel.launching import choices
-from bench.panel.own_files import (
-    FileText,
-    difference,
-    new_path,
-    own_file,
-    own_files,
-    read_file,
-    shipped_files,
-    write_file,
-)
+from bench.panel.own_files import EditedFile, FileText, own_file, own_files, read_file, shipped_files
 from bench.panel.procedure_fields import (
     Row,
     judged,
@@ -46,7 +37,7 @@ from bench.panel.procedure_fields import (
 )
 from bench.panel.procedure_files import offered_procedures
 from bench.panel.round_trip import edited_text, signed
-from bench.panel.shared import Panel, acting, looking, page, panel_of
+from bench.panel.shared import Panel, acting, operator, page, panel_of
 from bench.run.sentences import duration
 from drivers.clock import utc_now
 
@@ -67,26 +58,18 @@ class CheckBeside:
 
 
 @dataclass
-class TableState:
-    """The state of the table: its file, the text that the table edits, its groups and rows, and the mistakes.
+class TableState(EditedFile):
+    """The state of the table: its file, the text that the table edits, its groups and rows, and the check.
 
-    `start` is the procedure from which a new one begins, `name` the name of the file, `base` the file as it was
-    read. `typed` is the content of the text field, `bench` the bench file for the check.
+    `typed` is the content of the text field, `bench` the bench file for the check.
     """
 
-    name: str
-    start: str
-    base: FileText
-    text: str
+    text: str = ""
     bench: str = ""
     typed: str = ""
-    note: str = ""
-    refusal: str = ""
-    difference: str = ""
     groups: list[Group] = field(default_factory=list)
     rows: list[Row] = field(default_factory=list)
     values: dict[str, str] = field(default_factory=dict)
-    placed: Placed = field(default_factory=Placed)
     check: CheckBeside = CheckBeside()
 
     @property
@@ -108,7 +91,7 @@ class TableState:
 
 def procedures(request: Request) -> Response:
     """Show the procedures by picture and duration."""
-    _operator(request)
+    operator(request)
     return page(
         request,
         "procedures.html.j2",
@@ -120,7 +103,7 @@ def procedures(request: Request) -> Response:
 
 def form(request: Request) -> Response:
     """Show the table of a procedure (`file`), or of a new procedure that begins as a copy of another (`start`)."""
-    _operator(request)
+    operator(request)
     asked = request.query_params
     state = _begun(asked.get("file", ""), asked.get("start", ""), "")
     state.bench = asked.get("bench", "")[:LONGEST]
@@ -133,14 +116,14 @@ def _begun(name: str, start: str, new_name: str) -> TableState:
     """Return the table of a file as it is. Raises `Refusal` if there is none."""
     if name:
         base = read_file(own_file(PROCEDURES, name))
-        return TableState(name, "", base, base.text)
+        return TableState(name, "", base, text=base.text)
     known = shipped_files(PROCEDURES) | own_files(PROCEDURES)
     if start not in known:
         raise Refusal(
             404, message("there is no procedure of that name to start from; see the list of procedures")
         )
     base = read_file(known[start])
-    return TableState(new_name, start, FileText(base.path, base.text), base.text)
+    return TableState(new_name, start, FileText(base.path, base.text), text=base.text)
 
 
 async def sent(request: Request) -> Response:
@@ -217,10 +200,7 @@ def _from_table(text: str, given: Mapping[str, str]) -> str:
 
 def _write(panel: Panel, person: Person, state: TableState, expected: str) -> bool:
     """Write the file if it has no mistakes and was not changed meanwhile; return whether it was written."""
-    try:
-        path = state.base.path if not state.start else new_path(PROCEDURES, state.name)
-    except Refusal as refusal:
-        state.placed.at.setdefault("new_name", []).append(refusal.text)
+    if (path := state.target(PROCEDURES)) is None:
         return False
     if state.start:
         state.text = _named(state)
@@ -228,12 +208,11 @@ def _write(panel: Panel, person: Person, state: TableState, expected: str) -> bo
         state.refusal = message("Not written: there are mistakes, each shown beside its field.")
         return False
     state.text = signed(state.text, person.name, utc_now())
-    if expected == state.base.sha256 and write_file(path, state.text, expected, panel.settings.runs / STATE):
+    if state.write(path, state.text, expected, panel.settings.runs / STATE):
         return True
     state.refusal = message(
         "Not written: the file was changed since this table was shown. Look at the difference below."
     )
-    state.difference = difference(read_file(path).text, state.text, path.name)
     return False
 
 
@@ -302,9 +281,3 @@ def check_beside(procedure: Procedure, bench: str, runs: Path) -> CheckBeside:
     actions = tuple(step.describe() for step in plan.steps if step.BY_OPERATOR)
     shown = actions[:MOST_TOLD] + (("…",) if len(actions) > MOST_TOLD else ())
     return CheckBeside(tuple(told), tuple(found.problems), shown)
-
-
-def _operator(request: Request) -> Person:
-    person = looking(request)
-    person.require(Role.OPERATOR)
-    return person

@@ -35,7 +35,7 @@ from bench.panel.launching import (
 )
 from bench.panel.own_files import own_files
 from bench.panel.procedure_files import offered_procedures
-from bench.panel.shared import Panel, acting, looking, page, panel_of
+from bench.panel.shared import Panel, acting, operator, page, panel_of
 from bench.run.sentences import duration
 from bench.services.requests.measuring import RunRequest
 from drivers.clock import utc_now
@@ -56,7 +56,7 @@ def form(request: Request) -> Response:
     Query parameters: `after` is a run whose diagnosis proposes measurements, `like` a run whose procedure and bench
     are preset for the next unit.
     """
-    person = _operator(request)
+    person = operator(request)
     given = {name: request.query_params.get(name, "")[:LONGEST] for name in (*FORM, "after", "like")}
     given["operator"] = person.name
     given["bench"] = (
@@ -132,7 +132,7 @@ def wished(panel: Panel, person: Person, sent: Mapping[str, str], queued: str = 
 
 def found(request: Request) -> Response:
     """Show the findings of check and dry run so far."""
-    _operator(request)
+    operator(request)
     wish = panel_of(request).wishes.of(request.path_params["wish"])
     told = wish.found()
     return page(
@@ -174,12 +174,6 @@ def _begun(panel: Panel, person: Person, wish: WishFolder) -> str:
     if not read_holding(run.folder).holder:
         change(run.folder, "take", person)
     return run.name
-
-
-def _operator(request: Request) -> Person:
-    person = looking(request)
-    person.require(Role.OPERATOR)
-    return person
 
 
 def _text(sent: Mapping[str, str], name: str) -> str:

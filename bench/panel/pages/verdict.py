@@ -14,8 +14,9 @@ from bench.panel.access import Refusal, Role
 from bench.panel.folder import Issued, read_page
 from bench.panel.launching import NEXT
 from bench.panel.launching import diagnose as begin
+from bench.panel.pages.run import run_of
 from bench.panel.results import DIAGNOSIS, REPORT, figure_of, is_plain, results_of
-from bench.panel.shared import APART, acting, looking, page, panel_of
+from bench.panel.shared import APART, acting, page, panel_of
 from bench.run.events import RunState
 from bench.run.folder import Run
 from bench.services.errors import Refused
@@ -25,7 +26,7 @@ MOST_TOLD: Final = 50
 
 def verdict(request: Request) -> Response:
     """Show the results of a run."""
-    run = _run(request)
+    run = run_of(request)
     diagnosing = panel_of(request).diagnosing.get(run.name)
     certificates, trouble = _certificates(request, run)
     return page(
@@ -48,7 +49,7 @@ VIEWS: Final = {"report": ("Report", REPORT), "diagnosis": ("Diagnosis", DIAGNOS
 
 def view(request: Request) -> Response:
     """Show the report or the diagnosis of a run below the panel's header."""
-    run, what = _run(request), request.path_params["what"]
+    run, what = run_of(request), request.path_params["what"]
     title, file = VIEWS.get(what, ("", ""))
     if not title:
         raise Refusal(404, message("no such page of a run; go back to the run"))
@@ -65,17 +66,17 @@ def view(request: Request) -> Response:
 
 def report(request: Request) -> Response:
     """Send the report of a run from its folder, unchanged."""
-    return _apart(read_page(_run(request), REPORT), "text/html; charset=utf-8")
+    return _apart(read_page(run_of(request), REPORT), "text/html; charset=utf-8")
 
 
 def diagnosis(request: Request) -> Response:
     """Send the page of the diagnosis of a run."""
-    return _apart(read_page(_run(request), DIAGNOSIS), "text/html; charset=utf-8")
+    return _apart(read_page(run_of(request), DIAGNOSIS), "text/html; charset=utf-8")
 
 
 def certificate(request: Request) -> Response:
     """Send a file of a run's certificate (PDF or XML) as a download."""
-    run, name = _run(request), request.path_params["file"]
+    run, name = run_of(request), request.path_params["file"]
     content = panel_of(request).certificates.file(run, name)
     kind = "application/pdf" if name.endswith(".pdf") else "application/xml"
     return Response(content, media_type=kind, headers={**APART, "content-disposition": "attachment"})
@@ -83,7 +84,7 @@ def certificate(request: Request) -> Response:
 
 def figure(request: Request) -> Response:
     """Send a figure of the report as an SVG file."""
-    return _apart(figure_of(_run(request), request.path_params["figure"]), "image/svg+xml")
+    return _apart(figure_of(run_of(request), request.path_params["figure"]), "image/svg+xml")
 
 
 async def diagnose(request: Request) -> Response:
@@ -108,11 +109,6 @@ def _certificates(request: Request, run: Run) -> tuple[tuple[Issued, ...], str]:
         return panel_of(request).certificates.of(run), ""
     except Refused as why:
         return (), str(why)
-
-
-def _run(request: Request) -> Run:
-    looking(request)
-    return panel_of(request).runs.run(request.path_params["name"])
 
 
 def _apart(content: bytes, kind: str) -> Response:
