@@ -261,15 +261,19 @@ def test_a_slip_is_in_the_set_and_the_noise_stays_what_it_is(axis, degrees):
 
 
 @pytest.mark.slow
-def test_a_slip_within_a_pass_is_noise_that_nobody_stated():
-    """In pass 2 from its third point on: what is left is larger than stated."""
+def test_a_slip_within_a_pass_is_one_of_the_pass_beside_the_readings_before_it():
+    """In pass 2 from its third point on."""
     readings = paper_run(np.random.default_rng(SEED))
     rows = in_pass(readings, "1", 2) & (readings.point > 2)
     slipped = turned(readings, rows, (0.6, 0.0, 0.8), np.radians(0.3))
     n = len(readings)
     sampled = replace(slipped, samples=np.full(n, 10), signal_sd=np.full((n, 3), NOISE_V * np.sqrt(10)))
     found = diagnose(sampled, MODEL, STAND, np.diag(K), OneThreshold())
-    assert found.verdict == "unknown"
+    assert found.verdict == "mistake"
+    assert {(one.name, one.installations, one.pass_number, one.point) for one in found.mistakes.mistakes} == {
+        ("outlier", ("1",), 2, 1), ("outlier", ("1",), 2, 2),
+    }  # fmt: skip
+    assert [effect.name for effect in found.effects] == ["block_slip"]
 
 
 def test_spells_are_named_once():

@@ -260,7 +260,10 @@ def _products(table: OrientedRows, supposed: Reinterpretation, columns: Floats, 
 
 
 def _integrated(products: Products, mean: Floats, u: Floats, errors_g: Floats) -> float:
-    """Return ln of the evidence, averaged over the errors of readings and of positions."""
+    """Return ln of the evidence, averaged for each channel over the errors of readings and of positions.
+
+    With errors common to the channels, a factor on one that hardly moves would be paid by the others.
+    """
     of_reading, of_position = (
         np.repeat(errors_g**2, len(errors_g) + 1),
         np.tile([0.0, *errors_g**2], len(errors_g)),
@@ -269,13 +272,13 @@ def _integrated(products: Products, mean: Floats, u: Floats, errors_g: Floats) -
     count, gram = zip(*products.values(), strict=True)
     around = np.zeros((3, 1, 7, 5))
     around[:, 0, :4, :4], around[:, 0, :4, 4], around[:, 0, 4:, 4] = np.eye(4), -mean.T, np.eye(3)
-    of_channel = np.swapaxes(around, 2, 3) @ np.array(gram) @ around
-    whole = np.einsum("cmab,ms->csab", of_channel, 1.0 / variance)
+    centred = np.swapaxes(around, 2, 3) @ np.array(gram) @ around
+    whole = np.einsum("cmab,ms->csab", centred, 1.0 / variance)
     whole[..., range(4), range(4)] += u.T[:, None] ** -2
     whole[..., 4, 4] += 1e-9 * (
         1.0 + whole[..., 4, 4]
     )  # rounding, where signals are far too large, or there is none
     root = np.diagonal(np.linalg.cholesky(whole), axis1=-2, axis2=-1)
     cost = np.log(root[..., :4] * u.T[:, None]).sum(axis=-1) + 0.5 * root[..., 4] ** 2
-    total = -1.5 * (count @ np.log(variance)) - cost.sum(axis=0)
-    return float(np.logaddexp.reduce(total) - np.log(len(total)))
+    of_channel = -0.5 * (count @ np.log(variance)) - cost
+    return float(np.sum(np.logaddexp.reduce(of_channel, axis=1) - np.log(of_channel.shape[1])))
