@@ -4,12 +4,14 @@
     python -m benchmarks.speed plan      # expand, hash, check and list 100,000 steps
     python -m benchmarks.speed record    # check, resume and list records of 100,000 events
     python -m benchmarks.speed diagnosis --each 17
+    python -m benchmarks.speed runs --runs 1 5 20   # one diagnosis of many runs
     python -m benchmarks.speed catalogue --folder LABORATORY --hold-back 100 [--catalogue FILE|URL]
 
-`plan`, `record` and `catalogue` work in processes of their own, whose start is part of their cost. `diagnosis`
-takes cases of the blind trial: nothing hidden, one effect, one that is in no catalogue; each first without a
-simulated threshold, then with it in the cache. `catalogue` sets the last folders of `benchmarks.many_folders` aside
-for a second sync. Exit status 1 where a promise is broken.
+`plan`, `record`, `runs` and `catalogue` work in processes of their own, whose start is part of their cost.
+`diagnosis` takes cases of the blind trial: nothing hidden, one effect, one that is in no catalogue; each first
+without a simulated threshold, then with it in the cache. In `runs` each run hides the same effect of rho 2.3, which
+no run shows alone. `catalogue` sets the last folders of `benchmarks.many_folders` aside for a second sync. Exit
+status 1 where a promise is broken.
 """
 
 from __future__ import annotations
@@ -296,9 +298,11 @@ def copies(folder: Path, number: int) -> Path:
     return many
 
 
-# --- diagnosis ----------------------------------------------------------------------------------------
+# --- diagnosis and runs -----------------------------------------------------------------------------
 
 FIRST_S, AGAIN_S = 60.0, 1.0
+RUNS_S, RUNS_MB = 30.0, 700.0
+RHO: Final = 2.3
 
 
 def diagnosis(given: argparse.Namespace) -> bool:
@@ -327,6 +331,41 @@ def diagnosis(given: argparse.Namespace) -> bool:
         print(f"| {verdict} | {len(took)} | {np.median(took):.2f} | {max(took):.2f} |")
     first = spent.pop("a first design")
     return max(first) < FIRST_S and all(max(took) < AGAIN_S for took in spent.values())
+
+
+def many_runs(given: argparse.Namespace) -> bool:
+    """Print what a diagnosis of many runs as one body of data costs, its page included, beside that of one."""
+    kept = True
+    print("runs  blocks     CPU / s   ratio   peak / MB   ratio   verdict")
+    for blocks in (False, True):
+        first: Cost | None = None
+        for runs in given.runs:
+            found = cost_of(diagnosed, runs, blocks)
+            first = first or found
+            kept = kept and (runs > 20 or (found.cpu_s <= RUNS_S and found.peak_mb <= RUNS_MB))
+            of = "a block each" if blocks else "one block"
+            times, larger = found.cpu_s / first.cpu_s, found.peak_mb / first.peak_mb
+            print(f"{runs:4}  {of:12} {found.cpu_s:6.1f}  {times:5.1f}  {found.peak_mb:9.0f}  {larger:6.1f}   "
+                  f"{found.result}", flush=True)  # fmt: skip
+    return kept
+
+
+def diagnosed(runs: int, blocks: bool) -> str:
+    """Return the verdict of a diagnosis in this very process."""
+    from bench.diagnosis import ThresholdCache
+    from bench.diagnosis.pipeline import diagnose_fully
+    from bench.results.diagnosis_page import render_diagnosis
+    from bench.results.diagnosis_words import NO_FILES
+    from benchmarks.blind_trial.cases import Row, make_case
+
+    case, _ = make_case(1, Row("single", rho=RHO, runs=runs, blocks=blocks), 0)
+    bench = load_bench(find_bench("paper-stand"))
+    model = ForwardModel(bench.installation_models())
+    full = diagnose_fully(
+        case.readings, model, bench, 9.81, ThresholdCache(None), source="many", simulated=False, stated=False
+    )
+    render_diagnosis(full, NO_FILES, "many", bench.verification_limit_g, {"model": model.name})
+    return full.diagnosis.verdict
 
 
 # --- catalogue --------------------------------------------------------------------------------------
@@ -411,7 +450,8 @@ def timed_question(where: str, kind: str, words: list[str], of: str) -> tuple[st
 
 
 PARTS: Final[dict[str, Callable[[argparse.Namespace], bool]]] = {
-    "program": program, "plan": plan, "record": record, "diagnosis": diagnosis, "catalogue": catalogue,
+    "program": program, "plan": plan, "record": record, "diagnosis": diagnosis, "runs": many_runs,
+    "catalogue": catalogue,
 }  # fmt: skip
 
 
@@ -420,6 +460,7 @@ def main() -> int:
     given = arguments(
         __doc__, part={"positional": True, "choices": PARTS}, events=(100_000, "of a long record"),
         many=(1000, "runs that are listed"), each=(17, "diagnosed cases of each kind"),
+        runs=([1, 5, 20], "runs of one diagnosis"),
         folder={"type": Path, "help": "of the runs of a catalogue"},
         catalogue=("", "file or URL"), hold_back=(100, "folders of the second sync"),
     )  # fmt: skip
