@@ -58,7 +58,7 @@ def test_a_known_error_is_no_error_any_more(table):
 
 
 def test_the_odds_of_a_map_are_those_of_the_whole_normal_density():
-    """Coefficients and errors of positions are in the covariance here; a unit has a Jacobian."""
+    """Coefficients and errors of positions are in the covariance here; a unit has a Jacobian, a channel its errors."""
     readings = run([122, 0], passes=2).select(np.arange(40) % 3 == 0)
     search = GrossSearch(MODEL.installations, NOMINAL)
     table = OrientedRows.of(readings)
@@ -80,8 +80,8 @@ def test_the_odds_of_a_map_are_those_of_the_whole_normal_density():
                 multivariate_normal(columns @ mean[:, i], noise + (columns * u[:, i] ** 2) @ columns.T)
                 for i in range(3)
             ]
-            sizes.append(sum(of.logpdf(signal[:, i]) for i, of in enumerate(of_channel)))
-        return logsumexp(sizes) + one.log_jacobian
+            sizes.append([of.logpdf(signal[:, i]) for i, of in enumerate(of_channel)])
+        return np.sum(logsumexp(sizes, axis=0)) + one.log_jacobian
 
     found = search._log_evidence(table, [nothing(table), *maps], table, table.every)
     expected = np.array([density(one) for one in [nothing(table), *maps]])
