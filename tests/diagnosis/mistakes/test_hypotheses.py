@@ -58,7 +58,7 @@ def test_a_known_error_is_no_error_any_more(table):
 
 
 def test_the_odds_of_a_map_are_those_of_the_whole_normal_density():
-    """Coefficients and errors of positions are in the covariance here; a unit has a Jacobian, a channel its errors."""
+    """Coefficients and errors of positions are in the covariance; a unit has a Jacobian, a channel its errors."""
     readings = run([122, 0], passes=2).select(np.arange(40) % 3 == 0)
     search = GrossSearch(MODEL.installations, NOMINAL)
     table = OrientedRows.of(readings)
