@@ -286,7 +286,12 @@ def without_outliers(rows: FreeRows) -> tuple[FreeRows, tuple[str, ...], Ints]:
 
 
 def stated(rows: FreeRows) -> float:
-    """Return the noise of a position, g, that independent samples with their scatter imply; NaN where not given."""
+    """Return the standard uncertainty of |a| at one position that the scatter of its samples implies, in g.
+
+    Samples are taken as independent: the variance of each signal is that of its samples (`signal_sd`) over
+    their number. The result is the root mean square over all positions and channels; NaN if a table has no
+    `signal_sd`.
+    """
     sizes = []
     for block, table in zip(rows.block, rows.tables, strict=True):
         scale = np.abs(np.diag(block.K))
