@@ -205,7 +205,10 @@ class Collector:
         return {channel: np.where(rows, column, 0.0) for channel, column in self._everywhere[key].items()}
 
     def add(self, column: Floats, kind: Column, scale: float) -> int:
-        """Add a column (N,), the change of the rows by one plausible size (`scale` in SI); return its index."""
+        """Add a column (N,), the change of the rows by one plausible size (`scale` in SI). Return its index.
+
+        The index is that of the column in `Candidates.columns`.
+        """
         self.columns.append(column)
         self.kinds.append(kind)
         self.scale.append(scale)
@@ -534,7 +537,7 @@ class KnownBench:
         return {name: why[name] for name in CATALOGUE if why.get(name)}
 
     def not_judged(self, readings: Readings) -> str:
-        """Return a sentence on the effects searched only because the bench is unknown; "" if there are none."""
+        """Return a sentence on the effects searched only because the bench is unknown; "" if none is."""
         unknown = {
             "range_offset": self.fixed_ranges is None and not _ranges(readings),
             "channel_crosstalk": self.own_meters is None,

@@ -242,7 +242,7 @@ class ReferenceStep(VoltmeterEffect):
     outlasts_mount = True
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return the voltages that the step adds to the n readings, in V, (n, 3): its relative size times U."""
+        """Return the voltages that the step adds to the n readings U, in V, (n, 3): its size times U."""
         return values["step"] * seen.signal
 
 
