@@ -1,4 +1,4 @@
-"""Naming of what is missing: effects join the model one by one, and each gets the odds of its alternatives."""
+"""Naming of what is missing: effects join the model one by one, each with the odds of its rivals."""
 
 from __future__ import annotations
 
@@ -184,8 +184,7 @@ class Scored:
         return max(float(amplitude @ gram @ amplitude), 0.0)
 
     def amplitude(self, variant: Variant) -> tuple[Floats, Floats]:
-        """Return the estimates (p,) of the p columns of a form, in plausible sizes, and their Gram matrix (p,
-        p).
+        """Return the estimates (p,) of a form's columns, in plausible sizes, and their Gram matrix (p, p).
 
         The known columns are projected out of both.
         """

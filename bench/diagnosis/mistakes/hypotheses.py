@@ -72,7 +72,7 @@ class ProjectedReadings:
         return float(self._factors(np.maximum(values, 0.0)[None], along[None], SIZES)[0])
 
     def of_readings(self) -> Floats:
-        """Return ln of the Bayes factor, for each reading, for arbitrary errors in its three channels, (n,)."""
+        """Return ln of the Bayes factor for arbitrary errors in all channels of each reading, (n,)."""
         values, vectors = np.linalg.eigh(self.blocks)
         along = np.einsum("nij,ni->nj", vectors, self.pulls) ** 2
         return self._factors(np.maximum(values, 0.0), along, ERRORS)

@@ -85,14 +85,13 @@ class TermSearch:
         return Table.of(self.problem, self.fit(~rows), self.signal, self.floor)
 
     def find(self, significance: float) -> list[WrongReadings]:
-        """Return the pass that is wrong as a whole, or else the single readings that are wrong, the largest
-        first.
+        """Return the pass that is wrong as a whole, or else the single readings that are wrong.
 
-        Step by step, the likeliest hypothesis joins the model: an error of a single reading, or a change of
-        the bench. This ends when no error of a reading and no change of a pass has odds above
-        1/`significance`. A change of a pass is first compared with mistakes in this pass; the first mistake
-        that wins is the only result. The result is empty if nothing is wrong, or if too many readings would
-        be.
+        The readings are sorted by the size of their errors, the largest first. Step by step, the likeliest
+        hypothesis joins the model: an error of a single reading, or a change of the bench. This ends when no
+        error of a reading and no change of a pass has odds above 1/`significance`. A change of a pass is
+        first compared with mistakes in this pass; the first mistake that wins is the only result. The result
+        is empty if nothing is wrong, or if too many readings would be.
         """
         table, n = self.table, len(self.signal)
         changes = list(table.changes())
