@@ -172,8 +172,7 @@ class Separation:
 
 @dataclass(frozen=True)
 class Chance:
-    """The prospects of a procedure: its duration, `hours`, and the probability `answers` that it settles
-    every tie.
+    """The prospects of a procedure: its duration, and the probability that it settles every tie (`answers`).
 
     A tie is settled if one of its names reaches a posterior probability of `ALONE`.
     """
@@ -244,8 +243,7 @@ class Proposal:
         return self.written or self.source
 
     def write(self, path: Path) -> Proposal:
-        """Write a copy of the procedure that begins with the reason; return the proposal with the copy's
-        path.
+        """Write a copy of the procedure that begins with the reason; return the proposal with its path.
 
         If `path` exists with other contents, a number is added to the name instead. Raises `OSError`.
         """

@@ -65,12 +65,11 @@ class Span:
 
 @dataclass(frozen=True)
 class Whitener:
-    """A linear map of N rows to numbers with independent noise of equal variance, without the fitted
-    directions.
+    """A linear map of N rows to numbers with independent noise of equal variance.
 
     `blocks` are sets of rows with correlated noise, each with the inverse Cholesky factor of its covariance.
-    `fitted` are the fitted subspaces, orthogonal to each other; several accelerometer blocks have one each.
-    Apply the map with `@`.
+    `fitted` are the subspaces that the map removes, orthogonal to each other; several accelerometer blocks
+    have one each. Apply the map with `@`.
     """
 
     blocks: tuple[tuple[Ints, Floats], ...]
@@ -134,10 +133,10 @@ class NoiseGrid:
     known: bool = False
 
     def log_likelihood(self, square: Floats) -> Floats:
-        """Return ln of the likelihood of whitened residuals with the sum of squares `square`, up to a
-        constant.
+        """Return ln of the likelihood of whitened residuals, up to a constant, from their sum of squares.
 
-        `square` is in units of `sigma` squared. Unless the noise is known, its size is integrated out.
+        `square` is this sum in units of `sigma` squared. Unless the noise is known, its size is integrated
+        out.
         """
         if self.known:
             return -0.5 * square
@@ -383,8 +382,9 @@ def _about_model(linear: LinearSystem) -> float:
 
 
 def cells_of(linear: LinearSystem) -> Ints:
-    """Return a number for each setting, (n,), that is equal for repeats: the same mounting, the angle to 5
-    deg.
+    """Return a number for each setting, (n,), that repeats of the setting share.
+
+    Repeats are in the same mounting, at the same angle to 5 deg.
     """
     cells = np.column_stack([_mounts_and_angles(linear)[0], np.round(_mounts_and_angles(linear)[1] / 5.0)])
     return np.unique(cells, axis=0, return_inverse=True)[1].ravel()

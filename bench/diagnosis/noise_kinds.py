@@ -511,8 +511,7 @@ def noise_findings(
     digit: float = 0.0,
     by_run: RunSizes | None = None,
 ) -> tuple[NoiseFinding, ...]:
-    """Return where the estimated noise is significantly larger than stated, and by more than a factor
-    `LARGER`.
+    """Return where the estimated noise is significantly larger than stated, by more than a factor of two.
 
     `stand_u` has the "setting_error" (rad) and the "voltmeter_error" (V) of the bench file. `typical_slope`
     is the root mean square length of the derivative of the signals by the head angle, in their unit per rad.

@@ -1,4 +1,4 @@
-"""Excursions of a record held out in turn: whether the rest predicts them with what was found, in which shape."""
+"""Excursions of a record, held out in turn: whether the rest predicts them, and with which kind of shape."""
 
 from __future__ import annotations
 
@@ -34,7 +34,10 @@ PLATEAU: Final = 0.1
 
 
 def measure_record_gap(work: RecordWork, finds: Sequence[Find]) -> tuple[Gap, tuple[Rival, ...]]:
-    """Return the gap on excursions held out in turn, and the rivals in shape."""
+    """Return how well excursions held out in turn are predicted, and the comparison of the kinds of shape.
+
+    `finds` are the effects found in the whole record; they are estimated again without each excursion.
+    """
     noises = work.noises([one.course for one in finds])
     folds: list[Fold] = []
     for number, (course, _, _) in enumerate(finds):
@@ -52,7 +55,7 @@ def measure_record_gap(work: RecordWork, finds: Sequence[Find]) -> tuple[Gap, tu
 
 
 def why_unconfirmed(gap: Gap) -> dict[str, str]:
-    """Return the effects that readings held out do not confirm, and why."""
+    """Return the names of the effects that held-out excursions do not confirm, each with the reason."""
     gains = {name: [fold.gains[name] for fold in gap.folds if name in fold.gains] for name in gap.unconfirmed}
     return {
         name: f"readings held out do not confirm it (chi-square falls by {sum(each):.1f} in all)"
