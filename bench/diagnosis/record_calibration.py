@@ -1,8 +1,8 @@
-"""The calibration of each channel of a record at a known input: U = gain × reference + offset + drift, with
-u.
+"""The calibration of each channel of a record at a known input: gain, offset and drift, with u.
 
-The noise is white plus slow noise, as in the diagnosis of records. Estimates are averaged over the kinds and
-sizes of noise, weighted by their restricted likelihood, so that u includes what slow noise may hide.
+The model is U = gain × reference + offset + drift × t. The noise is white plus slow noise, as in the
+diagnosis of records. Estimates are averaged over the kinds and sizes of noise, weighted by their restricted
+likelihood, so that u includes what slow noise may hide.
 """
 
 from __future__ import annotations
@@ -78,8 +78,7 @@ class RecordCalibration:
     repeats: Repeats | None = None
 
     def residual_of(self, readings: Readings) -> Floats:
-        """Return the signal minus gain × reference, offset and given effects, for each of m readings, V, (m,
-        c).
+        """Return what gain, offset and given effects leave of each of m readings, V, shape (m, c).
 
         The drift is not subtracted.
         """

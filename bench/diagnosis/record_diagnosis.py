@@ -1,4 +1,4 @@
-"""The diagnosis of a record at a known input: name what the readings follow, and confirm it by holding out."""
+"""The diagnosis of a record at a known input: name what the readings follow, confirm it by hold-out."""
 
 from __future__ import annotations
 
@@ -50,16 +50,15 @@ class RecordDiagnosis:
 
     @property
     def white_v(self) -> float:
-        """Standard deviation of the white noise of the average over all channels, in one mean of the record,
-        V.
+        """Standard deviation of the white noise of the average over all channels, V.
+
+        It is that in one mean of the record.
         """
         return self.noises[0].white / float(np.sqrt(len(self.record.channels)))
 
     @property
     def slow_v(self) -> float:
-        """Standard deviation of the slow noise of the average over all channels, in one mean of the record,
-        V.
-        """
+        """Standard deviation of the slow noise of the average over all channels, V."""
         return self.white_v * float(np.sqrt(self.noises[0].ratio))
 
     @property

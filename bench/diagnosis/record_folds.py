@@ -20,7 +20,10 @@ from bench.diagnosis.record_search import Find, RecordWork
 
 @dataclass(frozen=True)
 class Rival:
-    """A kind of shape of an effect, and how well the readings outside of an excursion predict the excursion."""
+    """One kind of shape of an effect, for example with a lag, and how well it predicts held-out excursions.
+
+    `held_out_rms_v` is the root mean square of measured minus predicted, V, and `chi2` its chi-square.
+    """
 
     what: str
     held_out_rms_v: float

@@ -67,9 +67,7 @@ class Record:
 
     @property
     def trend(self) -> Floats:
-        """The two columns that every model contains, (n, 2): a constant, and a line from -1 to 1 over the
-        record.
-        """
+        """The two columns that every model contains, (n, 2): a constant, and a line in time from -1 to 1."""
         time_h = self.time_h
         return np.column_stack([np.ones(len(self)), 2.0 * time_h / time_h[-1] - 1.0])
 

@@ -104,11 +104,14 @@ class RecordWork:
         return np.column_stack(mine) if mine else np.zeros((len(self.record), 0))
 
     def design(self, courses: Sequence[Course], part: int) -> Floats:
-        """Return the columns of trend and courses in the component `part`, then its signal: (n, 2 + m + 1)."""
+        """Return the columns of trend and courses in the component `part`, then its signal, (n, 3 + m)."""
         return np.column_stack([self.trials.trend, self.columns(courses, part), self.signal[:, part]])
 
     def noises(self, courses: Sequence[Course]) -> list[Noise]:
-        """Return the most probable noise of each component, given the courses in the model, with free sizes."""
+        """Return the most probable noise of each component, with the courses in the model.
+
+        The sizes of the courses have no prior.
+        """
         none = np.zeros((len(self.record), 0))
         signal = self.signal
         return [
