@@ -219,7 +219,11 @@ class CardInput:
         return 0.0 if self._wired is None else self._wired.signal_v(time_s)
 
     def shown_c(self, configured: str, time_s: float) -> float:
-        """Return the temperature shown for the sensor `configured`, °C; an overload if no sensor is wired."""
+        """Return the temperature that the meter displays, °C; an overload if no sensor is wired.
+
+        `configured` is the type of sensor for which the channel is configured, such as "FRTD,85"; the sensor
+        that is wired may be of another type. `time_s` is the time of the clock.
+        """
         return self._wired.shown_c(configured, time_s) if isinstance(self._wired, HasSensor) else OVERLOAD_V
 
     def new_reading(self) -> None:

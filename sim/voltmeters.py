@@ -480,9 +480,9 @@ class MeasuringCycle(ABC):
         self._keeps = False
 
     def sent_by(self, left: Callable[[], bool]) -> None:
-        """Store `left`, which returns whether the client of the following commands has left.
+        """Take `left` as the test whether the client that sends the following commands has disconnected.
 
-        A measurement in progress whose own client has left is given up.
+        If the client that started a measurement has disconnected by now, this aborts that measurement.
         """
         if self._forsaken:
             self.abort()

@@ -58,10 +58,14 @@ def closed_form(signals: Floats) -> Floats:
 
 
 def closed_form_gain(readings: Readings) -> Floats:
-    """Return the linear map (12, n, 3) from readings to coefficients: the mean over passes, then equation (8).
+    """Return the linear map (12, n, 3) from n readings to the coefficients, by the paper's closed form.
 
-    Raises `CalibrationError` if a test point of installations 1 and 2 is missing, a reading belongs to no such test
-    point, or an angle differs from the nominal angle that these formulas assume.
+    Element (i, j, k) is the derivative of coefficient i by the signal of reading j in channel k. The signals
+    at each test point are averaged over the passes and then entered in equation (8) of the paper
+    (`closed_form`).
+
+    Raises `CalibrationError` if a test point of installations 1 and 2 is missing, a reading belongs to no
+    such test point, or an angle differs from the nominal angle that these formulas assume.
     """
     cell, count = _cells(readings)
     unit = np.eye(2 * 3 * POINTS).reshape(2 * 3 * POINTS, 2, 3, POINTS)

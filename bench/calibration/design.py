@@ -194,7 +194,12 @@ class Problem:
         return tuple(replace(a, values=v) for a, v in zip(self.model.effects, values, strict=True))
 
     def slope(self, block: Block, others: Floats) -> Floats:
-        """Return du/dphi (n, 3), the sensitivity of the signals to a setting error of the head, unit/rad."""
+        """Return the derivative of the signals with respect to the head angle, unit/rad, shape (n, 3).
+
+        It is taken at the coefficients `block` and the other unknowns `others` (stand angles, then effect
+        parameters, as in `stand_matrix`). A setting error of the head times this is its error in the signals
+        of the n readings.
+        """
         forward, back = (self.predict(block, others, step) for step in (STEP_RAD, -STEP_RAD))
         return (forward - back) / (2 * STEP_RAD)
 

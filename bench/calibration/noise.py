@@ -333,7 +333,7 @@ class LikelihoodResiduals:
 
     @property
     def count(self) -> int:
-        """Number of signals and moduli."""
+        """The number of residuals: three signals for each oriented reading, and one for each modulus."""
         return 3 * len(self.columns) + len(self.free)
 
     @property

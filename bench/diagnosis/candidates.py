@@ -26,12 +26,13 @@ Cell = tuple[str, int]
 
 
 def spells(readings: Readings, *, lasting: bool) -> Iterator[tuple[str, ...]]:
-    """Yield the sets of passes or mountings, by their labels, in which an effect may act.
+    """Yield each set of passes or mountings in which an effect may act, as a tuple of their labels.
 
-    They are the later passes of a mounting, a single pass, and a whole mounting. A whole mounting is yielded only
-    if its installation was mounted more than once; otherwise the mounting angles describe it. With `lasting`, for
-    effects that outlast a remount, every mounting is yielded, and so is everything after a pass, verification
-    points included. A mounting with all its passes in the set is named by its own label.
+    The sets are: a mounting from its second or a later pass onwards, a single pass, and a whole mounting. A
+    whole mounting is yielded only if its installation was mounted more than once, because otherwise the
+    mounting angles describe the same change. If `lasting` (the effect outlasts a remount), every mounting is
+    yielded, and also everything from each later pass onwards, verification points included. A mounting of
+    which all passes are in the set appears by the label of the mounting.
     """
     conditions = readings.conditions()
     mounts = [str(conditions.mounts[number]) for number in conditions.mount]
@@ -95,8 +96,10 @@ KIND_PRIOR: Final = (0.03, 0.01, 0.96)
 
 @dataclass(frozen=True)
 class Column:
-    """One number to be estimated: a parameter in a channel (None: all channels), in the mountings `mounts` (empty:
-    all).
+    """What one column of the design matrix estimates: a parameter, in one channel, in some mountings.
+
+    `channel` is 0, 1 or 2, or None if the value is common to all channels. `mounts` are labels of mountings
+    or passes; empty means all.
     """
 
     parameter: str
@@ -106,10 +109,11 @@ class Column:
 
 @dataclass(frozen=True)
 class Variant:
-    """One form of a family of effects: its columns of `Candidates.columns`, and its channels and mountings.
+    """One form that a family may take: in which channels and mountings it acts, and with which shape.
 
-    `shape` holds the values of the shape parameters in SI. `where` says in words where an unnamed family acts.
-    `term` is the formula of an unnamed form.
+    A family is an effect of the catalogue, or an unnamed pattern of residuals. `columns` are the indices of
+    its columns in `Candidates.columns`. `shape` has the name and the SI value of each shape parameter. Of an
+    unnamed family, `where` says in words where it acts; `term` is its formula, None if it has none.
     """
 
     family: str
@@ -128,11 +132,13 @@ class Variant:
 
 @dataclass
 class Candidates:
-    """All variants that the search compares, with their P columns for N rows, (N, P), each for one plausible size.
+    """All variants that the search compares, with the columns that they need.
 
-    `kinds` names the parameter of each column. `scale` is its plausible size in SI (1 for unnamed families).
-    `by_family` orders the variants by family; each family begins at its entry in `family_starts`. `log_prior`
-    (families,) is ln of the prior probability of each family, given that one effect is missing.
+    `columns` (N, P) has P columns for the N rows of the linear system: each is the change of the rows by a
+    parameter of plausible size. `kinds` says what each column estimates. `scale` (P,) is the plausible size
+    in SI, 1 for unnamed families. `families` are the distinct names. `by_family` lists the variants sorted by
+    family; the entries of family number f begin at `family_starts[f]`. `log_prior` (families,) is ln of the
+    probability of each family, given that exactly one is missing in the model.
     """
 
     columns: Floats
@@ -157,7 +163,7 @@ class Candidates:
         self.log_prior = np.log(share / share.sum())
 
     def of_family(self, family: str) -> list[int]:
-        """Return the indices of a family's variants."""
+        """Return the indices in `variants` of all variants of a family."""
         place = self.families.index(family)
         stop = self.family_starts[place + 1] if place + 1 < len(self.families) else len(self.by_family)
         members: list[int] = self.by_family[self.family_starts[place] : stop].tolist()
@@ -165,7 +171,7 @@ class Candidates:
 
 
 class Collector:
-    """Collector of columns and of the variants that they form; `make_candidates` reads it at the end."""
+    """A builder of `Candidates`: it accumulates columns, and the variants that consist of them."""
 
     def __init__(self, linear: LinearSystem) -> None:
         self.linear = linear
@@ -183,9 +189,10 @@ class Collector:
         shape: tuple[tuple[str, float], ...],
         mounts: tuple[str, ...],
     ) -> dict[int | None, Floats]:
-        """Return the columns of `plausible_columns`.
+        """Return the same as `plausible_columns`, reusing an earlier computation where possible.
 
-        For an effect without memory they are cut from those of all rows.
+        An effect that does not depend on earlier readings is computed once for all rows; its column in some
+        mountings is that column with zeros in all other rows.
         """
         if not mounts or effect.needs_history or effect.needs_path or effect.lasts:
             return plausible_columns(self.linear, effect, parameter, shape, mounts)
@@ -198,7 +205,10 @@ class Collector:
         return {channel: np.where(rows, column, 0.0) for channel, column in self._everywhere[key].items()}
 
     def add(self, column: Floats, kind: Column, scale: float) -> int:
-        """Add a column (N,) for one plausible size, which is `scale` in SI. Return its index."""
+        """Add a column (N,), the change of the rows by one plausible size (`scale` in SI). Return its index.
+
+        The index is that of the column in `Candidates.columns`.
+        """
         self.columns.append(column)
         self.kinds.append(kind)
         self.scale.append(scale)
@@ -213,7 +223,11 @@ class Collector:
         *,
         several: bool = False,
     ) -> None:
-        """Add a variant of an unnamed family. With `several`, a variant with only one column is dropped."""
+        """Add one variant of an unnamed family, which consists of all the `columns`, each (N,).
+
+        If `several`, a variant with a single column is not added, as it would be no pattern. `where` says in
+        words where the variant acts.
+        """
         kind = Column(family, channels[0] if len(channels) == 1 else None)
         places = tuple(self.add(column, kind, 1.0) for column in columns)
         if len(places) > several:
@@ -221,8 +235,9 @@ class Collector:
 
 
 def with_terms(candidates: Candidates, linear: LinearSystem) -> Candidates:
-    """Return the candidates with the unnamed forms of the dictionary added: one family for each course and
-    place.
+    """Return the candidates plus the terms of the residual dictionary, as unnamed families with a formula.
+
+    All channels and sizes of one course in one place belong to the same family (see `residual_dictionary`).
     """
     columns, scale, variants = [candidates.columns], candidates.scale.tolist(), list(candidates.variants)
     kinds = list(candidates.kinds)
@@ -236,12 +251,12 @@ def with_terms(candidates: Candidates, linear: LinearSystem) -> Candidates:
 
 
 def is_form(candidates: Candidates, family: str) -> bool:
-    """Return whether a family is an unnamed form with a formula."""
+    """Return whether a family is an unnamed term of the residual dictionary, so that it has a formula."""
     return candidates.variants[candidates.of_family(family)[0]].term is not None
 
 
 def replace_columns(candidates: Candidates, columns: Floats) -> Candidates:
-    """Return the same candidates with other columns (N, P)."""
+    """Return the same variants with other `columns` (N, P), for example those of only some of the rows."""
     return Candidates(columns, candidates.kinds, candidates.scale, candidates.variants)
 
 
@@ -250,9 +265,11 @@ SAME: Final = 0.999
 
 
 def without_copies(candidates: Candidates, white: Whitener) -> Candidates:
-    """Return the candidates without unnamed patterns that equal an effect of the catalogue.
+    """Return the candidates without the unnamed patterns that an effect of the catalogue reproduces.
 
-    `white` maps the columns to white noise, with the coefficients projected out.
+    A pattern is dropped if all its columns lie in the span of the columns of an effect in one shape, up to 1
+    - `SAME` of the squared length. The comparison is made after `white`, which maps columns to white noise
+    and projects the coefficients out.
     """
     own: dict[tuple[object, ...], set[int]] = {}
     for variant in candidates.variants:
@@ -281,11 +298,12 @@ def make_candidates(
     *,
     absent: Collection[str] = (),
 ) -> Candidates:
-    """Collect every effect that the model may lack for these readings, except the effects in `absent`.
+    """Return every effect that the model may lack for these readings, and the unnamed patterns.
 
-    `unit_noise` is the noise of a reading in the unit of the signal. It sets the scale of the unnamed
-    families. For several runs the caller replaces `mount_sets` and the function that adds the `unnamed`
-    families.
+    An effect is left out if its name is in `absent`, if it is in volts and the signals are not, or if the
+    model has it already. `unit_noise`, the noise of a reading in the unit of the signal, is the prior size of
+    the unnamed patterns. `mount_sets` and `unnamed` replace the functions that choose the mountings of an
+    effect and that add the unnamed patterns; readings of several runs need others.
     """
     collector = Collector(linear)
     for effect in CATALOGUE.values():
@@ -302,7 +320,10 @@ def make_candidates(
 
 
 def in_volts(effect: Effect) -> bool:
-    """Whether the effect has a parameter in volts. It has no plausible size for signals in counts or g."""
+    """Return whether an effect has a parameter in volts.
+
+    Such a parameter has no plausible size for signals in counts or g.
+    """
     return any(parameter.unit.partition("/")[0].endswith("V") for parameter in effect.parameters)
 
 
@@ -403,7 +424,11 @@ def plausible_columns(
     shape: tuple[tuple[str, float], ...],
     mounts: tuple[str, ...],
 ) -> dict[int | None, Floats]:
-    """Return the change of the N rows (N,) by a parameter of plausible size, by channel (None: all channels)."""
+    """Return the change of the N rows if one parameter of an effect has its plausible size, shape (N,) each.
+
+    The result has an entry for each channel number; for a parameter common to all channels its only key is
+    None. The effect acts in `mounts` (empty: everywhere), with the shape parameters `shape` in SI.
+    """
     values: dict[str, Floats] = {name: np.asarray(value) for name, value in shape}
     size = parameter.plausible
     values[parameter.name] = np.full(3, size) if parameter.per_channel else np.asarray(size)
@@ -417,9 +442,10 @@ def plausible_columns(
 
 
 def add_free_patterns(collector: Collector, unit: float, visit: Ints) -> None:
-    """Add unnamed patterns with a free value for each angle and each pass, by channel.
+    """Add two unnamed patterns for each channel: a free value for each angle, and one for each pass.
 
-    `visit` (n,) numbers the readings' visits.
+    Values differ between installations and between the visits (series) of a run, which `visit` (n,) gives for
+    each of the n readings. `unit` is the prior size of a value, in the unit of the signal.
     """
     linear, free = collector.linear, collector.add_free
     rows, readings = linear.rows, linear.readings
@@ -450,7 +476,11 @@ def _add_unnamed(collector: Collector, unit: float) -> None:
 
 
 def each(mine: Mask, *labels: Iterable[object]) -> Iterator[Floats]:
-    """Yield a column for each combination of labels: 1 in the rows of `mine` that have these labels, else 0."""
+    """Yield an indicator column (N,) for each combination of labels that occurs in the rows `mine`.
+
+    Each of `labels` has one label per row. The column is 1 in the rows of `mine` with this combination and 0
+    in all others.
+    """
     keys = list(zip(*labels, strict=True))
     for key in dict.fromkeys(itertools.compress(keys, mine)):
         yield np.array([own and k == key for k, own in zip(keys, mine, strict=True)], dtype=np.float64)
@@ -463,10 +493,11 @@ OF_RECORDS: Final = ("voltmeter_move", "reference_supply")
 
 @dataclass(frozen=True)
 class KnownBench:
-    """Properties of the bench that rule effects out; None where a property is unknown.
+    """Properties of a bench that exclude some effects; None where a property is unknown.
 
     `own_meters`: each channel has its own voltmeter. `fixed_ranges`: no voltmeter changes its range.
-    `scale_on_axis`: the head's scale sits on the axis that turns the block, and no gear is between them.
+    `scale_on_axis`: the scale of the dividing head is on the axis that turns the block, without a gear
+    between them.
     """
 
     own_meters: bool | None = None
@@ -475,7 +506,7 @@ class KnownBench:
 
     @classmethod
     def of(cls, bench: BenchFile) -> KnownBench:
-        """Return the properties that a bench file states. Its voltmeter ranges are always fixed."""
+        """Return the properties of the bench in a bench file; voltmeter ranges are always fixed there."""
         meters = bench.instruments.voltmeters
         return cls(
             own_meters=all(len(meter.channels) == 1 for meter in meters),
@@ -484,9 +515,10 @@ class KnownBench:
         )
 
     def absent(self, readings: Readings) -> dict[str, str]:
-        """Return the effects of the catalogue that this bench cannot have, each with the reason.
+        """Return the effects of the catalogue that this bench or these readings cannot have, with reasons.
 
-        The ranges in the record take precedence over the bench file.
+        The keys are names of effects, the values the reasons. Voltmeter ranges recorded in the readings take
+        precedence over `fixed_ranges`.
         """
         fixed, said = self.fixed_ranges, message("the bench file has fixed ranges")
         recorded = _ranges(readings)
@@ -505,10 +537,7 @@ class KnownBench:
         return {name: why[name] for name in CATALOGUE if why.get(name)}
 
     def not_judged(self, readings: Readings) -> str:
-        """Return a sentence on effects that are searched only because the bench is unknown.
-
-        An empty string if there are none.
-        """
+        """Return a sentence on the effects searched only because the bench is unknown; "" if none is."""
         unknown = {
             "range_offset": self.fixed_ranges is None and not _ranges(readings),
             "channel_crosstalk": self.own_meters is None,

@@ -1,7 +1,8 @@
-"""Confirmation of a model from other readings: new readings are fitted with and without its effects.
+"""Confirmation of a model by new readings, which are fitted with and without the effects of the model.
 
-The effects keep their values. Coefficients and stand angles, within their limits, are estimated from the new
-readings once with the effects and once without. The residuals of both fits are compared with the noise.
+The effects keep the values that the model gives them. Coefficients and stand angles (within their limits) are
+estimated from the new readings twice: with the effects and without. The residuals of both fits are compared
+with the noise.
 """
 
 from __future__ import annotations
@@ -37,8 +38,10 @@ Word = Literal["confirmed", "changed", "gone"]
 
 @dataclass(frozen=True)
 class Model:
-    """The residuals of a model: reduced chi-square, root mean square in g, and the root mean square expected from
-    noise.
+    """The quality of one fit: reduced chi-square and root mean square of the residuals.
+
+    `expected_rms_g` is the root mean square that noise alone would give. For records at a known input, both
+    root mean squares are in V in spite of their names (`Confirmation.unit`).
     """
 
     reduced: float
@@ -48,11 +51,11 @@ class Model:
 
 @dataclass(frozen=True)
 class EffectNow:
-    """An effect of the model in the new readings, with its verdict (None: these readings could not show the
-    effect).
+    """One effect of the model, compared with the new readings.
 
-    `p_same` is the p-value of no change from the model's values; `p_none` is the p-value of no effect at all.
-    `found` are the values in the model, `now` the values estimated from the new readings alone.
+    `verdict` is None if these readings could not have shown the effect. `p_same` is the p-value of the
+    hypothesis that the values have not changed; `p_none` is that of no effect at all. `found` are the values
+    in the model, `now` the values estimated from the new readings alone.
     """
 
     applied: AppliedEffect
@@ -65,11 +68,12 @@ class EffectNow:
 
 @dataclass(frozen=True)
 class Confirmation:
-    """Result of a confirmation: new readings without and with a model's effects.
+    """The result of a confirmation: new readings fitted without (`before`) and with (`after`) the effects.
 
-    `diagnosis` is the diagnosis of the new readings with the model, a `FreeDiagnosis` for free positions
-    alone, a `RecordDiagnosis` for a record at a known input, whose root mean squares are in V (`unit`).
-    `p_after` is the probability of so large a chi-square with the effects in the model.
+    `p_after` is the probability that chance gives at least the chi-square that is left with the effects of
+    the model. `effects` has the verdict on each effect. `diagnosis` is the diagnosis of the new readings with
+    the model: a `FreeDiagnosis` if they are free positions only, a `RecordDiagnosis` for a record at a known
+    input. Root mean squares are in `unit`.
     """
 
     before: Model
@@ -81,15 +85,19 @@ class Confirmation:
 
     @property
     def closed(self) -> float | None:
-        """The fraction of the gap above the floor that the model closes; None if there is no gap."""
+        """The fraction of the excess of reduced chi-square over 1 that the effects remove.
+
+        None if there is no excess.
+        """
         return part_closed(self.before.reduced, self.after.reduced)
 
     @property
     def verdict(self) -> Word:
-        """The verdict: gone where all visible effects are gone; else confirmed or changed.
+        """The verdict on the model as a whole: "gone", "confirmed" or "changed".
 
-        Confirmed means that all visible effects are unchanged, and the gap closes by `MOSTLY` or is
-        chance.
+        Effects that these readings could not show do not count. "gone": none of the others is there any more.
+        "confirmed": all of them are unchanged, and the effects either remove at least `MOSTLY` of the excess
+        of chi-square or leave no more than chance explains. "changed": anything else.
         """
         words = {effect.verdict for effect in self.effects} - {None}
         if words == {"gone"}:
@@ -105,10 +113,10 @@ def confirm(
     nominal_scale_factors: Floats | None = None,
     cache: ThresholdCache | None = None,
 ) -> Confirmation:
-    """Compare new readings with a model with effects, and diagnose them for further effects.
+    """Compare new readings with a model that has effects, and diagnose the readings for further effects.
 
-    The arguments are those of `diagnose`. Raises `CalibrationError` where the readings do not determine the
-    coefficients, or could not show the effects.
+    The arguments are those of `diagnose`. Raises `CalibrationError` if the readings do not determine the
+    coefficients, or could not show any of the effects.
     """
     diagnosis = diagnose(readings, model, stand_u, nominal_scale_factors, cache)
     corrected = diagnosis.mistakes.corrected
@@ -121,7 +129,11 @@ def confirm(
 def compared(
     diagnosis: Diagnosis | FreeDiagnosis, without: LinearSystem, having: LinearSystem
 ) -> Confirmation:
-    """Compare two fits of the readings of a diagnosis: `without` the effects of a model and `having` them."""
+    """Return the comparison of two fits of the readings that `diagnosis` has diagnosed.
+
+    `without` is the linear system without the effects of the model, `having` the one with them. Raises
+    `CalibrationError` if the readings could not show any of the effects.
+    """
     noise = diagnosis.noise
     after, chi2 = _left(having, noise)
     before, _ = _left(without, noise)
@@ -184,10 +196,12 @@ def _now(linear: LinearSystem, diagnosis: Diagnosis | FreeDiagnosis) -> tuple[Ef
 
 @dataclass(frozen=True)
 class EstimatedEffects:
-    """The m parameters of effects, in plausible sizes: `found` (m,) in the model with `u`, and `change` (m,) since
-    then.
+    """The m parameters of a model's effects: values in the model, and their change in the new readings.
 
-    `change` is the estimate from the new readings minus `found`, with its `covariance` (m, m).
+    All arrays are in units of the parameters' plausible sizes, which `plausible` (m,) gives in SI. `found`
+    (m,) and `u` (m,) are the value and the standard uncertainty in the model. `change` (m,) is the estimate
+    from the new readings minus `found`, and `covariance` (m, m) is the covariance of that estimate, without
+    `u`.
     """
 
     plausible: Floats
@@ -200,7 +214,12 @@ class EstimatedEffects:
 def judged(
     model: ForwardModel, unknowns: Sequence[EffectUnknown], of: EstimatedEffects
 ) -> tuple[EffectNow, ...]:
-    """Return the verdict on each effect of a model. Raises `CalibrationError` where no effect could show."""
+    """Return the verdict on each effect of a model, in the order of its effects.
+
+    `unknowns` say which effect, parameter and channel each of the m entries of `of` belongs to. Parts of
+    other shapes (`InPart`) are skipped. Raises `CalibrationError` if the readings could not show any of the
+    effects.
+    """
     known = np.sqrt(np.diag(of.covariance))
     effects, seen = [], []
     for number, applied in enumerate(model.effects):
@@ -293,12 +312,12 @@ def _word(p_same: float, p_none: float) -> Word:
 
 
 def square(part: Floats, covariance: Floats) -> float:
-    """Return the chi-square of a subset of the parameters with this covariance."""
+    """Return the chi-square of estimates `part` (m,) with their `covariance` (m, m); 0 if m is 0."""
     return float(part @ np.linalg.solve(covariance, part)) if len(part) else 0.0
 
 
 def parameter_of(model: ForwardModel, unknown: EffectUnknown) -> Parameter:
-    """Return the parameter that an unknown of a model's effect belongs to."""
+    """Return the description, in the catalogue, of the parameter that `unknown` estimates."""
     effect = model.effects[unknown.effect].effect
     return next(p for p in effect.parameters if p.name == unknown.parameter)
 

@@ -46,15 +46,17 @@ CHUNK: Final = 25
 
 @dataclass(frozen=True)
 class Data:
-    """Products of data sets r with themselves, r^T r (ratios, sets), and with the candidates' columns A, A^T r
-    (ratios, P, sets).
+    """Scalar products of data sets with themselves and with the columns of the candidates.
+
+    A data set is a vector r of N whitened residuals, measured minus predicted. `square` (ratios, sets) is r^T
+    r at each noise ratio, `along` (ratios, P, sets) is A^T r with the P whitened columns A.
     """
 
     square: Floats
     along: Floats
 
     def part(self, of: slice) -> Data:
-        """Return the data sets in the slice `of`."""
+        """Return the products of only the data sets in the slice `of`."""
         return Data(self.square[:, of], self.along[:, :, of])
 
     @property
@@ -65,9 +67,9 @@ class Data:
 
 @dataclass(frozen=True)
 class Whitened:
-    """The candidates' columns in units of the noise, represented by their scalar products.
+    """The columns of the candidates, whitened at each noise ratio of a grid, as their scalar products.
 
-    `kept` caches the results of repeated searches in the same data.
+    `kept` caches the scores of repeated searches in the same data.
     """
 
     grid: NoiseGrid
@@ -77,7 +79,11 @@ class Whitened:
 
     @classmethod
     def of(cls, grid: NoiseGrid, candidates: Candidates, *, few_known: bool = False) -> Whitened:
-        """Whiten the columns of all candidates. With `few_known`, their products are computed only on demand."""
+        """Return the whitened columns of all candidates.
+
+        If `few_known`, few columns will ever be in the model: scalar products are then computed on demand
+        instead of all at once.
+        """
         rows, many = candidates.columns.shape
         if many > rows or few_known:
             whitened = np.empty((len(grid.white), rows, many))
@@ -91,23 +97,25 @@ class Whitened:
         return cls(grid, candidates, GramProducts(gram))
 
     def forget(self) -> None:
-        """Drop the cached results of searches: they refer back to this object and would keep its memory in use."""
+        """Clear the cached scores, which refer to this object and would keep its memory in use."""
         self.kept.clear()
 
     def among(self, ratio: int, columns: Sequence[int]) -> Floats:
-        """Return the Gram matrix (k, k) of some columns for one ratio."""
+        """Return the Gram matrix (k, k) of the k `columns` at the noise ratio with the index `ratio`."""
         return np.asarray(self.products.among(np.array(columns, dtype=np.int64))[ratio])
 
     @cached_property
     def square(self) -> Floats:
-        """The squared length of each of P columns, shape (ratios, P)."""
+        """The squared length of each of the P whitened columns, shape (ratios, P)."""
         single = np.arange(self.candidates.columns.shape[1])[:, None]
         return np.asarray(self.products.among(single)[..., 0, 0])
 
     @cached_property
     def blocks(self) -> tuple[tuple[Ints, Ints, Floats], ...]:
-        """The variants grouped by their number p of columns: their indices (v,), columns (v, p), Gram matrices
-        (ratios, v, p, p).
+        """The variants, grouped by their number p of columns.
+
+        Each group has the indices of its v variants (v,), the indices of their columns (v, p), and the Gram
+        matrices of these columns (ratios, v, p, p).
         """
         by_size: dict[int, list[int]] = {}
         for number, variant in enumerate(self.candidates.variants):
@@ -119,7 +127,11 @@ class Whitened:
         )
 
     def reduce(self, response: Floats) -> Data:
-        """Return the products of responses (N, sets) from which the evidence is computed."""
+        """Return the scalar products of data sets that the evidence is computed from.
+
+        `response` (N, sets) has the residuals, measured minus predicted, of each data set as a column, in the
+        unit of the signal.
+        """
         sets, size = response.shape[1], self.grid.sigma
         square = np.empty((len(self.grid.white), sets))
         along = np.empty((len(self.grid.white), self.candidates.columns.shape[1], sets))
@@ -143,9 +155,11 @@ def _whitened(white: Whitener, columns: Floats, sigma: float) -> Floats:
 
 @dataclass(frozen=True)
 class Group:
-    """Variants with the same number p of columns, and their Gram matrices with the known columns projected out.
+    """Variants with the same number p of columns, and what is left of these beside the known columns.
 
-    The matrices are decomposed: eigenvectors `vectors` (ratios, variants, p, p), eigenvalues `values` (…, p).
+    `members` are the indices of the variants, `columns` (variants, p) those of their columns. The Gram
+    matrices of the columns, with the known columns projected out, are decomposed: eigenvectors `vectors`
+    (ratios, variants, p, p), eigenvalues `values` (ratios, variants, p).
     """
 
     members: Ints
@@ -156,10 +170,12 @@ class Group:
 
 @dataclass(frozen=True)
 class Search:
-    """A search over all variants, given a model that already contains the `known` columns.
+    """A search over all variants for what is missing in a model that contains the columns `known`.
 
-    `inverse` (ratios, known, known) is the inverse Cholesky factor of the Gram matrix of the known columns with
-    their wide prior. `half` (ratios, known, P) is this times the products of the known columns with all P columns.
+    `inverse` (ratios, known, known) is the inverse Cholesky factor of the Gram matrix of the known columns,
+    including their prior (1 sigma: `KNOWN_SIZE` plausible sizes). `half` (ratios, known, P) is `inverse`
+    times the scalar products of the known columns with all P columns. `log_det` (ratios,) is the part of ln
+    of the evidence that is due to the known columns and the same for all data.
     """
 
     whitened: Whitened
@@ -170,9 +186,7 @@ class Search:
 
     @classmethod
     def beside(cls, whitened: Whitened, known: Sequence[int]) -> Search:
-        """Return the search given a model with these known columns, which are projected out of all other
-        columns.
-        """
+        """Return the search for what a model lacks that contains the columns with the indices `known`."""
         h = np.array(known, dtype=np.int64)
         across = whitened.products.across(h)
         inverse = np.linalg.inv(np.linalg.cholesky(across[:, :, h] + np.eye(len(h)) / KNOWN_SIZE**2))
@@ -181,7 +195,7 @@ class Search:
 
     @cached_property
     def groups(self) -> tuple[Group, ...]:
-        """The variants without any of the known columns, grouped by their number of columns."""
+        """The variants that have none of the known columns, grouped by their number of columns."""
         taken = np.zeros(self.whitened.candidates.columns.shape[1], dtype=bool)
         taken[list(self.known)] = True
         groups = []
@@ -211,21 +225,26 @@ class Search:
         return np.concatenate([group.members for group in self.groups]), starts, flat
 
     def between(self, ratio: int, columns: Sequence[int]) -> Floats:
-        """Return the Gram matrix (k, k) of some columns with the known columns projected out."""
+        """Return the Gram matrix (k, k) of the k `columns`, with the known columns projected out.
+
+        `ratio` is the index of the noise ratio.
+        """
         gram = self.whitened.among(ratio, columns)
         seen = self.half[ratio][:, list(columns)]
         return np.asarray(gram - seen.T @ seen)
 
     def along(self, ratio: int, columns: Sequence[int], sizes: Floats) -> Floats:
-        """Return the products (P,) of a weighted sum of columns with all P columns, with the known columns
-        projected out.
+        """Return the scalar products (P,) of a weighted sum of columns with all P columns.
+
+        The sum is that of the `columns` (k,), each times its entry of `sizes` (k,); the known columns are
+        projected out. `ratio` is the index of the noise ratio.
         """
         chosen = np.array(columns, dtype=np.int64)
         across = sizes @ self.whitened.products.across(chosen)[ratio]
         return np.asarray(across - (self.half[ratio][:, chosen] @ sizes) @ self.half[ratio])
 
     def left_over(self, data: Data) -> Data:
-        """Return the products of the data with the known columns fitted and subtracted."""
+        """Return the scalar products of the data sets after the known columns are fitted and subtracted."""
         if not self.known:
             return data
         fitted = self.inverse @ data.along[:, list(self.known)]
@@ -234,14 +253,15 @@ class Search:
         )
 
     def log_evidence(self, data: Data) -> float:
-        """Return ln of the evidence of one data set with the known columns, integrated over the size of the
-        noise.
+        """Return ln of the evidence of the model with the known columns, for the first data set of `data`.
+
+        The size of the noise is integrated out, the noise ratio averaged over its prior.
         """
         square, grid = self.left_over(data).square[:, 0], self.whitened.grid
         return float(logsumexp(grid.log_prior + grid.log_det + self.log_det + grid.log_likelihood(square)))
 
     def score(self, data: Data) -> Scores:
-        """Return the evidence of each variant relative to the model without it."""
+        """Return ln of the Bayes factor of adding each variant to the model, for each data set."""
         left = self.left_over(data)
         begun = tracked(range(0, left.sets, CHUNK), "what chance alone would show")
         parts = [self._score(left.part(slice(i, i + CHUNK))) for i in begun]
@@ -278,18 +298,19 @@ class Search:
 
 @dataclass(frozen=True)
 class Scores:
-    """Scores of all variants: ln of the evidence of each minus ln of that of the present model, (variants, sets).
+    """ln of the Bayes factor of the model with each variant added against the present model.
 
-    `ratio` (ratios, sets) is the probability of each noise ratio under the present model.
+    `variants` (variants, sets) has an entry for each data set. `ratio` (ratios, sets) is the posterior
+    probability of each noise ratio under the present model.
     """
 
     variants: Floats
     ratio: Floats
 
     def families(self, candidates: Candidates) -> Floats:
-        """Return ln of the mean evidence of each family (families, sets).
+        """Return ln of the Bayes factor of each family, shape (families, sets).
 
-        Taking the mean penalises families with many forms.
+        It is ln of the mean over the forms of the family, so that a family with many forms has no advantage.
         """
         ordered = self.variants[candidates.by_family]
         starts = candidates.family_starts
@@ -328,9 +349,11 @@ TAIL: Final = 0.05
 
 @dataclass(frozen=True)
 class Threshold:
-    """The evidence `value` (ln odds of any missing effect) that chance reaches with `probability`.
+    """The least evidence that counts as a finding, and the probability that chance exceeds it.
 
-    Above `start`, which chance exceeds with `p_start`, this probability falls by a factor e for each `decay`.
+    The evidence is ln of the odds that any effect is missing. Where nothing is missing it exceeds `value`
+    with `probability`. The upper tail is exponential: chance exceeds `start` with `p_start`, and e times more
+    rarely for every further `decay`. `nulls` is the number of simulated data sets behind it.
     """
 
     value: float
@@ -341,28 +364,34 @@ class Threshold:
     nulls: int
 
     def at(self, probability: float) -> Threshold:
-        """Return the threshold that chance exceeds with another probability."""
+        """Return the threshold that chance exceeds with another `probability`."""
         value = self.start + self.decay * float(np.log(self.p_start / probability))
         return replace(self, value=value, probability=probability)
 
     def p(self, evidence: float) -> float:
-        """Return the p-value of an evidence, corrected for all tests; 1 below the fitted tail."""
+        """Return the probability that chance gives at least this `evidence`; 1 below the fitted tail.
+
+        As the evidence is that of all candidates together, the p-value counts all tests.
+        """
         if evidence <= self.start:
             return 1.0
         return min(float(self.p_start * np.exp(-(evidence - self.start) / self.decay)), 1.0)
 
 
 def total_evidence(scores: Scores, whitened: Whitened) -> Floats:
-    """Return ln of the odds that any effect is missing (sets,): the evidence of all families, weighted by their
-    priors.
+    """Return ln of the odds that any effect is missing, shape (sets,).
+
+    It is ln of the sum of the Bayes factors of all families, weighted by their prior probabilities.
     """
     families = scores.families(whitened.candidates) + whitened.candidates.log_prior[:, None]
     return np.asarray(logsumexp(families, axis=0), dtype=np.float64)
 
 
 def null_responses(linear: LinearSystem, sigma: float, ratios: Floats, rng: np.random.Generator) -> Floats:
-    """Return responses (N, sets), simulated from the model with no effect missing and the noise `ratios`
-    (sets,).
+    """Return simulated residuals (N, sets) of data sets in which no effect is missing.
+
+    `sigma` is the noise of a reading in the unit of the signal, and `ratios` (sets,) the noise ratio of each
+    data set.
     """
     sets = len(ratios)
     setting = rng.standard_normal((linear.settings, sets)) * ratios / linear.typical_slope
@@ -375,9 +404,10 @@ def null_responses(linear: LinearSystem, sigma: float, ratios: Floats, rng: np.r
 
 
 def make_threshold(linear: LinearSystem, whitened: Whitened, nulls: int = NULLS) -> Threshold:
-    """Return the threshold of this design from `nulls` simulated data sets in which nothing is missing.
+    """Return the threshold for these readings from `nulls` simulated data sets without a missing effect.
 
-    The ratio of the two noise sizes is drawn from its prior, which follows the bench file.
+    The noise ratio of each data set is drawn from its prior, which follows from the setting error in the
+    bench file.
     """
     rng = np.random.default_rng(SEED)
     grid = whitened.grid
@@ -388,9 +418,10 @@ def make_threshold(linear: LinearSystem, whitened: Whitened, nulls: int = NULLS)
 
 
 def fit_tail(evidence: Floats) -> Threshold:
-    """Return the threshold from an exponential fit to the upper tail of simulated evidences.
+    """Return the threshold that `FALSE_ALARMS` of data sets exceed, by an exponential fit to the upper tail.
 
-    The quantile of the fit scatters less than the empirical quantile.
+    `evidence` (sets,) is that of simulated data sets without a missing effect. The fitted quantile has a
+    smaller variance than the empirical one.
     """
     ordered = np.sort(evidence)
     many = max(int(TAIL * len(ordered)), 10)
@@ -402,17 +433,21 @@ def fit_tail(evidence: Floats) -> Threshold:
 
 @dataclass(frozen=True)
 class ThresholdCache:
-    """Cache of the thresholds of known designs, a small JSON file for each in `folder` (None: no cache).
+    """A cache of simulated thresholds: a small JSON file for each design in `folder` (None: no cache).
 
-    The key of a design has everything that its threshold depends on: angles (to 1 arcmin), times (10 s),
-    temperatures (0.01 K), directions, mountings, passes, the stand's limits, the scale of the block and the
-    noise (to 10 %), the catalogue and the priors.
+    The name of a file is a hash of all that the threshold depends on: angles (rounded to 1 arcmin), times (10
+    s), temperatures (0.01 K), directions, mountings, passes, the limits of the stand, the scale of the block
+    and the noise (10 %), the catalogue and the priors.
     """
 
     folder: Path | None
 
     def threshold(self, linear: LinearSystem, whitened: Whitened, setting_rad: float) -> Threshold:
-        """Return the threshold of a design, simulated where the cache does not have it."""
+        """Return the threshold for these readings from the cache, or simulate it and store it there.
+
+        `setting_rad` is the setting error that the bench file states. A cache that cannot be written is
+        ignored.
+        """
         if self.folder is None:
             return make_threshold(linear, whitened)
         file = self.folder / f"{_key(linear, whitened, setting_rad)}.json"
@@ -464,7 +499,11 @@ DESIGN_COLUMNS: Final = ("scan_order", "reference_v", "range_v")
 
 
 def formulas() -> list[str]:
-    """Return the formulas of all formula effects, as their parameters alone do not define them."""
+    """Return a line for each effect of the catalogue that is defined by a formula: name, stage and formula.
+
+    The parameters alone do not define such an effect, so that the key of a cached threshold includes these
+    lines.
+    """
     return [
         f"{effect.name}, {effect.stage} {effect.adds_to}: {effect.expression}"
         for effect in CATALOGUE.values()

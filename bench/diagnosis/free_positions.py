@@ -59,10 +59,12 @@ from bench.readings.table import FREE, Readings
 def diagnose_free(
     tables: Sequence[Readings], one_sensor: bool | None = None, model: ForwardModel | None = None
 ) -> FreeDiagnosis:
-    """Return the diagnosis of tables of free positions, each table from one sensor in one record.
+    """Diagnose free positions of one or several sensors, from which only |a| = 1 g is known.
 
-    Effects of a given model are subtracted at their values and estimated again with the coefficients. Raises
-    `CalibrationError` where the positions of a sensor do not determine its nine coefficients.
+    Each of `tables` has the positions of one sensor in one record. For `one_sensor` see `make_rows`. The
+    effects of a given `model` are subtracted with their values, and estimated again together with the
+    coefficients. Raises `CalibrationError` if the positions of a sensor do not determine its nine
+    coefficients.
     """
     rows, apart, left_out = without_outliers(make_rows(tables, one_sensor, model))
     linear = make_system(rows)
@@ -258,9 +260,11 @@ def _loose(linear: FreeSystem, *, drifting: bool = False) -> tuple[Floats, Float
 
 
 def without_outliers(rows: FreeRows) -> tuple[FreeRows, tuple[str, ...], Ints]:
-    """Return the positions without outliers, the reason for each outlier, and their origin (k, 2).
+    """Return the positions without outliers, with a sentence for each outlier and its origin.
 
-    Each position is compared with its prediction from all others and with their scatter, the worst first.
+    The third item (k, 2) has, for each of the k outliers, the index of its table and its row there. One after
+    the other, the position with the largest residual is compared with its prediction from all others, and
+    with the scatter of these.
     """
     apart: list[str] = []
     origin: list[Ints] = []
@@ -286,7 +290,12 @@ def without_outliers(rows: FreeRows) -> tuple[FreeRows, tuple[str, ...], Ints]:
 
 
 def stated(rows: FreeRows) -> float:
-    """Return the noise of a position, g, that independent samples with their scatter imply; NaN where not given."""
+    """Return the standard uncertainty of |a| at one position that the scatter of its samples implies, in g.
+
+    Samples are taken as independent: the variance of each signal is that of its samples (`signal_sd`) over
+    their number. The result is the root mean square over all positions and channels; NaN if a table has no
+    `signal_sd`.
+    """
     sizes = []
     for block, table in zip(rows.block, rows.tables, strict=True):
         scale = np.abs(np.diag(block.K))
@@ -295,9 +304,9 @@ def stated(rows: FreeRows) -> float:
 
 
 def confirm_free(tables: Sequence[Readings], model: ForwardModel) -> Confirmation:
-    """Compare free positions with a model with effects, and diagnose them for further effects.
+    """Compare free positions with a model that has effects, and diagnose them for further effects.
 
-    Raises `CalibrationError` where the positions do not determine the coefficients, or could not show the
+    Raises `CalibrationError` if the positions do not determine the coefficients, or could not show any of the
     effects.
     """
     diagnosis = diagnose_free(tables, None, model)

@@ -1,4 +1,4 @@
-"""Free positions as one linear system, the change of zeros between records, and the diagnosis of them."""
+"""Free positions as one linear system, the change of biases between records, and the diagnosis of both."""
 
 from __future__ import annotations
 
@@ -46,11 +46,11 @@ SCALES: Final = (0, 3, 5)
 
 @dataclass(frozen=True)
 class FreeRows:
-    """All free positions of all sensors, one row for each position (N rows).
+    """All N free positions of all sensors, one row each, in the order of the sensors.
 
-    `tables` (sensors) hold the positions of each sensor; `sensor` and `record` (N,) are the sensor and the record
-    of each row. `block` (sensors) are the coefficients that fit each sensor's positions best, all records together.
-    `origin` (N, 2) is the index of the input table and the row in it. `effects` are the effects of the given model.
+    `tables` has the positions of each sensor, all records together, and `block` the coefficients that fit
+    them best. `sensor` and `record` (N,) are the index of the sensor and of the record of each row. `origin`
+    (N, 2) is the index of the table as given and the row in it. `effects` are those of the given model.
     """
 
     tables: tuple[Readings, ...]
@@ -70,17 +70,20 @@ class FreeRows:
 
     @cached_property
     def direction(self) -> Floats:
-        """The specific force of each position divided by its modulus, (N, 3)."""
+        """The unit vector along the specific force of each position, in the axes of its sensor, (N, 3)."""
         return np.concatenate([view.force for view in self.views])
 
     @cached_property
     def views(self) -> tuple[View, ...]:
-        """The conversion of changes of the signals to changes of |a| in g, of each sensor."""
+        """For each sensor, the conversion of changes of its signals to changes of |a| in g."""
         return tuple(_view(block, table) for block, table in zip(self.block, self.tables, strict=True))
 
     @cached_property
     def coefficients(self) -> Floats:
-        """Derivatives of the residuals of |a| - 1 by the coefficients, shape (N, 9 for each sensor)."""
+        """Minus the derivatives of |a| by the nine coefficients of each sensor, shape (N, 9 × sensors).
+
+        The columns of a sensor are zero in the rows of all others.
+        """
         columns = np.zeros((len(self), OWN * self.sensors))
         for number, (block, table) in enumerate(zip(self.block, self.tables, strict=True)):
             slopes, _ = modulus_slopes(block.specific_force(table.signal), block)
@@ -88,20 +91,25 @@ class FreeRows:
         return columns
 
     def change(self, of: Sequence[int], sensor: int, channel: int) -> Floats:
-        """Return the change of the N rows if a zero (`ZEROS`) is larger by 1 g or a scale factor (`SCALES`) by 100
-        %.
+        """Return the change of |a| in the N rows, in g, if it is computed with one coefficient increased.
+
+        With `of` = `ZEROS`, the bias of the channel of the sensor is larger by 1 g; with `of` = `SCALES`, its
+        scale factor by 100 %.
         """
         size = abs(float(self.block[sensor].K[channel, channel]))
         return -size * self.coefficients[:, OWN * sensor + of[channel]]
 
     def place(self, row: int) -> str:
-        """Return the sensor and the record of a row in words; each is named only if there are several."""
+        """Return the sensor and the record of a row in words, followed by a comma.
+
+        Each is named only if there are several; the result is empty for one sensor in one record.
+        """
         sensor, record = int(self.sensor[row]), int(self.record[row])
         of = f"sensor {sensor + 1}, " if self.sensors > 1 else ""
         return of + (f"record {record + 1}, " if len(np.unique(self.record)) > 1 else "")
 
     def without(self, rows: Mask) -> FreeRows:
-        """Return the positions without `rows` (N,), with the coefficients fitted again."""
+        """Return the positions that are not in the mask `rows` (N,), with the coefficients fitted again."""
         tables = [t.select(~rows[self.sensor == i]) for i, t in enumerate(self.tables)]
         blocks = tuple(fit_sensor(t.signal) for t in tables)
         kept = (self.sensor[~rows], self.record[~rows])
@@ -110,10 +118,11 @@ class FreeRows:
 
 @dataclass(frozen=True)
 class FreeSystem(LinearSystem):
-    """|a| - 1 of free positions, in g, as a linear system: nine coefficients of each sensor.
+    """Free positions as a linear system: |a| - 1 in g, with nine coefficients for each sensor.
 
-    The response is less the effects of the given model, which `random` estimates again. An effect's mountings are
-    here the sensors that have it ("sensor 1"); all have it where none is named.
+    The response has the effects of the given model subtracted; the `random` columns estimate them again. In
+    place of mountings, an effect has the labels of the sensors on which it acts ("sensor 1"); without labels
+    it acts on all.
     """
 
     positions: FreeRows
@@ -124,12 +133,12 @@ class FreeSystem(LinearSystem):
         return np.ones(len(self))
 
     def rows_in(self, mounts: Sequence[str]) -> Mask:
-        """Return the rows (N,) of these sensors."""
+        """Return the mask (N,) of the positions of the sensors with these labels."""
         mine = [f"sensor {number + 1}" in mounts for number in range(self.positions.sensors)]
         return np.array(mine, dtype=bool)[self.positions.sensor]
 
     def effect_columns(self, applied: AppliedEffect) -> Floats:
-        """Return the change of the rows by an effect of the sensors, a column for each channel, (N, 3)."""
+        """Return the change of the rows by an effect, split by the channel in which it acts, (N, 3)."""
         everywhere = replace(applied, installations=())
         changes = []
         for view, block in zip(self.positions.views, self.positions.block, strict=True):
@@ -141,7 +150,7 @@ class FreeSystem(LinearSystem):
 
 
 def make_system(rows: FreeRows) -> FreeSystem:
-    """Return free positions as a linear system."""
+    """Return the linear system of free positions, linearised at the coefficients that fit them best."""
     model = ForwardModel({}, rows.effects)
     problem = make_problem(model, rows.tables[0].conditions(), {})
     effects = problem.effects_at(problem.prior_mean)
@@ -183,9 +192,10 @@ def _view(block: Block, table: Readings) -> View:
 
 
 def fit_sensor(signal: Floats) -> Block:
-    """Return the block that fits free positions (m, 3) best.
+    """Return the coefficients that best fit |a| = 1 g to the signals (m, 3) of m positions of one sensor.
 
-    Raises `CalibrationError` where the positions are too few, or are not readings at rest.
+    K is upper triangular, as |a| does not depend on a rotation of the axes. Raises `CalibrationError` if the
+    positions are too few, or if the fit leaves more than readings at rest can.
     """
     block = first_guess_free(signal)
     for _ in range(ROUNDS):
@@ -207,12 +217,14 @@ def fit_sensor(signal: Floats) -> Block:
 def make_rows(
     tables: Sequence[Readings], one_sensor: bool | None = None, model: ForwardModel | None = None
 ) -> FreeRows:
-    """Return the rows of tables of free positions, each table from one sensor in one record.
+    """Return the free positions of several tables, assigned to sensors and records.
 
-    Tables with the same times are sensors side by side in one record. `one_sensor` states that all tables are
-    of one sensor, or each of its own; if None, the coefficients identify the sensors. Raises
-    `CalibrationError` where a sensor's positions do not determine its coefficients, the units differ, or an
-    effect of the model given needs what free positions lack.
+    Each of `tables` is from one sensor in one record. Tables with the same times are of the same record, and
+    so of different sensors. `one_sensor` states whether all tables are of one sensor (True) or each of
+    another (False); if None, the sensors are told apart by their coefficients. The effects of `model` are
+    kept for `make_system`. Raises `CalibrationError` if the positions of a sensor do not determine its
+    coefficients, if units differ, or if an effect of the model needs an angle, time or temperature that the
+    tables lack.
     """
     if len({table.unit for table in tables}) > 1:
         raise CalibrationError("signals in different units cannot be evaluated together; use one unit")
@@ -295,11 +307,12 @@ SHARED: Final = 0.5
 
 @dataclass(frozen=True)
 class BetweenRecords:
-    """Change of the zeros between records: zeros (sensors, records, 3) in g with their u, fitted by record.
+    """How the biases of free positions change between records, where each record is fitted separately.
 
-    Zeros are NaN where a record does not determine them. `scatter` (3,) is their scatter about their means in g,
-    `repeats` compares it with u, with a term that widens u where it is too small. `common` (3,) is the fraction of
-    the variance that the sensors share, NaN for one sensor.
+    `zero` and its `u` (sensors, records, 3) are biases in g, NaN if a record does not determine them.
+    `scatter` (3,) is their standard deviation about the mean of the sensor, in g. `repeats` compares this
+    scatter with u; if u is too small, it has the term that widens u. `common` (3,) is the fraction of the
+    variance that all sensors share, NaN for one sensor.
     """
 
     zero: Floats
@@ -309,7 +322,10 @@ class BetweenRecords:
     repeats: Repeats
 
     def term_sizes(self) -> list[str]:
-        """Return the size of the term of each channel as a bench file has it: "1.7 mg", or a factor."""
+        """Return the size of the term that widens u, for each channel; empty without such a term.
+
+        A size is in the form of a bench file: "1.7 mg", or a plain factor.
+        """
         term = self.repeats.term
         if term is None:
             return []
@@ -318,7 +334,7 @@ class BetweenRecords:
         ]
 
     def in_bench_file(self) -> str:
-        """Return the line of a bench file by which calibrations hold the term in u; "" where u is honest."""
+        """Return the line for a bench file that adds the term to the u of calibrations; "" without a term."""
         term = self.repeats.term
         return (
             ""
@@ -327,7 +343,7 @@ class BetweenRecords:
         )
 
     def in_words(self) -> str:
-        """Return a text on the size of the changes, their common part and the held-out records."""
+        """Return a sentence on the size of the changes and on how far the sensors change together."""
         sizes = ", ".join(f"{c} {size * 1e3:.2g} mg" for c, size in zip(CHANNELS, self.scatter, strict=True))
         text = f"repeats between records scatter {self.repeats.scatter:.3g} × u ({sizes})"
         shared = zip(CHANNELS, self.common, strict=True)
@@ -342,7 +358,10 @@ class BetweenRecords:
 
 
 def between_records(rows: FreeRows) -> BetweenRecords | None:
-    """Return the change of zeros between records; None where no sensor has them from two records."""
+    """Return the change of the biases between records.
+
+    None if no sensor has two records that each determine its biases.
+    """
     records = np.unique(rows.record)
     zero = np.full((rows.sensors, len(records), 3), np.nan)
     u = np.full_like(zero, np.nan)
@@ -399,7 +418,11 @@ OUTLIER: Final = "outlier"
 
 @dataclass(frozen=True)
 class FreeFit:
-    """Fit of a model: `block` of each sensor, its `u` (sensors, 12), residuals `left` (N,) of |a| - 1, g."""
+    """A fit to N free positions.
+
+    `block` has the coefficients of each sensor, `u` (sensors, 12) their standard uncertainties, and `left`
+    (N,) the residuals of |a| - 1, in g.
+    """
 
     block: tuple[Block, ...]
     u: Floats
@@ -408,12 +431,13 @@ class FreeFit:
 
 @dataclass(frozen=True)
 class FreeDiagnosis:
-    """The diagnosis of free positions.
+    """The result of the diagnosis of free positions.
 
-    `noise` (g) is the noise of a position, fitted with all effects found. `stated_g` is the noise expected from
-    the scatter of the samples, NaN if the table has none. `apart` gives the reason for each position left out,
-    `left_out` (k, 2) its table and row. `of_copy` is the verdict on the positions kept. `before` is the fit of the
-    given model, `after` the fit with the effects found.
+    `noise` is the estimated noise of |a| at a position (g), with all effects found in the model; `stated_g`
+    is that expected from the scatter of the samples, NaN if the tables do not state it. `apart` has a
+    sentence for each of the k positions left out, and `left_out` (k, 2) their tables and rows. `of_copy` is
+    the verdict on the remaining positions. `before` is the fit with the given model, `after` the fit with the
+    effects found as well. `between` is the change between records, None if unknown.
     """
 
     source: str
@@ -436,15 +460,16 @@ class FreeDiagnosis:
 
     @property
     def rows(self) -> FreeRows:
-        """The positions that are not left out."""
+        """The positions that remain after outliers are left out."""
         return self.linear.positions
 
     @property
     def verdict(self) -> Verdict:
-        """Return "mistake" if positions were left out, else the verdict on all of them.
+        """The verdict: "mistake" if any position was left out, else that on all positions.
 
-        "agrees": nothing was found; "named": effects were found; "confounded": they are tied with others, or not
-        confirmed on positions held out; "unknown": what was found is not in the catalogue.
+        "agrees": nothing was found. "named": effects of the catalogue were found. "confounded": other effects
+        explain the same, or held-out positions do not confirm what was found. "unknown": what was found is
+        not in the catalogue.
         """
         return "mistake" if self.apart else self.of_copy
 
@@ -455,7 +480,10 @@ class FreeDiagnosis:
 
     @property
     def models(self) -> tuple[tuple[AppliedEffect, ...], ...]:
-        """The effects found, for a model file of each sensor; one entry if they are the same in all sensors."""
+        """The effects found, one tuple for the model file of each sensor.
+
+        There is only one tuple, for all sensors, if no effect is limited to certain sensors.
+        """
         applied = [a for one in self.effects for a in one.applied]
         sensors = self.rows.sensors if any(a.installations for a in applied) else 1
         return tuple(
@@ -465,10 +493,10 @@ class FreeDiagnosis:
 
     @property
     def hidden(self) -> tuple[str, ...]:
-        """The effects that free positions can never show: all except those of the block."""
+        """The effects that free positions can never show, by name: all except those of the block itself."""
         return tuple(name for name, one in CATALOGUE.items() if one.subsystem is not Subsystem.BLOCK)
 
 
 def place_of(sensor: int) -> slice:
-    """Return the slice of a sensor's nine coefficients among the coefficients of all sensors."""
+    """Return the columns of a sensor's nine coefficients among those of all sensors, as a slice."""
     return slice(OWN * sensor, OWN * (sensor + 1))

@@ -1,4 +1,8 @@
-"""The gap on held-out readings: passes left out in turn, and the verification points."""
+"""The gap between readings and model, measured on held-out readings (cross-validation).
+
+The readings held out are each pass in turn, and the verification points. The gap is their reduced chi-square,
+which is 1 (the floor) if the model lacks nothing.
+"""
 
 from __future__ import annotations
 
@@ -37,11 +41,11 @@ UNDETERMINED: Final = message("the rest does not determine the coefficients")
 
 @dataclass(frozen=True)
 class HeldOut:
-    """The residuals, measured minus predicted, of n held-out readings, in the unit of the signal and in g, and
-    their chi-square.
+    """How well one model predicts the held-out rows, after a fit to all other rows.
 
-    `expected_g` (n,) is the standard deviation of each residual from noise and from the uncertainty of everything
-    estimated.
+    `error` (n,) is measured minus predicted in the unit of the signal, `error_g` (n,) the same in g.
+    `expected_g` (n,) is its standard deviation from the noise and the uncertainty of all that was estimated.
+    `chi2` is the chi-square of the errors with their full covariance.
     """
 
     error: Floats
@@ -51,16 +55,16 @@ class HeldOut:
 
     @property
     def reduced(self) -> float:
-        """Chi-square divided by the number of rows."""
+        """Chi-square divided by the number of rows held out."""
         return self.chi2 / len(self.error)
 
 
 @dataclass(frozen=True)
 class Fold:
-    """A set of readings held out, predicted by the given model, and by the model with what a search of the other
-    readings found.
+    """One set of held-out rows, predicted without (`before`) and with (`after`) effects.
 
-    `gains` maps each name found in the other readings to the decrease of chi-square that it causes.
+    The effects are those that a search of the other rows finds. `gains` maps the name of each of these
+    effects to the increase of chi-square if the prediction omits it.
     """
 
     label: str
@@ -71,10 +75,11 @@ class Fold:
 
 @dataclass(frozen=True)
 class Gap:
-    """Reduced chi-square of the readings held out, before and after; its expectation is 1 (`floor`).
+    """The prediction of held-out readings by the given model, and by the model with the effects found.
 
-    `named` are the names that should close it. `undetermined` are readings that could not be held out, because the
-    others do not determine the coefficients.
+    `named` are the names of the effects found in all readings. `undetermined` are the labels of the sets that
+    could not be held out, because the remaining readings do not determine the coefficients. `noise` is the
+    noise that the chi-squares are computed with, `freedom` its degrees of freedom.
     """
 
     folds: tuple[Fold, ...]
@@ -91,22 +96,28 @@ class Gap:
 
     @property
     def before(self) -> float:
-        """Reduced chi-square of the given model on held-out readings."""
+        """Reduced chi-square of all held-out rows, predicted by the given model."""
         return sum(f.before.chi2 for f in self.folds) / max(self.count, 1)
 
     @property
     def after(self) -> float:
-        """Reduced chi-square with the effects named, each fold with the effects found without it."""
+        """Reduced chi-square of all held-out rows, predicted with the effects that the other rows show."""
         return sum(f.after.chi2 for f in self.folds) / max(self.count, 1)
 
     @property
     def closed(self) -> float | None:
-        """The fraction of the gap above the floor that the named effects close; None if there is no gap."""
+        """The fraction of the excess of reduced chi-square over 1 that the effects found remove.
+
+        None if there is no excess, or nothing was held out.
+        """
         return part_closed(self.before, self.after) if self.folds else None
 
     @property
     def p_after(self) -> float:
-        """Probability that chance alone gives a chi-square larger than `after`."""
+        """Probability that chance alone gives a reduced chi-square of at least `after`.
+
+        NaN if nothing was held out.
+        """
         return self._chance(self.after)
 
     def _chance(self, reduced: float) -> float:
@@ -114,33 +125,34 @@ class Gap:
 
     @property
     def before_rms(self) -> float:
-        """Root mean square of measured less predicted in single channels, unit of the signal."""
+        """Root mean square of measured minus predicted by the given model, unit of the signal."""
         return rms([f.before.error for f in self.folds])
 
     @property
     def after_rms(self) -> float:
-        """Root mean square of measured less predicted with the named effects, unit of the signal."""
+        """Root mean square of measured minus predicted with the effects found, unit of the signal."""
         return rms([f.after.error for f in self.folds])
 
     @property
     def before_rms_g(self) -> float:
-        """Root mean square of measured less predicted, g by the scale factors."""
+        """The same as `before_rms`, in g."""
         return rms([f.before.error_g for f in self.folds])
 
     @property
     def after_rms_g(self) -> float:
-        """Root mean square of measured less predicted with the named effects, g by the scale factors."""
+        """The same as `after_rms`, in g."""
         return rms([f.after.error_g for f in self.folds])
 
     @property
     def expected_rms_g(self) -> float:
-        """The expectation of `after_rms_g` when nothing is missing."""
+        """The value that `after_rms_g` is expected to have if the model with the effects lacks nothing."""
         return rms([f.after.expected_g for f in self.folds])
 
     @property
     def unconfirmed(self) -> tuple[str, ...]:
-        """The names that held-out readings do not confirm: the other readings gave them, but they improve the
-        prediction too little.
+        """The names of the effects found that improve the prediction of held-out readings too little.
+
+        The sum of their gains over all sets is below `LEAST_FALL`.
         """
         return tuple(
             name
@@ -150,10 +162,12 @@ class Gap:
 
     @property
     def shrinks(self) -> bool | None:
-        """Whether the gap shrinks by the rule registered; None where nothing was found, or no fold measures it.
+        """Whether held-out readings confirm the effects found, by the registered rule.
 
-        The chi-square falls by `LEAST_FALL`, in all and by each name. `MOSTLY` of the part above the floor
-        closes, unless chance explains that part. Root mean squares do not decide: settings' errors rule them.
+        Chi-square must fall by at least `LEAST_FALL`, for all effects together and for each of them. Of the
+        excess of reduced chi-square over 1, at least `MOSTLY` must vanish, unless chance explains the excess.
+        Root mean squares do not count, because setting errors dominate them. None if no effect was found, or
+        nothing could be held out.
         """
         if not self.named or not self.folds:
             return None
@@ -166,7 +180,10 @@ class Gap:
 
     @property
     def reason(self) -> str:
-        """The reason why held-out readings do not confirm the finds; empty if they do, or if there are no finds."""
+        """A sentence that says why held-out readings do not confirm the effects found.
+
+        Empty if they confirm them, or if no effect was found.
+        """
         if not self.named or self.shrinks:
             return ""
         if not self.folds:
@@ -182,12 +199,15 @@ class Gap:
 
 
 def part_closed(before: float, after: float) -> float | None:
-    """Return the fraction of a gap above the floor that is closed; None if nothing was above the floor."""
+    """Return the fraction of the excess of a reduced chi-square over 1 that vanishes; None if there is none.
+
+    `before` and `after` are the reduced chi-squares of two models of the same readings.
+    """
     return (before - after) / (before - FLOOR) if before > FLOOR else None
 
 
 def rms(parts: Sequence[Floats]) -> float:
-    """Return the root mean square of all numbers together; NaN if there are none."""
+    """Return the root mean square of the numbers of all arrays together; NaN without any array."""
     if not parts:
         return float("nan")
     return float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
@@ -203,8 +223,10 @@ HELD_OUT: Final = message("readings held out in turn")
 
 
 def folds_of(linear: LinearSystem) -> Iterator[tuple[str, Mask]]:
-    """Yield what is held out in turn: each pass of the settings, and the rows of known modulus as a fold of their
-    own.
+    """Yield each set of rows to hold out, as a label and a mask (N,): every pass, and all moduli.
+
+    The passes are those of readings in an orientation, and are yielded only if there are several. The moduli
+    are |a| at verification points and free positions, which form one set.
     """
     oriented = linear.setting >= 0
     passes = linear.readings.pass_number[linear.rows.reading]
@@ -218,7 +240,11 @@ def folds_of(linear: LinearSystem) -> Iterator[tuple[str, Mask]]:
 
 
 def thirds_of(linear: LinearSystem) -> Iterator[tuple[str, Mask]]:
-    """Yield every third setting of each pass, at other angles in the next one, and every third known modulus."""
+    """Yield three sets of rows to hold out, as a label and a mask (N,): every third setting of each pass.
+
+    In each pass the first setting of a set is another, so that the sets differ in their angles. Moduli are
+    treated like settings.
+    """
     readings, reading = linear.readings, linear.rows.reading
     third = np.full(len(linear), -1)
     next_third: dict[tuple[str, int, int], int] = {}
@@ -248,11 +274,14 @@ def measure_gap(
     search: FoldSearch = name,
     parts: Sequence[tuple[str, Mask]] = (),
 ) -> Gap:
-    """Hold readings out in turn; search the others, fit and predict. `whitened` are all readings.
+    """Hold out each set of rows in turn, search the other rows for effects, and predict the rows held out.
 
-    A search of the others finds no more effects than that of all readings did. `parts` are labels with the rows
-    (N,) to hold out, by default passes and verification points. Where the other rows do not determine the finds
-    and their forms (`_tell`), every third setting is held out instead.
+    `whitened` has the candidates for all readings, `naming` the effects found in them; `noise` and
+    `setting_rad` (the setting error that the bench file states) are those of all readings. The search of the
+    other rows, by the function `search`, finds at most as many effects as `naming` has. `parts` are the sets,
+    as labels and masks (N,); by default every pass and the moduli (`folds_of`). If the other rows do not
+    determine the effects found, or cannot distinguish their forms, every third setting is held out instead
+    (`thirds_of`).
     """
     hold = partial(
         _fold, linear, whitened, noise, threshold.at(OFTEN), setting_rad, search, len(naming.found)
@@ -322,7 +351,7 @@ def _left_by_forms(
 
 
 def determined(linear: LinearSystem, rows: Mask) -> bool:
-    """Return whether the chosen rows determine the coefficients."""
+    """Return whether the rows in the mask (N,) determine the coefficients, with degrees of freedom left."""
     fixed = linear.fixed[rows] / np.linalg.norm(linear.fixed, axis=0)
     if len(fixed) < fixed.shape[1] + LEAST_FREEDOM:
         return False
@@ -376,7 +405,7 @@ def _held_out(
 
 
 def restrict(linear: LinearSystem, rows: Mask) -> LinearSystem:
-    """Return the system with some of its rows; settings are numbered again."""
+    """Return the linear system of only the rows in the mask (N,); the settings are numbered from 0 again."""
     setting = linear.setting[rows]
     present = {number: i for i, number in enumerate(dict.fromkeys(setting[setting >= 0].tolist()))}
     return replace(
@@ -393,8 +422,9 @@ def restrict(linear: LinearSystem, rows: Mask) -> LinearSystem:
 
 
 def near_ratios(linear: LinearSystem, noise: NoiseSize) -> tuple[float, ...]:
-    """Return the three noise ratios of the grid around the ratio that fits all readings; the folds use only
-    these.
+    """Return the three noise ratios of the grid that are nearest to the one estimated from all readings.
+
+    Only these are used where rows are held out, because the noise is already known well.
     """
     ratio = noise.setting_rad / noise.reading * linear.typical_slope
     nearest = int(np.argmin(np.abs(np.array(RATIOS) - ratio)))

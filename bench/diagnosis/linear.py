@@ -1,4 +1,4 @@
-"""The difference of readings and prediction as a linear system, in which missing effects are searched."""
+"""The differences of readings and prediction as a linear system, in which missing effects are searched."""
 
 from __future__ import annotations
 
@@ -34,10 +34,11 @@ LEAST_APART: Final = 0.05
 
 @dataclass(frozen=True)
 class Orientation:
-    """The orientation `block_from_platform` (3, 3) of the verification points, as the signals give it.
+    """The orientation of the block at the verification points, estimated from the signals.
 
-    `off_rad` is the rotation from the orientation in the bench file, about `axis` (3,) of the block. `contradicts`
-    says whether the rotation is significant.
+    `block_from_platform` (3, 3) is the rotation matrix from platform to block axes. `off_rad` is its angle
+    from the orientation in the bench file, about the unit vector `axis` (3,) in block axes. `contradicts`
+    says whether this angle is significant.
     """
 
     block_from_platform: Floats
@@ -46,7 +47,7 @@ class Orientation:
     contradicts: bool
 
     def in_words(self) -> str:
-        """Return a sentence on the contradiction to the bench file and its remedy."""
+        """Return a sentence that says how far the orientation is from the bench file, and what to correct."""
         axis = ", ".join(f"{part:+.2f}" for part in self.axis)
         return (
             f"the verification points contradict the bench file: by their signals the block is turned by "
@@ -58,10 +59,11 @@ class Orientation:
 def orientation_of(
     model: ForwardModel, readings: Readings, force: Floats, stand_u: Mapping[str, float]
 ) -> Orientation | None:
-    """Return the orientation of the block at the verification points; None where they do not determine it.
+    """Return the orientation of the block at the verification points; None if they do not determine it.
 
-    `force` (n, 3) is the specific force that the signals of the table give. Source of the fit: Wahba's
-    problem, solved by singular values (Markley, 1988).
+    `force` (n, 3) is the specific force in block axes that the signals of each reading give; `stand_u` has
+    the standard uncertainties of the stand angles by name, rad. Source of the fit: Wahba's problem, solved by
+    singular value decomposition (Markley, 1988).
     """
     rows = np.flatnonzero((readings.installation == VERIFICATION) & np.isfinite(readings.angle_rad))
     if VERIFICATION not in model.installations or len(rows) < 2:
@@ -82,7 +84,10 @@ def orientation_of(
 
 
 def as_measured(model: ForwardModel, orientation: Orientation | None) -> ForwardModel:
-    """Return the model with the measured orientation of installation V where the bench file is wrong."""
+    """Return the model with the orientation of installation V replaced by the measured one.
+
+    If the measured one is None or does not contradict the bench file, the model is returned unchanged.
+    """
     if orientation is None or not orientation.contradicts:
         return model
     measured = Installation(VERIFICATION, orientation.block_from_platform)
@@ -98,7 +103,10 @@ REFERENCE_U: Final = 1e-4
 
 @dataclass(frozen=True)
 class Rows:
-    """The reading (index in the table) and the channel (0, 1, 2 or `MODULUS`) of each row of the system."""
+    """What each row of the system is made of: a reading (its index in the table), and a channel.
+
+    `channel` is 0, 1 or 2 for the signal of one channel, or `MODULUS` for the modulus |a|.
+    """
 
     reading: Ints
     channel: Ints
@@ -109,9 +117,9 @@ class Rows:
 
 @dataclass(frozen=True)
 class RunSizes:
-    """Relative noise `sizes` of the runs (runs,), with the degrees of freedom of each (runs,).
+    """The relative noise of each run, `sizes` (runs,), with its degrees of freedom, `freedom` (runs,).
 
-    The mean square of the sizes over the rows is 1.
+    The mean square of the relative noise over all rows is 1.
     """
 
     sizes: Floats
@@ -120,18 +128,26 @@ class RunSizes:
 
 @dataclass(frozen=True)
 class LinearSystem:
-    """y = X c + Z b + noise about a first guess of the block.
+    """N differences of readings and prediction, as a linear function of the unknowns plus noise.
 
-    `response` (N,) is measured less predicted. `fixed` (N, 12) has the derivatives by the coefficients. `random`
-    (N, q) has those by stand angles and the model's own effects, times their prior standard deviations. `slope`
-    (N,) is du/dphi in the rows of a setting, else zero. `setting` (N,) numbers the settings, else -1. `problem`
-    has the unknowns of the settings: stand angles and the model's own effects. `orientation` is the orientation
-    at the verification points, None where they do not determine it. Where it contradicts the bench file, `model`
-    has installation V as measured. `by_channel` (3,) is the relative noise of the channels, with mean square 1.
-    `by_run` is the relative noise of several runs, None where they are alike. `by_row` (N,) is the relative noise
-    of rows with heavy tails, None for normal noise. `by_place` (N,) is the relative noise of rows where one place
-    scatters more, None where none does. The last `of_noise` columns of `random` are noise that readings share,
-    slow noise in `slow_channels`.
+    The model is response = fixed @ c + random @ b + noise, linearised at a first guess of the block: c are
+    the changes of the 12 coefficients, without a prior, and b have independent standard normal priors.
+
+    `response` (N,) is measured minus predicted. `fixed` (N, 12) are the derivatives by the coefficients.
+    `random` (N, q) are the derivatives by the q other unknowns, times their prior standard deviations: stand
+    angles, then the effects of the given model, both described in `problem`, then unknown references. The
+    last `of_noise` of its columns are no unknowns of the bench but noise that readings share, such as slow
+    noise in `slow_channels`.
+
+    `slope` (N,) is the derivative of a signal by the head angle; zero in rows without one. `setting` (N,)
+    numbers the settings of the head; -1 in rows without one.
+
+    `orientation` is that of the block at the verification points, None if they do not determine it. If it
+    contradicts the bench file, `model` has the measured one.
+
+    Noise of a row relative to the average is a product of several factors: `by_channel` (3,) with mean square
+    1; `by_run`, for runs with different noise; `by_row` (N,), for noise with heavy tails; `by_place` (N,),
+    for a place that scatters more. Each of the last three is None if there is no such difference.
     """
 
     readings: Readings
@@ -158,36 +174,45 @@ class LinearSystem:
         return len(self.response)
 
     def with_random(self, *columns: Floats) -> LinearSystem:
-        """Return the system with more `random` columns (N, …) of unit variance."""
+        """Return the system with more unknowns: `columns` of `random`, each (N,) or (N, k).
+
+        They are the change of the rows by one prior standard deviation.
+        """
         return replace(self, random=np.column_stack([self.random, *columns]))
 
     def with_noise(self, *columns: Floats) -> LinearSystem:
-        """Return the system with more `random` columns (N, …) that are noise, shared by readings."""
+        """Return the system with more noise that readings share: `columns`, each (N,) or (N, k).
+
+        They are the change of the rows by one standard deviation.
+        """
         system = self.with_random(*columns)
         return replace(system, of_noise=self.of_noise + system.random.shape[1] - self.random.shape[1])
 
     def design(self, effects: Floats) -> Floats:
-        """Return the columns of coefficients, stand and own effects, and further `effects` (N, m)."""
+        """Return the design matrix (N, 12 + q + m): `fixed`, `random`, and the columns `effects` (N, m)."""
         return np.concatenate([self.fixed, self.random, effects], axis=1)
 
     @property
     def own(self) -> slice:
-        """Slice of the columns of `random` for the effects of the given model, `problem.effects`."""
+        """The columns of `random` that belong to the effects of the given model, as a slice."""
         return slice(len(self.problem.stand), len(self.problem.stand) + len(self.problem.effects))
 
     @property
     def settings(self) -> int:
-        """The number of settings."""
+        """The number of settings of the head."""
         return int(self.setting.max()) + 1
 
     @property
     def typical_slope(self) -> float:
-        """Root mean square over the settings of the length of du/dphi, each channel in units of its noise."""
+        """Root mean square over the settings of |du/dphi|: the derivative of the signals by the head angle.
+
+        Each channel is divided by its relative noise. Unit of the signal per rad.
+        """
         return float(np.sqrt(np.sum((self.slope / self.relative) ** 2) / max(self.settings, 1)))
 
     @cached_property
     def relative(self) -> Floats:
-        """Relative noise of each row, 1 for a channel and a run of average noise, shape (N,)."""
+        """The noise of each row divided by the average noise, from all the factors together, shape (N,)."""
         relative = self.relative_of_channel
         if self.by_run is not None:
             relative = relative * self.by_run.sizes[self.readings.run[self.rows.reading]]
@@ -197,7 +222,10 @@ class LinearSystem:
 
     @property
     def relative_of_channel(self) -> Floats:
-        """Relative noise of each row that is due to its channel, shape (N,)."""
+        """The factor of `relative` that is due to the channel of each row, shape (N,).
+
+        For a modulus it follows from the noise of the three channels and their derivatives.
+        """
         if np.all(self.by_channel == 1.0):
             return np.ones(len(self))
         size = self.by_channel[np.minimum(self.rows.channel, 2)].copy()
@@ -209,9 +237,10 @@ class LinearSystem:
 
     @property
     def g_per_signal(self) -> Floats:
-        """Factors that convert the rows to g, shape (N,).
+        """Factors (N,) that convert each row from the unit of the signal to g.
 
-        A channel's row has 1/|scale factor of the channel|, a row of the modulus the length of d|a|/du.
+        For the signal of a channel it is 1 over the absolute scale factor, for a modulus the length of the
+        gradient of |a| with respect to the signals.
         """
         of_channel = 1.0 / np.abs(np.diag(self.block.K))[np.minimum(self.rows.channel, 2)]
         modulus = self.rows.channel == MODULUS
@@ -224,11 +253,11 @@ class LinearSystem:
         return self.view.conditions
 
     def rows_in(self, mounts: Sequence[str]) -> Mask:
-        """Return the mask (N,) of the rows in these mountings or passes."""
+        """Return the mask (N,) of the rows that belong to the mountings or passes with these labels."""
         return rows_of(mounts, self.conditions)[self.rows.reading]
 
     def rows_of(self, change: Floats) -> Floats:
-        """Convert changes of the signals (n, 3) to changes of the rows (N,)."""
+        """Return the change of the N rows, shape (N,), that a change of the signals (n, 3) causes."""
         return self.view.rows_of(change)
 
     @cached_property
@@ -242,12 +271,15 @@ class LinearSystem:
     def stage_columns(
         self, of: AppliedEffect | Floats, stage: Stage, adds_to: str = "", *, of_force: bool = False
     ) -> Floats:
-        """Return the change of the rows by one linearised stage of the model.
+        """Return the change of the rows by an effect or a time course at one stage of the model, linearised.
 
-        `of` is an effect that needs no path, at the block's output or the voltmeter, or a time course, one value
-        per reading (n,). At the stand the course is added to the angle `adds_to`. At the block's output it is in g,
-        or with `of_force` a fraction of the specific force. The shape is (N, 1) for a course of the stand or the
-        head, else (N, 3), a column for each channel.
+        `of` is either a course, one value per reading (n,), or an effect. An effect must act at the output of
+        the block or in the voltmeter, and must not depend on the path of the head.
+
+        At the stage of the stand, a course is added to the stand angle named `adds_to`; at the head, to the
+        head angle; both in rad, and the result is (N, 1). At the output of the block, a course is an
+        acceleration in g, or with `of_force` a fraction of the specific force; in the voltmeter it is in the
+        unit of the signal. The result is then (N, 3): a column for each channel in which it may act.
         """
         force, by_angle = self._stand
         if stage in (Stage.STAND, Stage.HEAD_ANGLE):
@@ -283,22 +315,25 @@ class LinearSystem:
         return force, np.stack(differences, axis=2) / (2 * STEP_RAD)
 
     def effect_column(self, applied: AppliedEffect) -> Floats:
-        """Return the change of the rows by an effect with these values, shape (N,)."""
+        """Return the change of the rows, (N,), if an effect acts with its values."""
         return self.view.rows_of(self._change(applied))
 
     def effect_columns(self, applied: AppliedEffect) -> Floats:
-        """Return the change of the rows by an effect of the block, a column for each channel, (N, 3)."""
+        """Return the change of the rows if an effect acts with its values, split by channel, (N, 3)."""
         change = self._change(applied)
         return np.stack([self.view.rows_of(change * (np.arange(3) == i)) for i in range(3)], axis=1)
 
 
 @dataclass(frozen=True)
 class View:
-    """Conversion of changes of the three signals of a reading to the rows of the system.
+    """The conversion of changes of the signals of n readings to changes of the N rows of the system.
 
-    `conditions` covers all readings in the order of measurement, as effects may depend on earlier readings.
-    Where `force` or `voltage_v` (n, 3) is not NaN, it replaces the input from the installation. `settings`,
-    `moduli` and `inputs` index the readings of each kind. `by_signal` (m, 3) is d|a|/du over its norm.
+    `conditions` are those of all readings in the order of measurement, as effects may depend on earlier
+    readings. `force` (n, 3), in g, replaces the specific force that the installation gives, and `voltage_v`
+    (n, 3) the output of the block; NaN where they do not. `settings`, `moduli` and `inputs` are the indices
+    of the readings in an orientation, of those whose modulus alone is used, and of those of a shorted or
+    reference input. `by_signal` (moduli, 3) is the unit vector along the gradient of |a| with respect to the
+    signals.
     """
 
     conditions: Conditions
@@ -310,7 +345,7 @@ class View:
     by_signal: Floats
 
     def own(self, model: ForwardModel, effects: tuple[AppliedEffect, ...], block: Block) -> Floats:
-        """Return the change of the signals of each reading by all `effects` together, shape (n, 3)."""
+        """Return the change of the signals (n, 3) if all `effects` act together on the output of `block`."""
         if not effects:
             return np.zeros(self.force.shape)
         return self.read(replace(model, effects=effects), block) - self.read(
@@ -318,14 +353,17 @@ class View:
         )
 
     def read(self, model: ForwardModel, block: Block) -> Floats:
-        """Return the signals (n, 3) that a model predicts for all readings on a stand without errors."""
+        """Return the signals (n, 3) that the model, with its effects, predicts for all readings.
+
+        Stand angles and setting errors are zero.
+        """
         still = np.zeros((len(self.conditions.mounts), len(STAND_ANGLES)))
         return model.readings_in_order(
             block, self.conditions, still, force=self.force, voltage_v=self.voltage_v
         )
 
     def rows_of(self, change: Floats) -> Floats:
-        """Convert changes of the signals (n, 3, …) to rows of the system (N, …)."""
+        """Return the change of the rows, (N, …), that a change of the signals (n, 3, …) causes."""
         modulus = np.einsum("mi,mi...->m...", self.by_signal, change[self.moduli])
         each = change.shape[2:]
         settings, inputs = (change[own].reshape(-1, *each) for own in (self.settings, self.inputs))
@@ -333,10 +371,12 @@ class View:
 
 
 def make_linear(readings: Readings, model: ForwardModel, stand_u: Mapping[str, float]) -> LinearSystem:
-    """Return the readings minus the model's prediction as a system that is linear in all unknowns.
+    """Return the linear system of readings of one block, linearised at a first guess of its coefficients.
 
-    The rows are, in this order: settings in installations, moduli (verification and free positions), inputs. Raises
-    `CalibrationError` where the settings do not determine the coefficients.
+    The rows are, in this order: three signals for each reading in an orientation, one modulus for each
+    verification point and free position, three signals for each reading of a shorted or reference input.
+    `stand_u` has the standard uncertainties of the stand angles by name, rad. Raises `CalibrationError` if
+    the readings in an orientation do not determine the coefficients.
     """
     label = readings.installation
     kind_of = np.where(label == VERIFICATION, 1, np.where(label == FREE, 1, 0))
@@ -422,7 +462,11 @@ def _references(readings: Readings) -> tuple[Floats, Ints]:
 
 
 def own_column(problem: Problem, block: Block, view: View, number: int) -> Floats:
-    """Return the change (n, 3) of the signals by one prior standard deviation of a model parameter."""
+    """Return the change of the signals (n, 3) by one prior standard deviation of an unknown of the problem.
+
+    `number` is the index of the unknown among stand angles and effect parameters; only an effect parameter
+    has an effect here.
+    """
     step = np.zeros_like(problem.prior_u)
     step[number] = 1e-3 * problem.prior_u[number]
     up, down = (problem.effects_at(problem.prior_mean + sign * step) for sign in (1, -1))

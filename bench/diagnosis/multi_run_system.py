@@ -1,4 +1,4 @@
-"""Several runs as one linear system with its candidates, and the search for effects in single runs."""
+"""Several runs as one linear system with its candidates, and the search for effects of all or single runs."""
 
 from __future__ import annotations
 
@@ -55,15 +55,20 @@ OTHER_ZERO_G: Final = 10e-3
 
 @dataclass(frozen=True)
 class JointSystem(LinearSystem):
-    """The linear systems of several blocks, joined. `block` is the first block, `parts` are the systems of the
-    blocks.
+    """The joint linear system of several accelerometer blocks on one bench.
+
+    `parts` are the systems of the blocks, whose rows follow one another; `block` is the first guess of the
+    first one. Each block has coefficients of its own; unknowns of the bench are common.
     """
 
     parts: tuple[LinearSystem, ...]
 
     @property
     def g_per_signal(self) -> Floats:
-        """Factors (N,) that convert each row to g, by the scale factors of its own block."""
+        """Factors (N,) that convert each row from the unit of the signal to g.
+
+        They follow from the scale factors of the row's own block, as in `LinearSystem.g_per_signal`.
+        """
         return self._of_each_block(lambda part: part.g_per_signal)
 
     def _of_each_block(self, of: Callable[[LinearSystem], Floats]) -> Floats:
@@ -79,7 +84,7 @@ class JointSystem(LinearSystem):
 
     @property
     def relative_of_channel(self) -> Floats:
-        """Relative noise (N,) of each row due to its channel; for a modulus by its own block."""
+        """The relative noise (N,) of each row that is due to its channel; for a modulus, of its own block."""
         return self._of_each_block(lambda part: replace(part, by_channel=self.by_channel).relative_of_channel)
 
     @cached_property
@@ -88,17 +93,20 @@ class JointSystem(LinearSystem):
         return self.readings.conditions()
 
     def effect_column(self, applied: AppliedEffect) -> Floats:
-        """Return the change of the rows by an effect with these values, shape (N,)."""
+        """Return the change of the rows, (N,), if an effect acts with its values on all blocks."""
         return np.concatenate([part.effect_column(applied) for part in self.parts])
 
     def effect_columns(self, applied: AppliedEffect) -> Floats:
-        """Return the change of the rows by an effect of the block, a column for each channel, (N, 3)."""
+        """Return the change of the rows if an effect acts on all blocks, split by channel, (N, 3)."""
         return np.concatenate([part.effect_columns(applied) for part in self.parts])
 
     def stage_columns(
         self, of: AppliedEffect | Floats, stage: Stage, adds_to: str = "", *, of_force: bool = False
     ) -> Floats:
-        """Return the change of the rows by one linearised stage of the model, the same in all blocks."""
+        """Return the change of the rows by one stage of the model, the same in all blocks.
+
+        Arguments and result are those of `LinearSystem.stage_columns`.
+        """
         assert self.readings.block is not None  # noqa: S101 - it is a system of several
         own = [
             of if isinstance(of, AppliedEffect) else of[self.readings.block == number]
@@ -113,7 +121,10 @@ class JointSystem(LinearSystem):
 
 
 def make_system(readings: Readings, model: ForwardModel, stand_u: Mapping[str, float]) -> LinearSystem:
-    """Return the linear system of one or several blocks. Raises `CalibrationError` as `make_linear` does."""
+    """Return the linear system of readings of one or several blocks.
+
+    Arguments and errors are those of `make_linear`.
+    """
     if readings.block is None:
         return make_linear(readings, model, stand_u)
     tables = [np.flatnonzero(readings.block == number) for number in np.unique(readings.block)]
@@ -168,10 +179,11 @@ def _random_of(part: LinearSystem, stand_u: Mapping[str, float]) -> tuple[Floats
 
 
 def with_blocks(readings: Readings, model: ForwardModel) -> Readings:
-    """Return readings of several runs with the block number of each row; None if all are of one block.
+    """Return readings of several runs with the number of the accelerometer block of each row as `block`.
 
-    If the block numbers are not stated, the coefficients of each run identify its block. A run that does not
-    determine its coefficients is assigned to the first block.
+    `block` is None if all rows are of one block. Stated numbers are kept. Otherwise blocks are told apart by
+    the coefficients of each run; a run that does not determine its coefficients is assigned to the first
+    block.
     """
     if readings.block is not None:
         return readings if len(np.unique(readings.block)) > 1 else replace(readings, block=None)
@@ -222,10 +234,11 @@ def _told(readings: Readings, block: Ints) -> Iterator[str]:
 def find_mistakes_in_each(
     readings: Readings, model: ForwardModel, stand_u: Mapping[str, float], nominal: Floats | None
 ) -> MistakeSearch:
-    """Return the mistakes in each run by itself, as `find_mistakes`; `nominal` is (3,) or (blocks, 3).
+    """Return the mistakes in several runs, each searched by itself, and a copy without them.
 
-    A mistake is made in one run. The probability of a false alarm is divided among the runs, and each p is
-    multiplied by their number.
+    Arguments and errors are those of `find_mistakes`; `nominal` is (3,), or (blocks, 3) for several blocks.
+    The probability of a false alarm is divided among the runs, and each p-value is multiplied by their
+    number.
     """
     sheets = None if nominal is None else np.atleast_2d(nominal)
     if not readings.run.any():
@@ -280,7 +293,10 @@ OWN_IN_EACH_RUN: Final = ("warm_up", "bias_drift", "scale_drift", "voltmeter_dri
 
 
 def candidates_of(linear: LinearSystem, unit_noise: float, absent: Collection[str] = ()) -> Candidates:
-    """Return the candidates for readings of one or several runs; arguments as for `make_candidates`."""
+    """Return the candidates for readings of one or several runs.
+
+    The arguments are those of `make_candidates`.
+    """
     if not linear.readings.run.any():
         return make_candidates(linear, unit_noise, absent=absent)
     return make_candidates(linear, unit_noise, _mount_sets, _add_unnamed, absent=absent)
@@ -413,7 +429,10 @@ COMMON: Final = 5
 
 
 def search_runs(task: SearchTask, readings: Readings) -> tuple[Prepared, Naming]:
-    """Return the prepared readings of several runs and their finds; arguments and errors as `search_run`."""
+    """Return readings of several runs prepared for the search, and the effects found in all or single runs.
+
+    Arguments and errors are those of `search_run`.
+    """
 
     def again(prepared: Prepared, linear: LinearSystem, most: float) -> tuple[Prepared, Naming]:
         return _prepared(task, linear, prepared.limit, most)

@@ -1,4 +1,4 @@
-"""Naming: the most plausible family joins the model, all are scored again, and each place gets its odds."""
+"""Naming of what is missing: effects join the model one by one, each with the odds of its rivals."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ SAME: Final = 1e-6
 
 @dataclass(frozen=True)
 class FamilyOdds:
-    """The posterior probability that a find is an effect of this family."""
+    """The posterior probability that the family `name` is what was found."""
 
     name: str
     probability: float
@@ -45,12 +45,14 @@ class FamilyOdds:
 
 @dataclass(frozen=True)
 class FoundEffect:
-    """An effect, or an unnamed family, that was found: `evidence` is ln of the Bayes factor against its absence.
+    """An effect or unnamed family that was found, in the form `variant`.
 
-    `odds` are the families that may explain the find instead, the most probable first. `ties` are the families that
-    the readings do not exclude, `same` the ties with the same signature in these readings. `plainer_than` are
-    larger families of the same subsystem that contain this one. `size` is rho, the length of the explained part of
-    the readings in units of noise. `total` is ln of the odds that anything is missing without the find.
+    `evidence` is ln of the Bayes factor of its family against its absence, given all other effects found.
+    `total` is ln of the odds that anything is missing in a model without it. `size` is the length of the part
+    of the readings that it explains, in units of the noise. `odds` are the most probable families in its
+    place, with their posterior probabilities. `ties` are other families that the readings do not exclude;
+    `same` are those of the ties that change these readings in the same way. `plainer_than` are families of
+    the same subsystem that contain this one and need more parameters.
     """
 
     variant: Variant
@@ -65,18 +67,21 @@ class FoundEffect:
 
 @dataclass(frozen=True)
 class Naming:
-    """The finds, in order; `left` is ln of the odds that something else is still missing."""
+    """The effects found, in the order of the search.
+
+    `left` is ln of the odds that still another effect is missing.
+    """
 
     found: tuple[FoundEffect, ...]
     left: float
 
     @property
     def columns(self) -> tuple[int, ...]:
-        """Column indices of all finds."""
+        """The indices of the columns of all effects found, in `Candidates.columns`."""
         return tuple(i for f in self.found for i in f.variant.columns)
 
     def parts(self) -> Iterator[tuple[FoundEffect, slice]]:
-        """Yield each find with the slice of its own columns among `columns`."""
+        """Yield each effect found, with the slice of its own columns among `columns`."""
         start = 0
         for found in self.found:
             stop = start + len(found.variant.columns)
@@ -86,12 +91,12 @@ class Naming:
 
 @dataclass(frozen=True)
 class Scored:
-    """The scores of a data set, given the known columns of the present model.
+    """The scores of all families in one data set, given a model that has some known columns.
 
-    `left` are the data products after the fit of the known columns. `evidence` is ln of the Bayes factor of
-    each family. `log_odds` adds ln of its prior probability. `total` is ln of the sum of these odds: the odds
-    that anything is missing. Higher is more probable in all three. `ratio` is the index of the likeliest ratio
-    of the two noise sizes.
+    `left` are the scalar products of the data after the known columns are fitted. `scores` has those of all
+    variants. `evidence` maps each family to ln of its Bayes factor; `log_odds` maps it to this plus ln of its
+    prior probability. `total` is ln of the sum of these odds: the odds that anything is missing. `ratio` is
+    the index of the most probable noise ratio.
     """
 
     search: Search
@@ -104,9 +109,9 @@ class Scored:
 
     @classmethod
     def beside(cls, whitened: Whitened, data: Data, known: Sequence[int]) -> Scored:
-        """Score all variants, given a model that contains the `known` columns.
+        """Return the scores of all families, given a model with the columns `known`.
 
-        The scores of the data scored last are cached, as a search requests them repeatedly.
+        Scores of the data set last used are cached in `whitened`, because a search asks for them repeatedly.
         """
         kept = whitened.kept
         if kept.get("data") is not data:
@@ -136,18 +141,24 @@ class Scored:
         )
 
     def best(self, among: Among | None = None) -> FoundEffect:
-        """Return the most probable family (of those `among`) in the form with the most evidence."""
+        """Return the family with the largest posterior odds as an effect found.
+
+        `among` says which families are permitted; None permits all.
+        """
         families = [f for f in self.log_odds if among is None or among(f)]
         return self.found(max(families, key=lambda family: self.log_odds[family]))
 
     def found(self, family: str) -> FoundEffect:
-        """Return `family` as a find, in the form with the most evidence."""
+        """Return a family as an effect found, in its most probable form.
+
+        If the readings do not determine in which mounting it acts, the form has a value for each mounting.
+        """
         variant = self._best_variant(family)
         size = math.sqrt(self.explained(variant))
         return FoundEffect(variant, self.evidence[family], self.total, size)
 
     def likeliest(self, family: str) -> Variant:
-        """Return the form of a family that has the most evidence."""
+        """Return the form of a family that has the largest evidence."""
         evidence = self._forms(family)
         return self.search.whitened.candidates.variants[max(evidence, key=evidence.__getitem__)]
 
@@ -168,12 +179,15 @@ class Scored:
         return variants[best]
 
     def explained(self, variant: Variant) -> float:
-        """Return the part of the data's sum of squares that a form explains, in units of the noise squared."""
+        """Return the decrease of chi-square when a form joins the model."""
         amplitude, gram = self.amplitude(variant)
         return max(float(amplitude @ gram @ amplitude), 0.0)
 
     def amplitude(self, variant: Variant) -> tuple[Floats, Floats]:
-        """Return the sizes of a form's columns (p,) and their Gram matrix (p, p), given the known columns."""
+        """Return the estimates (p,) of a form's columns, in plausible sizes, and their Gram matrix (p, p).
+
+        The known columns are projected out of both.
+        """
         columns = list(variant.columns)
         gram = self.search.between(self.ratio, columns)
         along = self.left.along[self.ratio, columns, 0]
@@ -196,9 +210,11 @@ def name(
     begun: Sequence[FoundEffect] = (),
     among: Among | None = None,
 ) -> Naming:
-    """Find what is missing in one data set, at most `most` effects in addition to those in `begun`.
+    """Return the effects that are missing in one data set.
 
-    With `among` no other families are found; all families count in the odds that something is missing.
+    At most `most` effects are found in addition to those in `begun`, until the odds that anything is missing
+    fall below the threshold. `among` says which families may be found (None: all); the odds that anything is
+    missing always include all of them.
     """
     found, free = list(begun), len(begun)
     while True:
@@ -247,8 +263,10 @@ def _re_examine(
 def needed(
     whitened: Whitened, data: Data, found: list[FoundEffect], threshold: Threshold, kept: int = 0
 ) -> list[FoundEffect]:
-    """Return the finds without the unnecessary ones. The weakest find is tested first; the first `kept` finds
-    stay.
+    """Return the effects found without those that are not necessary.
+
+    An effect is unnecessary if the odds that anything is missing without it stay below the threshold. The
+    weakest is tested first. The first `kept` effects always stay.
     """
     while len(found) > max(kept, 1):
         without = [Scored.beside(whitened, data, _columns(found, but=i)) for i in range(kept, len(found))]
@@ -260,9 +278,10 @@ def needed(
 
 
 def in_place(scored: Scored, one: FoundEffect, among: Among | None = None) -> FoundEffect:
-    """Return a find with the odds of all families that could replace it.
+    """Return an effect found, completed with the odds of all families that could be in its place.
 
-    `scored` are the scores given all other finds.
+    `scored` are the scores given all other effects found. `among` says which families are permitted (None:
+    all).
     """
     family, evidence = one.variant.family, scored.evidence
     ranked = sorted(
@@ -293,7 +312,11 @@ def in_place(scored: Scored, one: FoundEffect, among: Among | None = None) -> Fo
 
 
 def holding(odds: Sequence[FamilyOdds]) -> list[str]:
-    """Return the first family if its probability reaches `ALONE`, else the first ones that together reach `SET`."""
+    """Return the names of the most probable families that cannot be told apart.
+
+    It is the first alone if its probability reaches `ALONE`, otherwise the first ones whose probabilities
+    together reach `SET`. `odds` are sorted, the most probable first.
+    """
     if odds[0].probability >= ALONE:
         return [odds[0].name]
     held, chosen = 0.0, []
@@ -334,7 +357,7 @@ def _subsystem(family: str) -> object:
 
 
 def same_signature(naming: Naming) -> Iterator[str]:
-    """Yield a sentence for each find whose signature in these readings other effects share."""
+    """Yield a sentence for each effect found that other effects would imitate exactly in these readings."""
     for one in naming.found:
         if one.same:
             at = f" in {', '.join(one.variant.mounts)}" if one.variant.mounts else ""

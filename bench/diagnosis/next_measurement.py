@@ -1,4 +1,4 @@
-"""What to measure next, judged on readings that a procedure would give."""
+"""Choice of what to measure next, judged on the readings that each procedure would give."""
 
 from __future__ import annotations
 
@@ -54,9 +54,10 @@ def planned_readings(
 ) -> Readings:
     """Return the readings that a plan would give on a stand without errors, in the order of measurement.
 
-    Times are those of the plan's estimate; `temperature_c` holds until the plan sets another.
-    The signals are those of `block` in `model`, in its unit, at the planned angles. Raises `KeyError` for an
-    installation that the model lacks.
+    Times are those that the plan expects, at the mains frequency `line_hz`. The temperature is
+    `temperature_c` until the plan sets another. The signals are those of `block` in `model` without its
+    effects, in `unit`, at the planned angles. Raises `KeyError` if the model lacks an installation of the
+    plan.
     """
     reads: list[Read] = []
     states: list[tuple[float, float, float]] = []
@@ -113,9 +114,10 @@ def _signals(table: Readings, model: ForwardModel, block: Block, volts: Floats) 
 
 
 def following(first: Readings, plan: Plan, model: ForwardModel, block: Block, line_hz: float) -> Readings:
-    """Return the readings `first` together with those of a plan that is carried out after them.
+    """Return the readings `first` followed by those that a plan would give afterwards.
 
-    The temperature initially stays at its last value.
+    The other arguments are those of `planned_readings`. The temperature remains at its last value in `first`
+    until the plan sets another.
     """
     known = first.temperature_c[np.isfinite(first.temperature_c)]
     warmth = float(known[-1]) if len(known) else float("nan")
@@ -126,7 +128,7 @@ def following(first: Readings, plan: Plan, model: ForwardModel, block: Block, li
 
 
 def reads_inputs(plan: Plan) -> bool:
-    """Whether a plan reads a shorted or a reference input, which is in volts."""
+    """Return whether a plan reads a shorted or a reference input; such signals are in volts."""
     return any(isinstance(s, Read) and s.installation in UNORIENTED for s in plan.steps)
 
 
@@ -151,9 +153,10 @@ It counts as hidden if it is found only beyond twice as many plausible sizes.
 
 @dataclass(frozen=True)
 class Separation:
-    """D between a find and one of its ties, `before` and `after` the readings of the procedure.
+    """How well an effect found (`effect`) and one of its ties (`other`) are told apart.
 
-    D is the expectation of ln of the odds of the true name against the other; higher is better.
+    `before` is the divergence D of the present readings, `after` that together with the readings of a
+    procedure. D is the expected value of ln of the odds of the true name against the other; higher is better.
     """
 
     effect: str
@@ -163,14 +166,15 @@ class Separation:
 
     @property
     def settled(self) -> bool:
-        """Whether the procedure separates the two."""
+        """Whether the two are told apart after the procedure."""
         return self.after >= SEPARATED
 
 
 @dataclass(frozen=True)
 class Chance:
-    """The probability that a procedure gives one name of each tie a posterior of `ALONE`, and the time of the
-    procedure.
+    """The prospects of a procedure: its duration, and the probability that it settles every tie (`answers`).
+
+    A tie is settled if one of its names reaches a posterior probability of `ALONE`.
     """
 
     procedure: str
@@ -179,12 +183,15 @@ class Chance:
 
 
 def answers(odds: Mapping[str, float], gained: Mapping[str, float], first: str) -> float:
-    """Return the probability that a posterior reaches `ALONE`: of the name `first`, or of one of its rivals.
+    """Return the probability that further readings give one name of a tie a posterior of at least `ALONE`.
 
-    `odds` are the present posteriors, that of `first` included. `gained` has for each rival the increase of D
-    against `first` by the new readings, -inf for a rival that remains an alias. If one of two names is true, ln
-    of their odds grows by a normal number of mean D and variance 2 D. Of several rivals the one that is hardest
-    to separate from the true name decides; D between two rivals is not considered.
+    `first` is the name of the effect found; the others are its rivals. `odds` are the present posterior
+    probabilities by name, including that of `first`. `gained` is, for each rival, the increase by the further
+    readings of the divergence D against `first`; -inf for a rival that they cannot tell from it.
+
+    If one of two names is true, ln of its odds against the other grows by a normally distributed number of
+    mean D and variance 2 D. Of several rivals, the one hardest to separate from the true name decides; the
+    divergence between two rivals is not considered.
     """
     enough = math.log(ALONE / (1.0 - ALONE))
 
@@ -202,11 +209,13 @@ def answers(odds: Mapping[str, float], gained: Mapping[str, float], first: str) 
 
 @dataclass(frozen=True)
 class Proposal:
-    """What to measure next and why. `minutes` is the expected time; `shows` are effects hidden so far.
+    """A procedure proposed as the next measurement, and the reason `why`.
 
-    `source` is the procedure on the menu. `written` is the copy of the procedure that begins with the reason.
-    `left_out` has the reason for each procedure that this bench cannot carry out. `chances` are those of all
-    procedures of the menu where there are ties, the likeliest to answer first.
+    `source` is the file of the procedure, `minutes` its expected duration. `settles` are the ties that it
+    resolves or reduces, `shows` the effects hidden so far that it would show. `left_out` maps each procedure
+    that this bench cannot carry out to the reason. `written` is the copy of the procedure that begins with
+    `why`, None before `write`. `chances` has the prospects of all procedures if there are ties, the best
+    first.
     """
 
     why: str
@@ -220,24 +229,23 @@ class Proposal:
 
     @property
     def surer(self) -> Chance | None:
-        """The cost and the probability of the proposed procedure; None if there is no tie."""
+        """The prospects of the proposed procedure; None if there is no tie."""
         return next((one for one in self.chances if one.procedure == self.name), None)
 
     @property
     def name(self) -> str:
-        """Name of the procedure."""
+        """The name of the procedure."""
         return self.source.stem
 
     @property
     def procedure(self) -> Path:
-        """The file to carry out: the procedure of the menu, or the written file once there is one."""
+        """The file to carry out: the written copy if there is one, otherwise the original procedure."""
         return self.written or self.source
 
     def write(self, path: Path) -> Proposal:
-        """Write the procedure; return the proposal with the path of the file. Raises `OSError`.
+        """Write a copy of the procedure that begins with the reason; return the proposal with its path.
 
-        The file begins with the reason. It never overwrites a file with other contents; it adds a number to the
-        name instead.
+        If `path` exists with other contents, a number is added to the name instead. Raises `OSError`.
         """
         path.parent.mkdir(parents=True, exist_ok=True)
         lines = textwrap.wrap(f"Proposed: {self.why}", 108, break_on_hyphens=False)
@@ -256,12 +264,13 @@ class Proposal:
 
 
 def propose(diagnosis: Diagnosis, bench: BenchFile, menu: Sequence[Path] | None = None) -> Proposal | None:
-    """Propose what to measure next after a diagnosis; None if nothing on the menu helps.
+    """Return the procedure to carry out next after a diagnosis; None if none helps.
 
-    It is the shortest of the procedures that resolve most ties; if none resolves one, the procedure with the
-    largest increase of D per minute. Without a tie it is the shortest of those that show most of the hidden
-    effects. `menu` are procedure files (the shipped ones in `MENU` by default); a file that includes others is
-    ignored. After a mistake, or if a find has no name, nothing is proposed.
+    If there are ties, this is the shortest of the procedures that resolve the most ties; if none resolves
+    any, the one with the largest increase of the divergence D per minute. Without ties, it is the shortest of
+    the procedures that show the most hidden effects. `menu` are the files to choose from, by default the
+    shipped procedures `MENU`; a file that includes others is ignored. Nothing is proposed after a mistake, or
+    if an effect found is not in the catalogue.
     """
     if diagnosis.verdict in {"mistake", "unknown"}:
         return None

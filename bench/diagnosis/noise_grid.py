@@ -1,4 +1,4 @@
-"""The linear system whitened by its noise over a grid of noise ratios, and the noise from repeats alone."""
+"""Whitening of the linear system over a grid of noise ratios, and the noise estimated from repeats alone."""
 
 from __future__ import annotations
 
@@ -19,9 +19,10 @@ from bench.readings.table import Readings
 
 
 def coupled(matrix: Floats) -> Iterator[tuple[Ints, Ints]]:
-    """Yield the rows and columns (both ascending) of each connected component of a matrix (N, k).
+    """Yield the connected components of a matrix (N, k), each as its rows and its columns, ascending.
 
-    Between different components the matrix is zero. Every column is in one component; rows of zeros are in none.
+    The matrix is zero between the rows of one component and the columns of another. Every column is in one
+    component; a row of zeros is in none.
     """
     many, count = matrix.shape
     row, column = np.nonzero(matrix)
@@ -46,11 +47,10 @@ Of several runs it is one in at most a run's rows: what all runs share would joi
 
 @dataclass(frozen=True)
 class Span:
-    """A fitted subspace of some of the rows: an orthonormal `basis` (n, k), and the factor `kept` (k,) of each
-    direction.
+    """A subspace of some of the rows (n of them) that is fitted: by coefficients or by unknowns with a prior.
 
-    `kept` is the part of the direction that the prior leaves in the residuals. It is zero for coefficients, which
-    have no prior.
+    `basis` (n, k) are its orthonormal directions. `kept` (k,) is the fraction of each direction that remains
+    in the residuals because of the prior; 0 for coefficients, which have none.
     """
 
     rows: slice | Ints
@@ -58,18 +58,18 @@ class Span:
     kept: Floats
 
     def leave(self, white: Floats, taken: Floats) -> None:
-        """Remove the fraction `taken` (k,) of each fitted direction from columns (N, …), in place."""
+        """Subtract the fraction `taken` (k,) of each direction from the columns `white` (N, …), in place."""
         inside: Floats = self.basis.T @ white[self.rows]
         white[self.rows] -= self.basis @ (inside.T * taken).T
 
 
 @dataclass(frozen=True)
 class Whitener:
-    """A linear map of rows (N,) to independent numbers of variance sigma^2, with fitted directions removed.
+    """A linear map of N rows to numbers with independent noise of equal variance.
 
-    `blocks` are row indices with the inverse Cholesky factor of their covariance. `fitted` are the fitted
-    subspaces, orthogonal to each other. Each of several sensor blocks has its own coefficients in its own
-    rows.
+    `blocks` are sets of rows with correlated noise, each with the inverse Cholesky factor of its covariance.
+    `fitted` are the subspaces that the map removes, orthogonal to each other; several accelerometer blocks
+    have one each. Apply the map with `@`.
     """
 
     blocks: tuple[tuple[Ints, Floats], ...]
@@ -83,7 +83,7 @@ class Whitener:
         return white
 
     def weigh(self, columns: Floats) -> Floats:
-        """Return the inverse covariance times columns (N, …), with the fitted directions removed."""
+        """Return the inverse covariance times `columns` (N, …), with the fitted directions removed."""
         white = self._half(columns)
         for span in self.fitted:
             span.leave(white, 1.0 - span.kept**2)
@@ -94,7 +94,7 @@ class Whitener:
 
     @property
     def diagonal(self) -> Floats:
-        """Diagonal of the matrix that `weigh` applies, shape (N,)."""
+        """The diagonal of the matrix (N, N) by which `weigh` multiplies, shape (N,)."""
         many = sum(len(rows) for rows, _ in self.blocks)
         diagonal = np.empty(many)
         for rows, factor in self.blocks:
@@ -115,12 +115,13 @@ class Whitener:
 
 @dataclass(frozen=True)
 class NoiseGrid:
-    """A grid of noise ratios, each with a linear map to white noise with the coefficients projected out.
+    """A grid of noise ratios, each with the map that whitens the rows and projects the coefficients out.
 
-    `white` (ratios) map rows to numbers of variance sigma^2 where nothing is missing; `freedom` of them are
-    independent. `log_det` (ratios,) completes the restricted likelihood; `log_prior` (ratios,) is ln of the
-    prior. `setting_rad_per_noise` (ratios,) is the setting error in rad for a reading noise of one. With `known`
-    the noise is fixed at `sigma`; otherwise the data determine it.
+    `white` has a map for each ratio; the rows are given in units of `sigma`, a first estimate of the noise of
+    a reading. `freedom` is the number of rows minus that of the coefficients. `log_det` (ratios,) is the part
+    of ln of the restricted likelihood that does not depend on the data, `log_prior` (ratios,) ln of the prior
+    probability. `setting_rad_per_noise` (ratios,) is the setting error, rad, for a noise of one unit of the
+    signal. With `known`, the noise is `sigma`; otherwise it is unknown.
     """
 
     white: tuple[Whitener, ...]
@@ -132,7 +133,11 @@ class NoiseGrid:
     known: bool = False
 
     def log_likelihood(self, square: Floats) -> Floats:
-        """Return ln of the likelihood of residuals with the sum of squares `square`, in units of sigma^2."""
+        """Return ln of the likelihood of whitened residuals, up to a constant, from their sum of squares.
+
+        `square` is this sum in units of `sigma` squared. Unless the noise is known, its size is integrated
+        out.
+        """
         if self.known:
             return -0.5 * square
         return np.asarray(-0.5 * self.freedom * np.log(square), dtype=np.float64)
@@ -141,10 +146,12 @@ class NoiseGrid:
 def make_noise_grid(
     linear: LinearSystem, sigma: float, setting_rad: float, ratios: Sequence[float] = RATIOS
 ) -> NoiseGrid:
-    """Return the grid of maps. `sigma` is a first estimate of the reading noise; it scales prior sizes.
+    """Return the whitening maps of a linear system for a grid of noise ratios.
 
-    `setting_rad` is the setting error that the bench file states (0: not known). Fewer `ratios` make the
-    search quicker where the noise is known well enough.
+    `sigma` is a first estimate of the noise of a reading, in the unit of the signal; it converts prior
+    standard deviations to units of the noise. `setting_rad` is the setting error that the bench file states
+    (0: unknown), from which the prior of the ratios follows. Fewer `ratios` save time if the noise is known
+    well enough.
     """
     oriented = linear.setting >= 0
     scaled2 = (linear.slope / linear.relative)[oriented] ** 2
@@ -170,7 +177,7 @@ def make_noise_grid(
 
 
 def make_whitener(linear: LinearSystem, sigma: float, setting_rad: float) -> Whitener:
-    """Return the whitening map for a given noise of a reading (unit of the signal) and setting error (rad)."""
+    """Return the whitening map for a known noise of a reading, `sigma`, and a known setting error."""
     wide = _wide(linear)
     return _white(linear, setting_rad / sigma, sigma, wide, _blocks(linear, wide))[0]
 
@@ -245,20 +252,26 @@ def _as_slice(rows: Ints) -> slice | Ints:
 
 @dataclass(frozen=True)
 class ColumnProducts:
-    """Scalar products of whitened columns, computed on demand.
+    """Scalar products of P whitened columns, computed on demand from the columns.
 
-    `white` (ratios, N, P) holds P columns of N rows for each noise ratio. If N < P, this needs less memory than
-    all products.
+    `white` (ratios, N, P) holds them for each noise ratio. This needs less memory than `GramProducts` if N <
+    P.
     """
 
     white: Floats
 
     def across(self, columns: Ints) -> Floats:
-        """Return the products of some columns (k,) with all, shape (ratios, k, P)."""
+        """Return the scalar products of k columns with all P columns, shape (ratios, k, P).
+
+        `columns` (k,) are their indices.
+        """
         return np.swapaxes(self.white[:, :, columns], 1, 2) @ self.white
 
     def among(self, columns: Ints) -> Floats:
-        """Return the products of columns (…, p) with each other, shape (ratios, …, p, p)."""
+        """Return the Gram matrices of sets of p columns, shape (ratios, …, p, p).
+
+        `columns` (…, p) has the indices of each set in its last axis.
+        """
         if columns.shape[-1] == 1:
             return np.asarray(self._square[:, columns[..., 0], None, None])
         chosen = np.moveaxis(self.white[:, :, columns], 1, -2)
@@ -271,16 +284,25 @@ class ColumnProducts:
 
 @dataclass(frozen=True)
 class GramProducts:
-    """Products from the Gram matrix (ratios, P, P): smaller for more rows than columns."""
+    """Scalar products of P whitened columns, all computed in advance, `gram` (ratios, P, P).
+
+    This needs less memory than `ColumnProducts` if there are more rows than columns.
+    """
 
     gram: Floats
 
     def across(self, columns: Ints) -> Floats:
-        """Return the products of some columns (k,) with all, shape (ratios, k, P)."""
+        """Return the scalar products of k columns with all P columns, shape (ratios, k, P).
+
+        `columns` (k,) are their indices.
+        """
         return np.asarray(self.gram[:, columns])
 
     def among(self, columns: Ints) -> Floats:
-        """Return the products of columns (…, p) with each other, shape (ratios, …, p, p)."""
+        """Return the Gram matrices of sets of p columns, shape (ratios, …, p, p).
+
+        `columns` (…, p) has the indices of each set in its last axis.
+        """
         return np.asarray(self.gram[:, columns[..., :, None], columns[..., None, :]])
 
 
@@ -293,9 +315,10 @@ LEAST_FREEDOM: Final = 6
 
 @dataclass(frozen=True)
 class Repeats:
-    """Noise `sigma` of a reading (unit of the signal) from repeats of settings.
+    """The noise of a reading, estimated from repeated settings of the head.
 
-    `freedom` are its degrees of freedom, counted in settings.
+    `sigma` is its standard deviation in the unit of the signal; `freedom` are its degrees of freedom, counted
+    in settings.
     """
 
     sigma: float
@@ -303,13 +326,13 @@ class Repeats:
 
 
 def noise_of_repeats(linear: LinearSystem, resolution: float) -> Repeats:
-    """Return the noise from the scatter of repeated settings about a saturated description.
+    """Return the noise of a reading that the scatter of repeated settings shows, whatever the model lacks.
 
-    The description has a free value for each mounting and angle, and a slope in order of measurement for each
-    mounting. Each pass has a free bias and a free wave once a turn, so that changes between passes are no
-    noise. Noise and setting error (along du/dphi) maximise the restricted likelihood of the residuals. It
-    accounts for the errors that the description carries from one setting to another. With too few repeats,
-    the scatter about the model is used instead. The noise is never below the rounding to `resolution`.
+    The settings are described without the model: by a free value for each mounting and angle, a linear drift
+    for each mounting, and for each pass a free bias and a free sine wave of one period per turn, so that
+    changes between passes do not count as noise. The noise and the setting error maximise the restricted
+    likelihood of the residuals of this description. If there are too few repeats, the scatter about the model
+    is used instead. The result is never below the rounding error of the `resolution`.
     """
     oriented = linear.setting >= 0
     left, slope = (
@@ -359,7 +382,10 @@ def _about_model(linear: LinearSystem) -> float:
 
 
 def cells_of(linear: LinearSystem) -> Ints:
-    """Return the cell number (n,) of each setting by mounting and angle, to 5 deg; a cell holds repeats."""
+    """Return a number for each setting, (n,), that repeats of the setting share.
+
+    Repeats are in the same mounting, at the same angle to 5 deg.
+    """
     cells = np.column_stack([_mounts_and_angles(linear)[0], np.round(_mounts_and_angles(linear)[1] / 5.0)])
     return np.unique(cells, axis=0, return_inverse=True)[1].ravel()
 
@@ -389,9 +415,9 @@ TERMS: Final = 30
 
 
 def digit_of(readings: Readings) -> float:
-    """Return the step of the signals' last digit, unit of the signal:
+    """Return the step of the last digit of the signals, in their unit; 0 if there is no such step.
 
-    2e-5 where all signals are even at 1e-5; 0 if no such step is found.
+    It may exceed the resolution of the file: it is 2e-5 if all signals are even multiples of 1e-5.
     """
     resolution = readings.resolution
     if not resolution > 0.0 or readings.resolution_read is not None:
@@ -401,19 +427,22 @@ def digit_of(readings: Readings) -> float:
 
 
 def is_coarse(digit: float, sigma: float) -> bool:
-    """Return whether the last digit is coarser than the noise `sigma`, which includes rounding."""
+    """Return whether the last digit, `digit`, is larger than the noise `sigma`, which includes rounding."""
     return digit > sigma
 
 
 def is_rounded(digit: float, sigma: float) -> bool:
-    """Return whether the rounding error repeats; the noise is then fixed at `sigma`."""
+    """Return whether repeats share a rounding error that is not negligible.
+
+    The noise is then fixed at `sigma`, as the residuals no longer show it.
+    """
     return repeated(digit, sigma) > HARDLY_ANY * sigma
 
 
 def with_rounding(linear: LinearSystem, digit: float, sigma: float) -> LinearSystem:
-    """Return the system with a rounding error shared by repeats of a setting, where it is not negligible.
+    """Return the system with the rounding error that repeats of a setting share, if it is not negligible.
 
-    `sigma` is the noise from the repeats, at least the rounding noise.
+    `digit` is the step of the last digit; `sigma` is the noise from repeats, at least that of rounding.
     """
     if not is_rounded(digit, sigma):
         return linear
@@ -429,12 +458,15 @@ def with_rounding(linear: LinearSystem, digit: float, sigma: float) -> LinearSys
 
 
 def grid_with_rounding(linear: LinearSystem, sigma: float, setting_rad: float, digit: float) -> NoiseGrid:
-    """Return the grid of `make_noise_grid`, with the noise fixed where the rounding error repeats."""
+    """Return the grid of `make_noise_grid`, with the noise known if repeats share a rounding error."""
     return replace(make_noise_grid(linear, sigma, setting_rad), known=is_rounded(digit, sigma))
 
 
 def repeated(digit: float, sigma: float) -> float:
-    """Return the standard deviation of the repeated part of the rounding error, unit of the signal."""
+    """Return the standard deviation of the part of the rounding error that repeats share.
+
+    `digit` is the step of the last digit and `sigma` the noise with rounding, all in the unit of the signal.
+    """
     if not digit > 0.0:
         return 0.0
     s2 = max(sigma**2 / digit**2 - 1.0 / 12.0, 0.0)

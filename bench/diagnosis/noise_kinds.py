@@ -1,9 +1,9 @@
-"""Hypotheses on the noise, compared by evidence: by channel, run or place, heavy-tailed, slow; and noise larger
-than stated.
+"""Hypotheses on the noise, compared by evidence: by channel, run or place, heavy-tailed, slow, or larger.
 
-A hypothesis changes the covariance of the readings. So hypotheses on the noise and on missing effects explain the
-same numbers. For heavy tails each row has its own precision, with the prior that makes its noise t-distributed
-(Tipping and Lawrence, Neurocomputing 69 (2005) 123). The evidence of heavy tails is the bound of that paper.
+A hypothesis changes the covariance of the readings, and so competes with missing effects in explaining the
+same numbers. For heavy tails each row has its own precision, with the prior that makes its noise
+t-distributed (Tipping and Lawrence, Neurocomputing 69 (2005) 123); its evidence is the lower bound of that
+paper. The last part compares the noise with what the bench file and the samples state.
 """
 
 from __future__ import annotations
@@ -48,10 +48,10 @@ SIZES: Final = tuple(np.geomspace(0.05, 20.0, 61))
 
 @dataclass(frozen=True)
 class NoiseHypothesis:
-    """A hypothesis on the kind of noise: the system with this noise, and ln of its prior odds, with the cost of its
-    sizes.
+    """A hypothesis on the noise: the linear system with such noise, and its prior odds.
 
-    `what` is a key of `LOG_PRIOR`. `words` describe it for people.
+    `what` is the kind, a key of `LOG_PRIOR`. `log_odds` is ln of the prior odds against ordinary noise, less
+    the cost of the parameters fitted. `words` describe it for people.
     """
 
     what: str
@@ -61,8 +61,9 @@ class NoiseHypothesis:
 
 
 def noise_hypotheses(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Iterator[NoiseHypothesis]:
-    """Yield the hypotheses on the noise, each with its likeliest sizes given the m columns of the effects (N,
-    m).
+    """Yield the hypotheses on the noise that `linear` does not contain yet, with their likeliest sizes.
+
+    `effects` (N, m) are the columns of the effects in the model, `noise` the noise estimated so far.
     """
     yield from _by_channel(linear, effects, noise)
     if linear.by_run is None and linear.readings.run.any():
@@ -76,8 +77,9 @@ def noise_hypotheses(linear: LinearSystem, effects: Floats, noise: NoiseSize) ->
 
 
 def log_null(grid: NoiseGrid) -> float:
-    """Return the part of ln of the evidence that depends on the unit of the noise, so that different grids can be
-    compared.
+    """Return the part of ln of the evidence that depends on the unit of the noise, `grid.sigma`.
+
+    It makes the evidence of grids with different units comparable.
     """
     return -grid.freedom * math.log(grid.sigma)
 
@@ -92,9 +94,9 @@ def _fit(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> tuple[Float
 
 
 def residuals(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Floats:
-    """Return the residuals (N,) after a fit of effects' columns (N, m), without the setting error, in signal units.
+    """Return the residuals (N,) after a fit with the effects' columns `effects` (N, m), unit of the signal.
 
-    They are divided by the relative noise of their rows.
+    The setting error is removed, and each row is divided by its relative noise.
     """
     left = _fit(linear, effects, noise)[0]
     return noise.reading * whiten_rows(linear, noise, left[:, None])[:, 0]
@@ -122,11 +124,12 @@ def _by_channel(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Iter
 
 
 def sizes_by_channel(left: Floats, freedom: Floats, slope: Floats, cells: Ints, floor: float) -> Floats:
-    """Return the relative sizes (3,) of the channels' noise, 1 on the average of squares.
+    """Return the relative noise of the three channels, (3,), with mean square 1.
 
-    `left` (n, 3) are the residuals of each setting. `freedom` (n,) is the part of a setting that the fit leaves.
-    `slope` (n, 3) is du/dphi, the direction of a setting error. `cells` (n,) number settings with the same slope,
-    `floor` is the least noise that is believed, unit of the signal.
+    `left` (n, 3) are the residuals of each setting and `freedom` (n,) the fraction of a degree of freedom
+    that the fit leaves of it. `slope` (n, 3) is the derivative of the signals by the head angle, the
+    direction of a setting error. `cells` (n,) are equal for settings with the same slope. `floor` is the
+    least noise permitted, in the unit of the signal.
     """
     count = int(cells.max()) + 1
     free = np.bincount(cells, freedom, count)
@@ -183,9 +186,11 @@ def _by_place(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Iterat
 
 @dataclass(frozen=True)
 class LocalScatter:
-    """A place where readings scatter more: the standard deviations there and elsewhere, unit of the signal.
+    """A place where readings scatter more than elsewhere: a channel in an installation or a pass of it.
 
-    `where` is empty for a channel in all installations. `p` is corrected for all places.
+    `sd` and `elsewhere` are the standard deviations there and in all other places, in the unit of the signal.
+    `where` is the installation and pass in words, empty for a channel everywhere. `p` is the p-value,
+    corrected for the number of places.
     """
 
     channel: str
@@ -201,7 +206,10 @@ class LocalScatter:
 
 
 def larger_scatter(linear: LinearSystem, left: Floats) -> LocalScatter | None:
-    """Return the place whose residuals `left` (N,) scatter most in excess of the others; None if there is none."""
+    """Return the place where the residuals `left` (N,) scatter most significantly more than elsewhere.
+
+    None if there is no such place.
+    """
     return min((one for one, _ in _larger(linear, left)), key=lambda one: one.p, default=None)
 
 
@@ -279,9 +287,9 @@ def _log_odds_of_weights(weight: Floats, of_mean: Floats, square: Floats) -> flo
 
 
 def log_density(linear: LinearSystem, effects: Floats, like: NoiseGrid) -> float:
-    """Return ln of the evidence of a system with effects' columns (N, m), the sizes of its noise integrated over.
+    """Return ln of the evidence of a system with the effects' columns `effects` (N, m).
 
-    Their priors are those of the grid `like`.
+    The noise of a reading is integrated out, and the noise ratio averaged over the prior of the grid `like`.
     """
     grid = make_noise_grid(linear.with_random(effects * KNOWN_SIZE), like.sigma, 0.0)
     square = np.array([np.sum((white @ (linear.response / like.sigma)) ** 2) for white in grid.white])
@@ -294,11 +302,12 @@ def log_density(linear: LinearSystem, effects: Floats, like: NoiseGrid) -> float
 
 @dataclass(frozen=True)
 class SlowNoise:
-    """Slow noise of `channels` (0, 1, 2), independent in each: `size` is its root mean square over a run.
+    """Slow noise (of spectral density 1/f) of one size in some `channels` (0, 1, 2), independent in each.
 
-    The size is in the unit of the signal. `columns` (N, waves) are draws of this noise in the rows of the system.
-    `evidence` is ln of the mean likelihood over all sizes, against no slow noise. `cost` is ln of this mean over
-    the largest likelihood.
+    `size` is its root mean square over a run, in the unit of the signal. `columns` (N, k) are its k
+    independent components, of one standard deviation each. `evidence` is ln of the Bayes factor against no
+    slow noise, averaged over sizes. `cost` is ln of the ratio of the mean likelihood over all sizes to the
+    largest.
     """
 
     channels: tuple[int, ...]
@@ -329,10 +338,10 @@ def _slow(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Iterator[N
 
 
 def slow_noise(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> tuple[SlowNoise, ...]:
-    """Return the slow noise that is likelier than none, given the columns of the effects (N, m).
+    """Return the slow noise that is more probable than none, given the effects' columns (N, m).
 
-    It is empty if there is none. It has one size in all channels, or a size in each channel that has it, whichever
-    has more evidence.
+    It is either one size common to all channels, or one size for each channel that has such noise, whichever
+    has the larger evidence. Empty if there is none.
     """
     white = make_whitener(linear.with_random(effects * KNOWN_SIZE), noise.reading, noise.setting_rad)
     left = white @ (linear.response / noise.reading)
@@ -397,23 +406,27 @@ def _waves(linear: LinearSystem, channel: int) -> Floats:
 
 @dataclass(frozen=True)
 class NoiseKind:
-    """How the noise departs from normal: "channels", "runs", "place", "tails", "slow" or "resolution"."""
+    """A departure of the noise from normal noise of one size.
+
+    `what` is "channels", "runs", "place", "tails", "slow" or "resolution"; `words` is a sentence.
+    """
 
     what: str
     words: str
 
     @property
     def headline(self) -> str:
-        """The first words of the kind of noise, before the colon, for a headline."""
+        """The part of `words` before the first colon."""
         return self.words.partition(":")[0]
 
 
 def noise_kinds(
     linear: LinearSystem, noise: NoiseSize, digit: float, chosen: Mapping[str, str]
 ) -> Iterator[NoiseKind]:
-    """Yield how the noise differs from normal noise of one size; `digit` is the step of the signals' last digit.
+    """Yield the departures of the noise in `linear` from normal noise of one size.
 
-    `chosen` are the words of the noise hypotheses that were chosen by evidence.
+    `digit` is the step of the last digit of the signals. `chosen` maps the kind of each noise hypothesis that
+    was accepted to its words.
     """
     unit = linear.readings.unit
     if np.any(linear.by_channel != 1.0):
@@ -461,10 +474,11 @@ BENCH_FILE: Final = message("the bench file")
 
 @dataclass(frozen=True)
 class NoiseFinding:
-    """Noise of a reading ("reading") or a setting ("setting") that is larger than the `source` states.
+    """Noise that is significantly larger than stated.
 
-    `found` and `stated` are in `unit`, and `factor` is their ratio. `p` is the probability of this ratio by
-    chance, all runs counted. It is that of the run with these `series`, where runs have noise of their own.
+    `what` is "reading" for the noise of a reading, "setting" for the setting error. `found` and `stated` are
+    in `unit`, and `factor` is their ratio. `source` says in words who states it. `p` is the probability that
+    chance gives this ratio in any run. `series` are the series of the run concerned, empty for all runs.
     """
 
     what: str
@@ -478,7 +492,7 @@ class NoiseFinding:
 
     @property
     def words(self) -> str:
-        """A sentence with the kind of noise, its ratio to the stated noise, and the consequence."""
+        """A sentence that compares the noise with what is stated, and names the consequence."""
         of = "a reading" if self.what == "reading" else message("a setting of the head")
         if self.series:
             of += message(f" of series {', '.join(str(number) for number in self.series)}")
@@ -497,11 +511,12 @@ def noise_findings(
     digit: float = 0.0,
     by_run: RunSizes | None = None,
 ) -> tuple[NoiseFinding, ...]:
-    """Return where the noise found is larger than stated, significantly and by more than a factor of two.
+    """Return where the estimated noise is significantly larger than stated, by more than a factor of two.
 
-    `stand_u` has the "setting_error" (rad) and the "voltmeter_error" (V) of the bench file. `typical_slope` is
-    the length of du/dphi, unit of the signal per rad. `digit` is the step of the signals' last digit. Runs with
-    noise of their own, `by_run`, are each held against what is stated of them.
+    `stand_u` has the "setting_error" (rad) and the "voltmeter_error" (V) of the bench file. `typical_slope`
+    is the root mean square length of the derivative of the signals by the head angle, in their unit per rad.
+    `digit` is the step of the last digit of the signals. If `by_run` is given, each run is compared with what
+    is stated for it.
     """
     found = [*_of_readings(noise, readings, stand_u, digit, by_run)]
     setting = stand_u.get("setting_error", 0.0)

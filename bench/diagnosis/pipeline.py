@@ -1,4 +1,4 @@
-"""Find where readings and model disagree, name what is missing, measure the gap, and show what follows."""
+"""The diagnosis as a whole: find where readings and model disagree, name what is missing, measure the gap."""
 
 from __future__ import annotations
 
@@ -73,13 +73,17 @@ def diagnose(
     cache: ThresholdCache | None = None,
     there: KnownBench = NOTHING_KNOWN,
 ) -> Diagnosis:
-    """Diagnose one table of readings against a model.
+    """Return the diagnosis of a table of readings against a model.
 
-    `stand_u` holds standard uncertainties by the names in `STAND_ANGLES`, of the "setting_error", rad, and of the
-    "voltmeter_error", V. `nominal_scale_factors` (3,), or (blocks, 3) of several, are those of the data sheet
-    with sign, unit/g. They show swapped or reversed channels. `there` has the known properties of meters and head:
-    effects of absent parts are no candidates. Mistakes are corrected in a copy. Raises `CalibrationError` where the
-    readings do not determine the coefficients, `MistakesLeaveTooLittle` where the corrected copy does not.
+    `stand_u` has the standard uncertainties of the stand angles (`STAND_ANGLES`) and of the "setting_error"
+    in rad, and of the "voltmeter_error" in V, by name. `nominal_scale_factors` are those of the data sheet
+    with their signs, in the unit of the signal per g: (3,), or (blocks, 3) for several blocks. Without them,
+    channels exchanged or reversed in the whole run cannot be found. `cache` has simulated thresholds. Effects
+    that the properties `there` of the bench exclude are not searched. Mistakes are corrected in a copy, which
+    is then diagnosed.
+
+    Raises `CalibrationError` if the readings do not determine the coefficients, `MistakesLeaveTooLittle` if
+    the corrected copy does not.
     """
     mistakes = find_mistakes_in_each(readings, model, stand_u, nominal_scale_factors)
     setting_rad, digit = stand_u.get("setting_error", 0.0), digit_of(readings)
@@ -256,7 +260,12 @@ def _form(
 
 
 def verdict_of(effects: tuple[NamedEffect, ...], findings: tuple[NoiseFinding, ...], gap: Gap) -> Verdict:
-    """Return the first verdict that applies. An effect that held-out readings do not confirm counts as a tie."""
+    """Return the verdict on readings without mistakes: the first of these that applies.
+
+    "unknown": noise is larger than stated, or something found is not in the catalogue. "confounded": an
+    effect has ties, or held-out readings do not confirm the effects. "named": effects were found. "agrees":
+    nothing was.
+    """
     if findings or any(not e.in_catalogue for e in effects):
         return "unknown"
     if any(e.cannot_tell_from for e in effects) or (effects and not gap.shrinks):
@@ -274,7 +283,10 @@ def _apart(p: float, words: str) -> NamedEffect:
 def effects_of(
     candidates: Candidates, naming: Naming, fitted: Posterior, limit: Threshold, angle_rad: Floats
 ) -> tuple[NamedEffect, ...]:
-    """Return what was found with its values; `angle_rad` are the angles measured."""
+    """Return the effects found, with the estimates `fitted` of their parameters and their p-values.
+
+    `limit` is the threshold of the search. `angle_rad` are the head angles of the readings.
+    """
     effects = []
     for found, mine in naming.parts():
         variant = found.variant
@@ -310,7 +322,10 @@ def effects_of(
 
 
 def name_of(candidates: Candidates, family: str) -> str:
-    """Return the name of a family in results: its name in the catalogue or of its pattern, else `UNNAMED_FORM`."""
+    """Return the name of a family as results show it: `UNNAMED_FORM` for every family with a formula.
+
+    Any other family is shown by its own name.
+    """
     return UNNAMED_FORM if is_form(candidates, family) else family
 
 
@@ -345,7 +360,10 @@ def _in_words(variant: Variant) -> str:
 
 
 def values_of(applied: tuple[AppliedEffect, ...]) -> Iterator[EffectValue]:
-    """Yield parameters with u in the units of the catalogue; with their mountings where there are several sets."""
+    """Yield each parameter of an effect with its u, in the units of the catalogue.
+
+    `applied` has an entry for each set of mountings; with several, the values state their mountings.
+    """
     for one in applied:
         mounts = "+".join(one.installations) if len(applied) > 1 else ""
         for p in one.effect.parameters:
@@ -368,10 +386,10 @@ LISTED: Final = 8
 
 @dataclass(frozen=True)
 class Rival:
-    """A family that may replace a find: ln of its evidence, and whether it is tied with the find.
+    """A family that may be present in place of an effect found.
 
-    `shift` (12 for each block,) is the change of the coefficients with this family in place of the find, in units
-    of their u.
+    `evidence` is ln of its Bayes factor, and `tied` says whether it is a tie of the effect. `shift` (12 for
+    each block,) is the change of the coefficients if it is in the model instead, in units of their u.
     """
 
     family: str
@@ -381,15 +399,19 @@ class Rival:
 
     @property
     def largest_shift(self) -> tuple[str, float]:
-        """The coefficient that changes most with this family in place of the find, and the change in units of its
-        u.
+        """The coefficient that changes most if this family is in the model instead, by name, and its change.
+
+        The change is in units of the u of the coefficient.
         """
         worst = int(np.argmax(np.abs(self.shift)))
         return COEFFICIENTS[worst % FIXED], float(self.shift[worst])
 
 
 def rivals(diagnosis: Diagnosis) -> tuple[tuple[Rival, ...], ...]:
-    """Return for each effect found the most plausible families in its place: itself, its ties and others."""
+    """Return, for each effect found, the most plausible families in its place, the best first.
+
+    They are the effect itself, its ties, and others up to `LISTED` in all.
+    """
     naming = diagnosis.naming
     if not naming.found:
         return ()
@@ -420,10 +442,11 @@ def rivals(diagnosis: Diagnosis) -> tuple[tuple[Rival, ...], ...]:
 
 @dataclass(frozen=True)
 class FullDiagnosis:
-    """The result of `bench diagnose` for one set of readings; JSON, terminal and page show it.
+    """The result of the command `bench diagnose` for one set of readings.
 
-    `ranking` has, for each find, the families in its place. `skipped_rows` names the unreadable rows of the
-    source. Of several blocks `shown` is the first and `blocks` are all.
+    `ranking` has, for each effect found, the families that may be present in its place. `skipped_rows` names
+    the rows of the source that could not be read. `shown` has the simulations of the (first) block; with
+    several blocks, `blocks` has those of all.
     """
 
     source: str
@@ -436,15 +459,15 @@ class FullDiagnosis:
     blocks: tuple[ModelComparison, ...] = ()
 
     def rivals_of(self, effect: int) -> tuple[Rival, ...]:
-        """Return the ranking of the effect with this index; empty where it was not ranked."""
+        """Return the families in place of the effect with this index; empty if there is no ranking for it."""
         return self.ranking[effect] if effect < len(self.ranking) else ()
 
 
 @dataclass(frozen=True)
 class MistakesAlone:
-    """A diagnosis that ended with mistakes, because the remaining readings do not determine the coefficients.
+    """A diagnosis that ended with mistakes, as the corrected readings do not determine the coefficients.
 
-    `corrected` are the readings with the mistakes corrected; `reason` says why they are insufficient.
+    `corrected` are the readings with the mistakes corrected; `reason` says what is missing.
     """
 
     source: str
@@ -467,12 +490,12 @@ def diagnose_fully(
     stated: bool = True,
     nominal: Floats | None = None,
 ) -> FullDiagnosis:
-    """Diagnose readings of a bench, with rivals, simulation and next measurement. Nothing is written.
+    """Diagnose the readings of a bench, simulate them, rank the rivals, and propose the next measurement.
 
-    `source` is the name of the readings. `simulated` says whether simulated instruments made them. `known` are
-    mistakes that are corrected already. `nominal` (blocks, 3) are the scale factors of several blocks that differ
-    from the bench file. Where nobody `stated` that the readings are of this bench, nothing is concluded from what
-    meters and head it has. Raises `CalibrationError` where the readings do not determine the coefficients.
+    Nothing is written. `g_m_s2` is the local gravity. `source` is the name of the readings; `simulated` says
+    whether simulated instruments gave them. `known` are mistakes already corrected in them. `stated` says
+    whether it is certain that they are of this `bench`; if not, the properties of its meters and head exclude
+    no effects. `nominal` (blocks, 3) replaces the scale factors of the bench file. Raises as `diagnose` does.
     """
     stand_u = {name: spread.u for name, spread in bench.stand_distributions().items()}
     sheet = np.array(bench.unit_under_test.scale_factors.values) if nominal is None else nominal

@@ -24,7 +24,10 @@ from bench.model.effects.voltmeter import NORMAL_V
 
 @dataclass(frozen=True)
 class NoiseSize:
-    """Estimated noise of a reading (unit of the signal) and setting error (rad), with degrees of freedom."""
+    """The estimated noise of a reading (unit of the signal) and setting error of the head (rad).
+
+    `freedom` are the degrees of freedom of the noise of a reading.
+    """
 
     reading: float
     setting_rad: float
@@ -38,10 +41,11 @@ class NoiseSize:
 
 @dataclass(frozen=True)
 class Posterior:
-    """Joint estimates of coefficients (minus the first guess), stand and effects, with their covariance.
+    """Joint estimates of all unknowns, `mean`, with their `covariance`.
 
-    Stand and effects are in units of their priors. Order: 12 coefficients of each block in their units, the columns
-    of `LinearSystem.random`, the columns of the effects.
+    The order is: the changes of the 12 coefficients of each block from the first guess, in their units; the
+    unknowns of the columns `LinearSystem.random`, in prior standard deviations; the amplitudes of the m
+    columns of the effects found, in plausible sizes. `effects` is m.
     """
 
     mean: Floats
@@ -50,20 +54,21 @@ class Posterior:
 
     @property
     def amplitudes(self) -> Floats:
-        """Amplitudes of the effects' columns, in plausible sizes."""
+        """The amplitudes (m,) of the effects' columns, in plausible sizes."""
         return self.mean[len(self.mean) - self.effects :]
 
     @property
     def amplitude_covariance(self) -> Floats:
-        """Covariance matrix of the amplitudes."""
+        """The covariance matrix (m, m) of the amplitudes, in plausible sizes."""
         first = len(self.mean) - self.effects
         return self.covariance[first:, first:]
 
     def significance(self, of: slice) -> tuple[float, float]:
-        """Return rho and p of some of the effects' columns: how far their amplitudes are from none.
+        """Return the size rho of some amplitudes in units of their uncertainty, and its p-value.
 
-        rho^2 = b^T C^-1 b with the covariance C of the amplitudes b, so that rho of one number is its size over
-        its u; p is the probability that chi-square of as many numbers exceeds rho^2.
+        The amplitudes b are those in the slice `of`. With their covariance C, rho^2 = b^T C^-1 b; for a
+        single amplitude, rho is its size over its u. The p-value is the probability that chi-square of as
+        many degrees of freedom exceeds rho^2.
         """
         amplitudes, covariance = self.amplitudes[of], self.amplitude_covariance[of, of]
         square = float(amplitudes @ _inverse(covariance) @ amplitudes)
@@ -71,7 +76,10 @@ class Posterior:
 
 
 def noise_size(whitened: Whitened, data: Data, known: tuple[int, ...]) -> NoiseSize:
-    """Return the noise sizes with the `known` columns in the model, averaged over the noise ratios."""
+    """Return the noise that the residuals show with the columns `known` in the model.
+
+    It is averaged over the noise ratios, each weighted by its posterior probability.
+    """
     search = Search.beside(whitened, known)
     left = search.left_over(data)
     grid = whitened.grid
@@ -88,8 +96,10 @@ def noise_size(whitened: Whitened, data: Data, known: tuple[int, ...]) -> NoiseS
 
 
 def posterior(linear: LinearSystem, effects: Floats, noise: NoiseSize, rows: Mask | None = None) -> Posterior:
-    """Return the estimates from `rows` (all by default) with the m columns of the effects (N, m) and one prior size
-    for each.
+    """Return the estimates from the rows in the mask `rows` (None: all), for a known noise.
+
+    `effects` (N, m) are the columns of the effects. The prior of their amplitudes is normal, with a standard
+    deviation of `KNOWN_SIZE` plausible sizes.
     """
     extra = effects.shape[1]
     normal, right = _normal(linear, effects, noise, rows)
@@ -99,12 +109,11 @@ def posterior(linear: LinearSystem, effects: Floats, noise: NoiseSize, rows: Mas
 
 
 def fit_found(linear: LinearSystem, candidates: Candidates, naming: Naming, noise: NoiseSize) -> Posterior:
-    """Return the joint estimates with all effects found, averaged over the prior sizes of the effects.
+    """Return the estimates with all effects found, averaged over the prior sizes of the effects.
 
-    The readings may not determine an effect completely, for example its division between mountings. There the
-    prior sizes (`evidence.SIZES`) set the uncertainty, each with its posterior probability. Mean and
-    covariance are those of the mixture. All other unknowns are normal given the effects, so that they are
-    eliminated once.
+    The readings may not determine an effect completely, for example its division between mountings. The prior
+    then sets the uncertainty; each of its sizes (`evidence.SIZES`) is weighted by its posterior probability.
+    Mean and covariance are those of this mixture.
     """
     columns = candidates.columns[:, list(naming.columns)]
     extra = columns.shape[1]
@@ -199,7 +208,11 @@ def _inverse(normal: Floats) -> Floats:
 
 
 def whiten_rows(linear: LinearSystem, noise: NoiseSize, columns: Floats, rows: Mask | None = None) -> Floats:
-    """Return R^(-1/2) times the columns, R the noise covariance of all rows, or of `rows` with whole settings."""
+    """Return the columns multiplied by the inverse square root of the noise covariance of their rows.
+
+    The rows are those in the mask `rows` (None: all), of `columns` with only these; they must be whole
+    settings.
+    """
     chosen = slice(None) if rows is None else rows
     relative = linear.relative[chosen][:, None]
     columns = columns / relative
@@ -220,9 +233,10 @@ def whiten_rows(linear: LinearSystem, noise: NoiseSize, columns: Floats, rows: M
 def predicted_error(
     linear: LinearSystem, effects: Floats, noise: NoiseSize, fitted: Posterior, rows: Mask
 ) -> tuple[Floats, float]:
-    """Return measured less predicted (n,) in `rows` that the fit did not use, and its chi-square.
+    """Return measured minus predicted, (n,), in n rows that the fit did not use, and their chi-square.
 
-    The covariance is that of the noise and of all that was estimated.
+    `rows` is the mask (N,) of these rows; `fitted` are the estimates from the others, with the effects'
+    columns `effects` (N, m). The covariance in the chi-square is that of the noise and of the estimates.
     """
     design = linear.design(effects)[rows]
     error = linear.response[rows] - design @ fitted.mean
@@ -236,7 +250,7 @@ ADDED: Final = ("warm_up", "bias_drift", "thermal_bias", "turn_on_shift")
 
 
 def common_volts(naming: Naming, fitted: Posterior, linear: LinearSystem) -> Iterator[str]:
-    """Yield a sentence for each effect that has the same size in volts in all three channels."""
+    """Yield a sentence for each effect whose size in volts is the same in all three channels within its u."""
     # one prior size of each channel's column is the same part of its K_ii
     scale = np.diag(linear.block.K)
     apart = np.diff(np.eye(3), axis=0)
@@ -264,7 +278,10 @@ FAR_BETTER: Final = 0.25
 
 @dataclass(frozen=True)
 class KnownTogether:
-    """The sum or difference of a parameter `of` two channels or mountings, with u, in the catalogue's unit."""
+    """The sum or difference of a parameter's values in two channels or mountings, with its u.
+
+    `of` are the two places in words. `value` and `u` are in `unit`, that of the catalogue.
+    """
 
     parameter: str
     combination: Literal["sum", "difference"]
@@ -277,11 +294,11 @@ class KnownTogether:
 def known_together(
     candidates: Candidates, variant: Variant, value: Floats, covariance: Floats
 ) -> tuple[KnownTogether, ...]:
-    """Return the sums and differences of two values of a parameter that are far better known than either.
+    """Return the sums and differences of two values that are far better known than either value.
 
-    `value` (m,) and `covariance` (m, m) are in plausible sizes, as the variant's columns. An example is the
-    third mounting angle of both installations. Verification points determine the sum; nothing determines the
-    difference, which is a rotation of the block's axes.
+    `value` (p,) and `covariance` (p, p) belong to the p columns of `variant`, in plausible sizes. An example
+    is the third mounting angle of both installations: verification points determine the sum, and nothing
+    determines the difference, which is a rotation of the block's axes.
     """
     kinds = [candidates.kinds[column] for column in variant.columns]
     parameters = {parameter.name: parameter for parameter in CATALOGUE[variant.family].parameters}
@@ -319,8 +336,8 @@ def applied_of(
 ) -> tuple[AppliedEffect, ...]:
     """Return an effect with its estimated values in SI, one entry for each set of mountings.
 
-    `value` (m,) and `u` (m,) are in plausible sizes, as the variant's columns; `either_of` are the names of a tie.
-    The `effect` is that of the catalogue if none is given.
+    `value` (p,) and `u` (p,) belong to the p columns of `variant`, in plausible sizes. `either_of` are the
+    names of the effect and its ties. `effect` is by default that of the catalogue.
     """
     effect = effect or CATALOGUE[variant.family]
     channels = tuple(CHANNELS[c] for c in variant.channels)
@@ -354,7 +371,11 @@ Shape = tuple[tuple[str, float], ...]
 
 
 def other_shapes(effect: Effect, found: Shape) -> Iterator[Shape]:
-    """Yield the other shapes that a part of the effect may have, besides the shape found."""
+    """Yield other shapes that the effect, or a part of it, may have in truth.
+
+    They are the values of the catalogue's grid, those between them and just beyond its ends, for one shape
+    parameter at a time; the others remain as `found`. A shape parameter that is a plain number stays.
+    """
     for place, (name, value) in enumerate(found):
         parameter = next(p for p in effect.parameters if p.name == name)
         if parameter.unit == "1":
@@ -371,10 +392,11 @@ def other_shapes(effect: Effect, found: Shape) -> Iterator[Shape]:
 def beside(
     candidates: Candidates, naming: Naming, sized: Posterior, channels: Mapping[int, Floats] | None = None
 ) -> tuple[tuple[AppliedEffect, ...], ...]:
-    """Return for each find its possible parts with other shapes: values of zero with their prior u, SI.
+    """Return, for each effect found, the parts that may be present in addition with other shapes or channels.
 
-    `sized` are the sizes estimated with the shapes found. `channels` maps the index of a find to the
-    probability (3,) that each channel has it (`channels_of`).
+    Their values are zero, with their prior u in SI. `sized` are the estimates with the shapes found.
+    `channels` maps the index of an effect found to the probability (3,) that it acts in each channel
+    (`channels_of`).
     """
     return tuple(
         tuple(_of(candidates, found.variant, sized.amplitudes[mine], (channels or {}).get(number)))
@@ -383,7 +405,10 @@ def beside(
 
 
 def channels_of(whitened: Whitened, data: Data, naming: Naming) -> dict[int, Floats]:
-    """Return for each named find the probability (3,) of each channel, by the evidence of its forms."""
+    """Return, by index of each effect of the catalogue found, the probability (3,) that a channel has it.
+
+    It follows from the evidence of the forms of the effect.
+    """
     plausible = {}
     for number, one in enumerate(naming.found):
         if not one.variant.named:
@@ -439,14 +464,15 @@ def _in_other_channels(
 
 
 def with_other_shapes(linear: LinearSystem, others: tuple[AppliedEffect, ...]) -> LinearSystem:
-    """Return the system with the possible other shapes of the effects as further `random` columns."""
+    """Return the system with the parts of other shapes, `others`, as further unknowns with their prior u."""
     columns = [piece.column for piece in pieces(linear, others)]
     return linear.with_random(*columns) if columns else linear
 
 
 class OpenSize(NamedTuple):
-    """One open size: its effect, parameter and channel (None: all), and its `column` (N,): the change of the rows
-    by one prior u.
+    """One size that is only limited by its prior: a parameter of an effect in a channel (None: all).
+
+    `column` (N,) is the change of the rows if it equals its prior u.
     """
 
     applied: AppliedEffect
@@ -456,7 +482,7 @@ class OpenSize(NamedTuple):
 
 
 def pieces(linear: LinearSystem, others: tuple[AppliedEffect, ...]) -> Iterator[OpenSize]:
-    """Yield each open size (u > 0) of the effects `others` that changes any row of these readings."""
+    """Yield every size of the effects `others` that has a prior u and changes any of these rows."""
     for applied in others:
         shape = tuple(
             (p.name, float(applied.values[p.name])) for p in applied.effect.parameters if p.is_shape
@@ -478,10 +504,10 @@ def left_open(
     fitted: Posterior,
     noise: NoiseSize,
 ) -> tuple[AppliedEffect, ...]:
-    """Return the open parts (`InPart`) of each find. `others` are its possible parts with other shapes.
+    """Return the parts (`InPart`) of the effects found that the readings leave uncertain, for a model file.
 
-    `linear` is the system without these parts. `fitted` is the estimate with all of them after the random
-    columns.
+    `others` are, for each effect found, its possible parts with other shapes (`beside`). `linear` is the
+    system without these parts; `fitted` are the estimates with all of them, after the other random columns.
     """
     start = linear.fixed.shape[1] + linear.random.shape[1]
     first = len(fitted.mean) - fitted.effects

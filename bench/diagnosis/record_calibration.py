@@ -1,7 +1,8 @@
-"""The calibration of each channel of a record at a known input: U = gain × reference + offset + drift, with u.
+"""The calibration of each channel of a record at a known input: gain, offset and drift, with u.
 
-The noise is white plus slow noise, as in the diagnosis of records. Estimates are averaged over its kinds and sizes
-by their restricted likelihood, so that u holds what slow noise hides.
+The model is U = gain × reference + offset + drift × t. The noise is white plus slow noise, as in the
+diagnosis of records. Estimates are averaged over the kinds and sizes of noise, weighted by their restricted
+likelihood, so that u includes what slow noise may hide.
 """
 
 from __future__ import annotations
@@ -29,7 +30,10 @@ ZERO_V: Final = 1e-3
 
 @dataclass(frozen=True)
 class Estimate:
-    """A value with its standard uncertainty: `u_readings` is the part that the readings show."""
+    """A value with its standard uncertainty `u`.
+
+    `u_readings` is the part of `u` that the noise of the readings causes.
+    """
 
     value: float
     u: float
@@ -38,9 +42,12 @@ class Estimate:
 
 @dataclass(frozen=True)
 class ChannelCalibration:
-    """Gain (V/V), offset (V) and drift (V/h) of a channel; None where one level of the reference hides it.
+    """The calibration of one channel: gain (V/V), offset (V) and drift (V/h).
 
-    `covariance_v` is that of gain and offset, V. Noises are of a mean of the record; `residual_v` (n,) is the rest.
+    If the reference stays at one level, one of `gain` and `offset_v` is None, as the record cannot separate
+    them. `covariance_v` is the covariance of gain and offset, V. `white_v` and `slow_v` are the standard
+    deviations of the white and the slow noise of one mean of the record, V. `residual_v` (n,) are the
+    residuals of the n means.
     """
 
     channel: str
@@ -55,9 +62,11 @@ class ChannelCalibration:
 
 @dataclass(frozen=True)
 class RecordCalibration:
-    """The calibration of a record; `level_v` is the mean of its reference, `known_v` (n, c) the effects given.
+    """The calibration of all c channels of a record of n means.
 
-    `repeats` compares parts of the record, each calibrated by itself, with u of the readings; None if too short.
+    `level_v` is the mean of the reference, `known_v` (n, c) the voltages of the effects given, already
+    subtracted. `not_observable` says which of gain and offset the record does not determine. `repeats`
+    compares parts of the record, each calibrated by itself, with their u; None if the record is too short.
     """
 
     record: Record
@@ -69,7 +78,10 @@ class RecordCalibration:
     repeats: Repeats | None = None
 
     def residual_of(self, readings: Readings) -> Floats:
-        """Return signal less gain, offset and given effects of each reading, V, shape (m, c); the drift stays."""
+        """Return what gain, offset and given effects leave of each of m readings, V, shape (m, c).
+
+        The drift is not subtracted.
+        """
         at, record = readings.time_s, self.record
         reference_v = numbers(readings.extra[REFERENCE_V])
         left = []
@@ -82,11 +94,12 @@ class RecordCalibration:
 
 
 def calibrate_record(readings: Readings, effects: Sequence[AppliedEffect] = ()) -> RecordCalibration:
-    """Return the calibration of a record, less known effects.
+    """Return the calibration of a record at a known input, after known effects are subtracted.
 
-    Effects with u are at their values, those without, as found in this record, are estimated again beside gain and
-    offset. u holds the slow noise, the scatter of the reference (`reference_sd_v`) and u of the effects. Raises
-    `CalibrationError` for a record that cannot be evaluated.
+    Effects with a stated u keep their values, and their u adds to the result. Effects without u were found in
+    this same record and are estimated again together with gain and offset. u also includes the slow noise and
+    the scatter of the reference (column `reference_sd_v`). Raises `CalibrationError` if the record cannot be
+    evaluated.
     """
     record = make_record(readings)
     known = record.added_by(effects)
@@ -187,10 +200,11 @@ def _channel(
 
 
 def averaged(trials: NoiseTrials, design: Floats, targets: Floats) -> tuple[Floats, Floats, Noise]:
-    """Return estimates (p, d) of the columns (n, p) in targets (n, d), averaged over the noise of the first.
+    """Return least-squares estimates (p, d) of p columns in d targets, their covariance, and the noise.
 
-    The covariance (p, p) is that of the first target: within each noise, and between them. The noise is the
-    likeliest.
+    `design` (n, p) has the columns, the trend first, `targets` (n, d) the targets. The estimates are averaged
+    over the trial noises, weighted by their likelihood for the first target. The covariance (p, p) is that of
+    the first target, including the variation between the trial noises. The noise is the most probable one.
     """
     count = design.shape[1]
     products = trials.products(design[:, trials.trend.shape[1] :], np.zeros((len(design), 0)), targets[:, :1])

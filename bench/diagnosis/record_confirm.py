@@ -20,10 +20,10 @@ from bench.readings.table import Readings
 
 
 def confirm_record(readings: Readings, effects: Sequence[AppliedEffect]) -> Confirmation:
-    """Compare a new record with a model's effects at their values, and diagnose the rest.
+    """Compare a new record at a known input with a model's effects, and diagnose it for further ones.
 
-    Root mean squares are in V. Raises `CalibrationError` if the record cannot be evaluated, or could show none of
-    the effects.
+    The effects keep their values. Root mean squares are in V. Raises `CalibrationError` if the record cannot
+    be evaluated, or could not show any of the effects.
     """
     record = make_record(readings)
     work = RecordWork.of(record)

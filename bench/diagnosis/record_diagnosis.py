@@ -1,4 +1,4 @@
-"""The diagnosis of a record at a known input: name what the readings follow, hold out its excursions in turn."""
+"""The diagnosis of a record at a known input: name what the readings follow, confirm it by hold-out."""
 
 from __future__ import annotations
 
@@ -24,11 +24,14 @@ from bench.readings.table import REFERENCE, Readings
 
 @dataclass(frozen=True)
 class RecordDiagnosis:
-    """The diagnosis of a record at a known input; `gap` is that of the excursions held out in turn.
+    """The result of the diagnosis of a record at a known input.
 
-    `where` is what each channel leaves beside zero and drift. `rivals` compares at once, lag and hysteresis by the
-    same excursions. `far` has in words the means that jump beside the model, the farthest first. `noises` are those
-    of the components of the channels (`RecordWork.helmert`).
+    `where` has, for each channel, what is left after zero and drift are subtracted. `fits` has the estimates
+    of each channel with the effects found. `gap` is measured on excursions (of temperature or rail voltage)
+    held out in turn. `rivals` compares, on the same excursions, the kinds of shape of an effect: at once,
+    with a lag, with hysteresis. `far` has a sentence for each mean that jumps away from the model, the
+    farthest first. `noises` has the noise of the mean of the channels, then of their differences
+    (`RecordWork.helmert`). `hidden` are the effects that the record cannot show.
     """
 
     source: str
@@ -47,34 +50,38 @@ class RecordDiagnosis:
 
     @property
     def white_v(self) -> float:
-        """Standard deviation of the white noise in a mean of all channels, V."""
+        """Standard deviation of the white noise of the average over all channels, V.
+
+        It is that in one mean of the record.
+        """
         return self.noises[0].white / float(np.sqrt(len(self.record.channels)))
 
     @property
     def slow_v(self) -> float:
-        """Standard deviation of the slow noise in a mean of all channels, V."""
+        """Standard deviation of the slow noise of the average over all channels, V."""
         return self.white_v * float(np.sqrt(self.noises[0].ratio))
 
     @property
     def of_copy(self) -> Verdict:
-        """The verdict, as no mistakes are looked for in a record."""
+        """The same as `verdict`: records are not searched for mistakes."""
         return self.verdict
 
     @property
     def models(self) -> tuple[tuple[AppliedEffect, ...], ...]:
-        """The effects found, for the model file."""
+        """The effects found, as the only entry, for a model file."""
         return (self.applied,)
 
     @property
     def applied(self) -> tuple[AppliedEffect, ...]:
-        """The named effects with their values."""
+        """The effects of the catalogue that were found, with their values."""
         return tuple(applied for effect in self.effects for applied in effect.applied)
 
 
 def diagnose_record(readings: Readings, effects: Sequence[AppliedEffect] = ()) -> RecordDiagnosis:
-    """Return the diagnosis of a record at a known input, less known effects at their values.
+    """Return the diagnosis of a record at a known input.
 
-    Raises `CalibrationError` if it cannot be evaluated.
+    The known `effects` are subtracted with their values. Raises `CalibrationError` if the record cannot be
+    evaluated.
     """
     record = make_record(readings)
     work = RecordWork.of(record.less(record.added_by(effects)), make_courses(record))

@@ -1,4 +1,4 @@
-"""Excursions of a record held out in turn: whether the rest predicts them with what was found, in which shape."""
+"""Excursions of a record, held out in turn: whether the rest predicts them, and with which kind of shape."""
 
 from __future__ import annotations
 
@@ -20,7 +20,10 @@ from bench.diagnosis.record_search import Find, RecordWork
 
 @dataclass(frozen=True)
 class Rival:
-    """A kind of shape of an effect, and how well the readings outside of an excursion predict the excursion."""
+    """One kind of shape of an effect, for example with a lag, and how well it predicts held-out excursions.
+
+    `held_out_rms_v` is the root mean square of measured minus predicted, V, and `chi2` its chi-square.
+    """
 
     what: str
     held_out_rms_v: float
@@ -34,7 +37,10 @@ PLATEAU: Final = 0.1
 
 
 def measure_record_gap(work: RecordWork, finds: Sequence[Find]) -> tuple[Gap, tuple[Rival, ...]]:
-    """Return the gap on excursions held out in turn, and the rivals in shape."""
+    """Return how well excursions held out in turn are predicted, and the comparison of the kinds of shape.
+
+    `finds` are the effects found in the whole record; they are estimated again without each excursion.
+    """
     noises = work.noises([one.course for one in finds])
     folds: list[Fold] = []
     for number, (course, _, _) in enumerate(finds):
@@ -52,7 +58,7 @@ def measure_record_gap(work: RecordWork, finds: Sequence[Find]) -> tuple[Gap, tu
 
 
 def why_unconfirmed(gap: Gap) -> dict[str, str]:
-    """Return the effects that readings held out do not confirm, and why."""
+    """Return the names of the effects that held-out excursions do not confirm, each with the reason."""
     gains = {name: [fold.gains[name] for fold in gap.folds if name in fold.gains] for name in gap.unconfirmed}
     return {
         name: f"readings held out do not confirm it (chi-square falls by {sum(each):.1f} in all)"

@@ -1,9 +1,10 @@
 """Records at a known input: deviations of the meters from it, slow noise, and the evidence for an effect.
 
-The model of a record is U = reference + zero + drift t + effects + noise, a zero and a drift of each channel. The
-noise is white plus slow noise: a random walk, flicker, or noise of an exponential correlation, larger where the
-readings scatter more. Channels that read one reference share its noise, so that the evidence is that of the
-channels' mean and of their differences (Helmert contrasts), each with noise of its own.
+The model of a record is U = reference + zero + drift × t + effects + noise, with a zero and a drift for each
+channel. The noise is white noise plus slow noise: a random walk, flicker noise, or noise of exponential
+correlation; both are larger where the readings scatter more. Channels that read the same reference share its
+noise. Therefore the mean of the channels and their differences (Helmert contrasts) are evaluated, each with
+noise of its own.
 """
 
 from __future__ import annotations
@@ -38,12 +39,12 @@ OF_MEDIAN: Final = 1.0 / float(special.ndtri(0.75))
 
 @dataclass(frozen=True)
 class Record:
-    """A record as n means of consecutive readings, in c channels.
+    """A record at a known input, as n means of consecutive readings in c channels.
 
-    `deviation_v` (n, c) is the signal minus the reference in the `channels` read, `reference_v` (n,) the reference;
-    `conditions` have the mean times, temperatures and rail voltages. `scale` (n,) is the relative size of the
-    noise, from the scatter of the readings in each mean. `used` (m,) is the mask of the m readings that the means
-    use.
+    `channels` are the indices of the channels. `reference_v` (n,) is the input, and `deviation_v` (n, c) the
+    signal minus the input, both in V. `scale` (n,) is the relative noise of each mean, from the scatter of
+    its readings. `conditions` has the mean times, temperatures and rail voltages. `used` (m,) marks which of
+    the m readings of the table the means contain.
     """
 
     source: str
@@ -60,42 +61,41 @@ class Record:
 
     @property
     def time_h(self) -> Floats:
-        """The time since the first mean, h, shape (n,)."""
+        """The time of each mean since the first, h, shape (n,)."""
         elapsed_s = self.conditions.elapsed_s
         return np.asarray((elapsed_s - elapsed_s[0]) / HOUR)
 
     @property
     def trend(self) -> Floats:
-        """The columns that every model contains: a constant, and a line from -1 to 1 over the record, shape
-        (n, 2).
-        """
+        """The two columns that every model contains, (n, 2): a constant, and a line in time from -1 to 1."""
         time_h = self.time_h
         return np.column_stack([np.ones(len(self)), 2.0 * time_h / time_h[-1] - 1.0])
 
     @property
     def beside_trend(self) -> Floats:
-        """The deviations less zero and drift of each channel, V, shape (n, c)."""
+        """The deviations after zero and drift of each channel are fitted and subtracted, V, shape (n, c)."""
         return least_squares(self.trend, self.deviation_v)[1]
 
     def less(self, added_v: Floats) -> Record:
-        """Return the record without known errors (n, c), V."""
+        """Return the record with known voltages `added_v` (n, c), V, subtracted."""
         return replace(self, deviation_v=self.deviation_v - added_v)
 
     def added_by(self, effects: Sequence[AppliedEffect]) -> Floats:
-        """Return the voltages that effects add together, V, shape (n, c)."""
+        """Return the sum of the voltages that the effects add to the signals, V, shape (n, c)."""
         return np.asarray(sum((self.added(one) for one in effects), np.zeros_like(self.deviation_v)))
 
     def added(self, applied: AppliedEffect) -> Floats:
-        """Return the voltages that an effect adds in the c channels of the record, V, shape (n, c)."""
+        """Return the voltages that one effect adds to the signals, V, shape (n, c)."""
         at_inputs = np.repeat(self.reference_v[:, None], 3, axis=1)
         seen = Seen(at_inputs, self.conditions, Block(np.eye(3), np.zeros(3)))
         return applied.addition(seen)[:, list(self.channels)]
 
 
 def make_record(readings: Readings) -> Record:
-    """Return a record as means over equal times. Raises `CalibrationError` for what cannot be evaluated.
+    """Return a table of readings at a known input as means over equal intervals of time.
 
-    The first means are left out where they jump as nothing later does: the input had not settled.
+    Means at the beginning are left out if they jump as none does later, because the input had not settled.
+    Raises `CalibrationError` if the readings cannot be evaluated.
     """
     time_s, reference_v, channels = _checked(readings)
     edges = np.linspace(time_s[0], time_s[-1], min(BINS, len(readings)) + 1)
@@ -224,9 +224,10 @@ CORRELATED: Final = (0.005, 0.02, 0.06)
 
 
 def slow_kernels(time_h: Floats) -> Iterator[Floats]:
-    """Yield the covariances (n, n) of slow noise, each of mean variance 1.
+    """Yield a covariance matrix (n, n) for each kind of slow noise, of mean variance 1.
 
-    They are a random walk, flicker, and noises of an exponential correlation.
+    They are a random walk, flicker noise, and several noises of exponential correlation. `time_h` (n,) are
+    the times, h.
     """
     length = float(time_h[-1])
     apart = np.abs(time_h[:, None] - time_h)
@@ -239,9 +240,10 @@ def slow_kernels(time_h: Floats) -> Iterator[Floats]:
 
 @dataclass(frozen=True)
 class Noise:
-    """The noise of a component: white noise of `variance`, V², and slow noise of `ratio` times that.
+    """White noise plus slow noise of one kind, over n means.
 
-    `slow` (n,) are the eigenvalues and `vectors` (n, n) the eigenvectors of the covariance of the slow noise.
+    `variance` is that of the white noise, V²; the slow noise has `ratio` times this variance on average.
+    `slow` (n,) are the eigenvalues and `vectors` (n, n) the eigenvectors of its normalised covariance.
     """
 
     slow: Floats
@@ -251,20 +253,20 @@ class Noise:
 
     @cached_property
     def sd(self) -> Floats:
-        """Standard deviations (n,) along the eigenvectors, V."""
+        """The standard deviations (n,) of the noise along the eigenvectors, V."""
         return np.asarray(np.sqrt(self.variance * (1.0 + self.ratio * self.slow)))
 
     @property
     def covariance(self) -> Floats:
-        """The covariance (n, n), V²."""
+        """The covariance matrix (n, n) of the noise, V²."""
         return np.asarray((self.vectors * self.sd**2) @ self.vectors.T)
 
     def whiten(self, columns: Floats) -> Floats:
-        """Return the columns (n, m) times the inverse root of the covariance."""
+        """Return the columns (n, m) as numbers with independent noise of variance 1."""
         return np.asarray((self.vectors.T @ columns) / self.sd[:, None])
 
     def drawn(self, rng: np.random.Generator, count: int) -> Floats:
-        """Return drawn noise, shape (n, count)."""
+        """Return `count` random samples of the noise as columns, (n, count), V."""
         return np.asarray(self.vectors @ (self.sd[:, None] * rng.standard_normal((len(self.slow), count))))
 
     @property
@@ -275,9 +277,10 @@ class Noise:
 
 @dataclass(frozen=True)
 class NoiseTrials:
-    """The kinds and sizes of noise among which a record decides: eigenvalues and eigenvectors of each slow noise.
+    """The trial noises of a record: kinds of slow noise, each with several ratios to the white noise.
 
-    `trend` (n, 2) are the columns that every model has, over the relative size of the noise.
+    `slow` has the eigenvalues and eigenvectors of each kind. `trend` (n, 2) is `Record.trend`, divided by the
+    relative noise of each mean.
     """
 
     slow: tuple[tuple[Floats, Floats], ...]
@@ -285,13 +288,13 @@ class NoiseTrials:
 
     @classmethod
     def of(cls, record: Record) -> NoiseTrials:
-        """Return the trial noises of a record."""
+        """Return the trial noises for the times of a record."""
         found = (linalg.eigh(kernel) for kernel in slow_kernels(record.time_h))
         slow = tuple((np.maximum(variance, 0.0), vectors) for variance, vectors in found)
         return cls(slow, record.trend / record.scale[:, None])
 
     def whitened(self, columns: Floats) -> Iterator[tuple[Noise, Floats]]:
-        """Yield each noise, with white noise of variance 1, and the columns (n, m) whitened by it."""
+        """Yield each trial noise, with white noise of variance 1, and the columns (n, m) whitened by it."""
         for number, (variance, vectors) in enumerate(self.slow):
             turned = vectors.T @ columns
             for ratio in RATIOS:
@@ -300,7 +303,11 @@ class NoiseTrials:
                     yield noise, turned / noise.sd[:, None]
 
     def products(self, known: Floats, columns: Floats, targets: Floats) -> Products:
-        """Return the products of `columns` (n, h) with `targets` (n, d), beside the trend and `known` (n, m)."""
+        """Return the scalar products of h columns and d targets for each trial noise.
+
+        `columns` is (n, h), `targets` is (n, d); the trend and the columns `known` (n, m) are projected out
+        of both.
+        """
         fixed, h = self.trend.shape[1] + known.shape[1], columns.shape[1]
         each = []
         for noise, white in self.whitened(np.column_stack([self.trend, known, columns, targets])):
@@ -316,7 +323,12 @@ class NoiseTrials:
 
 @dataclass(frozen=True)
 class Products:
-    """Products for s trial noises: `square` (s, h), `product` (s, h, d), `left` (s, d), ln of determinants (s,)."""
+    """Scalar products of h whitened columns and d targets, for each of s trial noises.
+
+    `square` (s, h) are the squared lengths of the columns, `product` (s, h, d) the products of columns and
+    targets, and `left` (s, d) the squared lengths of the targets. `log_det` (s,) is the part of ln of the
+    restricted likelihood that does not depend on the data.
+    """
 
     noises: tuple[Noise, ...]
     log_det: Floats
@@ -327,20 +339,21 @@ class Products:
 
     @property
     def likelihood(self) -> Floats:
-        """ln of the restricted likelihood of each trial noise without an effect, shape (s, d)."""
+        """ln of the restricted likelihood of each trial noise without any of the columns, shape (s, d)."""
         return np.asarray(self.log_det[:, None] - 0.5 * self.freedom * np.log(self.left))
 
     @property
     def noise(self) -> Noise:
-        """The most probable noise for the first target."""
+        """The trial noise that is most probable for the first target, with its variance."""
         best = int(np.argmax(self.likelihood[:, 0]))
         return replace(self.noises[best], variance=float(self.left[best, 0]) / self.freedom)
 
     def gain(self, plausible: Floats) -> Floats:
-        """Return ln of the evidence of each column, of plausible size (h,), against none, shape (h, d).
+        """Return ln of the Bayes factor of adding each column to the model, for each target, shape (h, d).
 
-        Both are averaged over the noise. The size is normal about zero with `SIZES` times the plausible size; the
-        variance of the noise in the Occam factor is that of the residuals.
+        `plausible` (h,) is the plausible size of each column. The prior of its amplitude is normal about
+        zero, with a standard deviation of each of `SIZES` times this. Both models are averaged over the trial
+        noises.
         """
         prior = [(size * plausible[:, None]) ** 2 for size in SIZES]
         total = np.full(self.product.shape[1:], -np.inf)
@@ -358,9 +371,10 @@ class Products:
 
 
 def solved(columns: Floats, targets: Floats) -> tuple[Floats, Floats, float]:
-    """Return the least-squares estimates of whitened columns (n, m) in targets (n, …), and their covariance (m, m).
+    """Return the least-squares estimates of whitened columns in targets, their covariance, and chi-square.
 
-    The last is the chi-square that they leave.
+    `columns` is (n, m), `targets` is (n, …). The estimates are (m, …), their covariance (m, m) for noise of
+    variance 1; chi-square is the sum of squares that is left.
     """
     spread = np.asarray(np.linalg.pinv(columns.T @ columns, hermitian=True), dtype=np.float64)
     mean = spread @ columns.T @ targets
@@ -382,9 +396,10 @@ FOLLOWS: Final[Mapping[str, str]] = {
 
 @dataclass(frozen=True)
 class Course:
-    """One effect in one shape: its course (n,) at the plausible size, and ln of its prior probability.
+    """One effect in one shape, as a course over the n means of a record.
 
-    The course is in V over the relative size of the noise.
+    `course` (n,) is the voltage that the effect adds at its plausible size, divided by the relative noise of
+    each mean. `log_prior` is ln of its prior probability.
     """
 
     effect: Effect
@@ -399,16 +414,19 @@ class Course:
 
     @property
     def size(self) -> Parameter:
-        """The parameter of size."""
+        """The parameter of the effect that is its size."""
         return next(p for p in self.effect.parameters if not p.is_shape)
 
     @property
     def of_channels(self) -> bool:
-        """Whether each channel has its own size."""
+        """Whether each channel has a size of its own; otherwise the size is common to all."""
         return self.size.per_channel
 
     def applied(self, sizes: Floats, u: Floats, channels: tuple[int, ...]) -> AppliedEffect:
-        """Return the effect with sizes and their u in plausible sizes, in the `channels` of the record."""
+        """Return the effect with its estimated values.
+
+        `sizes` and their `u` are in plausible sizes, one for each of the `channels` of the record.
+        """
 
         def complete(values: Floats) -> Floats:
             each = np.zeros(3)
@@ -423,7 +441,11 @@ class Course:
 
 
 def make_courses(record: Record) -> tuple[Course, ...]:
-    """Return the courses that may explain a record: each effect of `FOLLOWS` in each shape that it shows."""
+    """Return the courses that may explain a record: every effect of `FOLLOWS` in each of its shapes.
+
+    Effects that need a temperature or rail voltage that the record lacks, and shapes that equal a zero and a
+    drift, are left out.
+    """
     conditions = record.conditions
     there = {"meter": conditions.meter_c is not None, "rail": conditions.supply_v is not None, "time": True}
     shown = [
@@ -446,7 +468,10 @@ def _shapes(record: Record, effect: Effect) -> list[dict[str, float]]:
 
 
 def course_of(record: Record, name: str, shape: Mapping[str, float]) -> Course | None:
-    """Return the course of one effect in one shape; None if it does not show beside zero and drift."""
+    """Return the course of one effect in one shape; None if a zero and a drift describe it as well.
+
+    `shape` has the values of the shape parameters in SI.
+    """
     one = Course(CATALOGUE[name], shape, np.zeros(0))
     unit = np.ones(len(record.channels))
     course = record.added(one.applied(unit, unit, record.channels))[:, 0]

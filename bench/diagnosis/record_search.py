@@ -1,4 +1,4 @@
-"""The search of a record at a known input: courses scored by their evidence, and estimates of what is found."""
+"""The search of a record at a known input: courses scored by their evidence, and estimates of those found."""
 
 from __future__ import annotations
 
@@ -22,9 +22,10 @@ NULLS: Final = 200
 
 @dataclass(frozen=True)
 class ChannelFit:
-    """Zero (V) and drift (V/h) of a channel, with u, given the effects found.
+    """Zero (V) and drift (V/h) of a channel with their u, estimated together with the effects found.
 
-    `before_v` (n,) is the channel beside zero and drift alone, `residual_v` (n,) with the effects.
+    `before_v` (n,) are the residuals with zero and drift only, `residual_v` (n,) those with the effects as
+    well, V.
     """
 
     channel: str
@@ -37,7 +38,11 @@ class ChannelFit:
 
 
 class Find(NamedTuple):
-    """An effect that was found: its likeliest course, the odds of its names, and the evidence of all."""
+    """An effect that was found in a record, as its most probable course.
+
+    `odds` are the posterior probabilities of the names that may explain it. `total` is ln of the odds that
+    anything was missing before it was found.
+    """
 
     course: Course
     odds: tuple[FamilyOdds, ...]
@@ -46,9 +51,10 @@ class Find(NamedTuple):
 
 @dataclass(frozen=True)
 class RecordWork:
-    """A record, the courses that may explain it, and the noises that it may have.
+    """A record, the courses that may explain it, and its trial noises.
 
-    Its components are the mean of the channels and their differences: the rows of the Helmert matrix.
+    All is evaluated in components: the mean of the c channels, and their differences (`helmert`). n is the
+    number of means of the record.
     """
 
     record: Record
@@ -57,45 +63,55 @@ class RecordWork:
 
     @classmethod
     def of(cls, record: Record, courses: tuple[Course, ...] = ()) -> RecordWork:
-        """Return a record with its noises; without `courses`, nothing is searched in it."""
+        """Return a record with its trial noises; without `courses`, it can be fitted but not searched."""
         return cls(record, courses, NoiseTrials.of(record))
 
     def shapes_of(self, family: str) -> list[Course]:
-        """Return the courses of one effect."""
+        """Return the courses of the effect with the name `family`, one for each shape."""
         return [course for course in self.courses if course.family == family]
 
     def less(self, added_v: Floats) -> RecordWork:
-        """Return the same without known errors (n, c), V."""
+        """Return the same with known voltages `added_v` (n, c), V, subtracted from the record."""
         return replace(self, record=self.record.less(added_v))
 
     @property
     def helmert(self) -> Floats:
-        """The matrix (c, c) from channels to components; the first is the mean times the root of c."""
+        """The orthogonal Helmert matrix (c, c) that converts channels to components.
+
+        The first component is the mean of the channels times the square root of c.
+        """
         count = len(self.record.channels)
         return np.asarray(linalg.helmert(count, full=True)) if count > 1 else np.ones((1, 1))
 
     @property
     def signal(self) -> Floats:
-        """The components (n, c), over the relative size of the noise."""
+        """The deviations as components, divided by the relative noise of each mean, V, shape (n, c)."""
         return np.asarray(self.record.deviation_v / self.record.scale[:, None] @ self.helmert.T)
 
     @property
     def parts(self) -> range:
-        """The components: the mean of the channels first, then their differences."""
+        """The indices of the components: 0 is the mean of the channels, the others are differences."""
         return range(len(self.record.channels))
 
     def columns(self, courses: Sequence[Course], part: int) -> Floats:
-        """Return the columns (n, m) of courses in a component; the common ones are in the mean only."""
+        """Return the columns (n, m) of courses in the component `part`.
+
+        A course that all channels share occurs in the mean only, so that m may be less than the number of
+        courses.
+        """
         common = np.sqrt(len(self.parts))
         mine = [c.course * (1.0 if c.of_channels else common) for c in courses if c.of_channels or part == 0]
         return np.column_stack(mine) if mine else np.zeros((len(self.record), 0))
 
     def design(self, courses: Sequence[Course], part: int) -> Floats:
-        """Return the columns (n, 2 + m) of trend and courses in a component, and its signal as the last."""
+        """Return the columns of trend and courses in the component `part`, then its signal, (n, 3 + m)."""
         return np.column_stack([self.trials.trend, self.columns(courses, part), self.signal[:, part]])
 
     def noises(self, courses: Sequence[Course]) -> list[Noise]:
-        """Return the likeliest noise of each component beside courses of any size."""
+        """Return the most probable noise of each component, with the courses in the model.
+
+        The sizes of the courses have no prior.
+        """
         none = np.zeros((len(self.record), 0))
         signal = self.signal
         return [
@@ -104,9 +120,9 @@ class RecordWork:
         ]
 
     def gains(self, finds: Sequence[Find], targets: Sequence[Floats]) -> Floats:
-        """Return ln of the posterior odds of each of h courses given the finds, shape (h, d).
+        """Return ln of the posterior odds of each of the h courses, given the effects found, shape (h, d).
 
-        `targets` (n, d) are the d signals of a component.
+        `targets` has, for each component, d data sets as columns (n, d).
         """
         courses, columns = [one.course for one in finds], np.column_stack([c.course for c in self.courses])
         common = np.array([not course.of_channels for course in self.courses])
@@ -118,8 +134,9 @@ class RecordWork:
         return total
 
     def search(self) -> tuple[list[Find], Threshold]:
-        """Return the finds, the strongest first, and the threshold, simulated from noise alone for this very
-        record.
+        """Return the effects found, the strongest first, and the threshold of the search.
+
+        The threshold is simulated from the noise of this very record.
         """
         rng = np.random.default_rng(SEED)
         nulls = [noise.drawn(rng, NULLS) for noise in self.noises([])]
@@ -145,16 +162,21 @@ class RecordWork:
     # --- estimates ------------------------------------------------------------------------------------
 
     def fitted(self, part: int, courses: Sequence[Course], noise: Noise) -> tuple[Floats, Floats, float]:
-        """Return estimates (2 + m,) of trend and courses in a component, their covariance, and chi-square."""
+        """Return the least-squares estimates of trend and courses in the component `part`, for a known noise.
+
+        They are the estimates (2 + m,), their covariance (2 + m, 2 + m), and the chi-square that is left.
+        """
         white = noise.whiten(self.design(courses, part))
         return solved(white[:, :-1], white[:, -1])
 
     def sizes(
         self, courses: Sequence[Course], number: int = 0, shapes: Sequence[Course] = ()
     ) -> tuple[Floats, Floats]:
-        """Return the sizes of one of some courses, in plausible sizes, and their u.
+        """Return the size and its u, in plausible sizes, of the course with the index `number`.
 
-        They are averaged over `shapes` of its effect, by default the one that it has.
+        Both have an entry for each channel, or one if the size is common. All `courses` are in the model. The
+        result is averaged over `shapes`, courses of the same effect, weighted by their likelihood; by default
+        the course itself is the only one.
         """
         noises, course = self.noises(courses), courses[number]
         parts = self.parts if course.of_channels else range(1)
@@ -175,7 +197,7 @@ class RecordWork:
         return self.helmert.T @ mean, np.sqrt(self.helmert.T**2 @ variance)
 
     def named(self, finds: Sequence[Find], limit: Threshold) -> Iterator[NamedEffect]:
-        """Yield the finds as named effects with their values."""
+        """Yield the effects found as results with their values; `limit` is the threshold of the search."""
         courses, channels = [one.course for one in finds], self.record.channels
         for number, (course, odds, total) in enumerate(finds):
             size, u = self.sizes(courses, number, self.shapes_of(course.family))
@@ -204,7 +226,10 @@ class RecordWork:
             )
 
     def fits(self, courses: Sequence[Course], noises: Sequence[Noise]) -> Iterator[ChannelFit]:
-        """Yield zero, drift and residuals of each channel, given the courses found."""
+        """Yield zero, drift and residuals of each channel, with the courses in the model.
+
+        `noises` has the noise of each component.
+        """
         estimates = [self.fitted(k, courses, noises[k]) for k in self.parts]
         trend = np.array([mean[:2] for mean, _, _ in estimates])
         variance = np.array([np.diag(spread)[:2] for _, spread, _ in estimates])

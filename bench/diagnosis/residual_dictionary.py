@@ -1,4 +1,4 @@
-"""The dictionary of the residual model: courses over angle, turns, time, temperature, passes."""
+"""The dictionary of the residual model: courses over angle, turns, time, temperature and passes."""
 
 from __future__ import annotations
 
@@ -30,7 +30,11 @@ LEVELS: Final = (-0.8, -0.6, -0.4, -0.2, -0.05, 0.05, 0.2, 0.4, 0.6, 0.8)
 
 @dataclass(frozen=True)
 class TermUnit:
-    """The unit of the size of a term, and its plausible size in SI: per kelvin for a course of the temperature."""
+    """The unit in which the size of a term is stated, and its plausible size.
+
+    `text` is the unit, `si` its value in SI. `plausible` is the plausible size in SI; `plausible_per_k` is
+    that of a term in proportion to temperature, SI per kelvin.
+    """
 
     text: str
     si: float
@@ -50,12 +54,13 @@ GAIN: Final = TermUnit("ppm", 1e-6, 25e-6)
 
 @dataclass(frozen=True)
 class TimeCourse:
-    """A course over a run: plain numbers of order 1, one `expression` for each size that it needs.
+    """A course over the readings of a run that an unnamed effect may follow, of order 1.
 
-    `constants` are shapes with one value. `of_temperature` says that the course is in kelvin. A `long` course
-    also acts in scale factor and voltage, and a course that is not `narrow` (one angle, one mounting, a step, a
-    fast wave) in the angles of the stand. `of_angle` says that it is a function of the head's angle. `where` says
-    at which angle, time, pass or mounting it acts.
+    `expressions` are its formulas; each gets a size of its own. `constants` are parameters of these formulas
+    with a single value. `of_temperature`: the course is in kelvin. `of_angle`: it is a function of the head
+    angle. `long`: it is also tried in the scale factor and in the voltage, not only in bias and angles.
+    `narrow`: it acts at one angle, in one mounting, as a step, or as a fast wave, and is therefore not tried
+    in the angles of the stand. `where` says in words at which angle, time, pass or mounting it acts.
     """
 
     words: str
@@ -70,9 +75,12 @@ class TimeCourse:
 
 @dataclass(frozen=True)
 class DictionaryTerm:
-    """A term of the dictionary: a course or a product at a stage, with the unit of its sizes.
+    """A term of the dictionary: formulas that may be added at one stage of the model.
 
-    `course` is its course, where it is one, `of_force` one that is a part of the force.
+    `family` describes it in words. `expressions` are its formulas; each gets a size of its own, in `unit`. At
+    the stage of the stand it adds to the angle named `adds_to`. `course` is the course over the readings that
+    it is made of, None for a power or product of force or voltage. `of_force`: the course changes the scale
+    factor, not the bias.
     """
 
     family: str
@@ -86,11 +94,14 @@ class DictionaryTerm:
 
     @property
     def where(self) -> str:
-        """The angle, time, pass or mounting where it acts, in words; empty for everywhere."""
+        """Where the term acts, in words: an angle, time, pass or mounting; empty for everywhere."""
         return self.course.where if self.course is not None else ""
 
     def effect(self, name: str, *, per_channel: bool) -> FormulaEffect:
-        """Return the term as an effect of this name, with a size for each channel or one for all."""
+        """Return the term as an effect with this name.
+
+        If `per_channel`, each channel has sizes of its own; otherwise they are common to all.
+        """
         sizes = SIZE_NAMES[: len(self.expressions)]
         unit = self.unit
         return FormulaEffect(
@@ -121,7 +132,11 @@ TermColumns = tuple[DictionaryTerm, tuple[int, ...], list[tuple[str, int | None,
 
 
 def dictionary(linear: LinearSystem) -> Iterator[TermColumns]:
-    """Yield the terms of the dictionary, for each channel and for all, with the plausible size of each column."""
+    """Yield each term for single channels and for all channels, with the columns of its sizes.
+
+    A column (N,) is the change of the rows by a plausible size. Terms of the stand or the head are yielded
+    for all channels only; terms that change no row are left out.
+    """
     of_courses: dict[TimeCourse, list[Floats]] = {}
     for term in _terms(linear):
         sizes = SIZE_NAMES[: len(term.expressions)]
@@ -260,7 +275,7 @@ def _courses(conditions: Conditions) -> Iterator[TimeCourse]:
 
 
 def shapes(effect: str, parameter: str) -> tuple[float, ...]:
-    """Return the values, SI, that the search tries for a shape of an effect of the catalogue."""
+    """Return the grid of values, in SI, of a shape parameter of an effect of the catalogue."""
     return next(p.grid for p in CATALOGUE[effect].parameters if p.name == parameter)
 
 

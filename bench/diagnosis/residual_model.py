@@ -1,4 +1,4 @@
-"""What has no name: its terms with their sizes, how they predict held-out readings, and unexplained scatter."""
+"""Description of unnamed effects: terms with their sizes, their predictions, and unexplained scatter."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ UNNAMED_FORM: Final = "unnamed_form"
 
 @dataclass(frozen=True)
 class UnexplainedScatter:
-    """Scatter beyond that of the repeats (1 σ, unit of the signal), its u, its 95 % limit, and its probability by
-    chance.
+    """Scatter about the model that exceeds the noise of repeats: a standard deviation, unit of the signal.
 
-    `u` and `upper` are infinite where there are no readings beside the repeats to tell.
+    `value` is its estimate, `u` its standard uncertainty, `upper` its upper 95 % limit, and `p` the
+    probability that chance gives as much. `u` and `upper` are infinite if all readings are repeats.
     """
 
     value: float
@@ -41,7 +41,7 @@ class UnexplainedScatter:
 
     @classmethod
     def of(cls, noise: NoiseSize, repeats: Repeats) -> UnexplainedScatter:
-        """Compare the noise beside all finds with the noise of the repeats (F test)."""
+        """Return the excess of the noise about the model with all effects over that of repeats (F test)."""
         of_repeats = 2 * repeats.freedom  # of three channels, those across the turn of the head
         beyond = noise.freedom - of_repeats
         all2, repeats2 = noise.reading**2, repeats.sigma**2
@@ -68,9 +68,10 @@ UNNAMED: Final = "unnamed_"
 
 @dataclass(frozen=True)
 class FormTerm:
-    """A term with its sizes and their u; `could_also_be` are families that describe it as well.
+    """A term of the dictionary that was found, with its sizes and their u.
 
-    `p` is for this term alone, `rho` its size in units of noise.
+    `could_also_be` are families that describe the readings as well. `rho` is its size in units of the noise,
+    and `p` its p-value, not corrected for the number of terms tried.
     """
 
     applied: AppliedEffect
@@ -81,12 +82,15 @@ class FormTerm:
 
     @property
     def effect(self) -> FormulaEffect:
-        """The term as an effect."""
+        """The term as an effect that is defined by a formula."""
         assert isinstance(self.applied.effect, FormulaEffect)  # noqa: S101 - made so
         return self.applied.effect
 
     def sizes(self) -> list[tuple[str, str, float, float, str]]:
-        """Return parameter, channel ("" for all), value, u and unit of each size, in that unit."""
+        """Return each size as its parameter, channel ("" for all), value, u and unit.
+
+        Value and u are in this unit.
+        """
         told = []
         for p in self.effect.parameters:
             if p.is_shape:
@@ -102,11 +106,11 @@ class FormTerm:
 
 @dataclass(frozen=True)
 class FreeForm:
-    """A description of what has no name by terms of the dictionary.
+    """A description, by terms of the dictionary, of what the catalogue does not explain.
 
-    `gap` is that of the terms on held-out readings. `dark` is the scatter beyond that of the repeats, an
-    uncertainty. `scatter` says where it is larger. `instead_of` are the named effects in whose place the terms
-    stand: one or the other is there.
+    `gap` is measured on held-out readings, with and without the terms. `dark` is the scatter that exceeds
+    that of repeats, and `scatter` the place where it is largest (None: nowhere in particular). `instead_of`
+    are named effects that explain the same: either they or the terms are present.
     """
 
     terms: tuple[FormTerm, ...]
@@ -118,14 +122,14 @@ class FreeForm:
 
     @property
     def predicts(self) -> bool:
-        """Whether the terms predict held-out readings well enough to be written to a model file."""
+        """Whether the terms predict held-out readings well enough to belong in a model file."""
         return bool(self.terms) and self.gap.closed is not None and self.gap.closed >= MOSTLY
 
     @property
     def applied(self) -> tuple[AppliedEffect, ...]:
-        """The terms with their values, for the model.
+        """The terms as effects with their values, to be added to the model.
 
-        Empty if named effects replace them or if they do not predict.
+        Empty if named effects explain the same, or if the terms do not predict held-out readings.
         """
         return tuple(term.applied for term in self.terms) if self.predicts and not self.instead_of else ()
 
@@ -139,7 +143,11 @@ def describe(
     repeats: Repeats,
     instead_of: tuple[str, ...] = (),
 ) -> FreeForm:
-    """Return the form of the unnamed terms among the finds; `gap` and `noise` are those of the finds."""
+    """Return the description of what the catalogue does not explain, from the terms among the effects found.
+
+    `noise` is the noise with all effects found in the model, `gap` their gap on held-out readings, and
+    `repeats` the noise of repeats.
+    """
     columns = candidates.columns[:, list(naming.columns)]
     scatter = larger_scatter(linear, residuals(linear, columns, noise))
     terms = tuple(_terms(linear, candidates, naming, posterior(linear, columns, noise)))

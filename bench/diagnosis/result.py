@@ -1,4 +1,4 @@
-"""The result of a diagnosis of one body of readings, and the settings registered before its scoring."""
+"""The result of a diagnosis, and the settings that are registered before the readings are scored."""
 
 from __future__ import annotations
 
@@ -39,10 +39,12 @@ from bench.model.effects.formula import FormulaEffect, names_in
 
 @dataclass(frozen=True)
 class Registration:
-    """The settings registered before scoring; `sha256` covers them, the catalogue and the size weights.
+    """The settings of a diagnosis that are fixed before the readings are scored, with their hash.
 
-    These are the priors, the threshold, the limits of a tie, the folds, and the least fall of the gap.
-    `held_out_else` are the folds where `held_out` measures nothing. Pairs have no `pair_margin` of their own.
+    They are the priors, the threshold, the limits of a tie, the sets of readings to hold out, and the least
+    decrease of the gap. `sha256` covers them all, the catalogue, and the weights of prior sizes.
+    `held_out_else` are the sets that are held out if those of `held_out` cannot be. `pair_margin` is not used
+    and always None.
     """
 
     sha256: str
@@ -69,7 +71,10 @@ class Registration:
 
 
 def register(linear: LinearSystem, limit: evidence.Threshold) -> Registration:
-    """Return the registered settings for these readings, with their hash."""
+    """Return the settings of the diagnosis of these readings, with their hash.
+
+    `limit` is the threshold of the search.
+    """
     settled = Registration(
         sha256="",
         unnamed=candidates.UNNAMED,
@@ -120,9 +125,11 @@ UNNAMED_WORDS: Mapping[str, str] = {
 
 @dataclass(frozen=True)
 class EffectValue:
-    """An estimated parameter, in the catalogue's unit. A shape parameter has u None: it was tried, not estimated.
+    """An estimated parameter of an effect; `value` and `u` are in `unit`, that of the catalogue.
 
-    `channel` is empty for a parameter common to all channels, `installations` if the effect has one set of values.
+    `u` is None for a shape parameter, which is chosen from a grid and not estimated. `channel` is empty if
+    the parameter is common to all channels; `installations` is empty if the effect has only one set of
+    values.
     """
 
     parameter: str
@@ -135,13 +142,16 @@ class EffectValue:
 
 @dataclass(frozen=True)
 class NamedEffect:
-    """An effect that was found, with its parameters as estimated.
+    """An effect that was found, with its estimated parameters.
 
-    `aliases` are the other periods a turn of the head that would look the same at the angles measured. `applied`
-    has an entry for each set of mountings with its own values; it is empty for an unnamed find. `together` are
-    sums or differences of values that the readings tell where they hardly tell the values. `p` is for this effect
-    alone; `p_all_looks` counts all looks. `rho` is its size over its u, the root of b^T C^-1 b for its values b;
-    None for a lack of fit. `odds` are the names that may explain the find, with their posterior probabilities.
+    `cannot_tell_from` are its ties: names of effects that explain the readings as well; `odds` are the
+    posterior probabilities of all names. `plainer_than` are larger effects of the same subsystem that contain
+    this one. `rho` is the size of the parameters in units of their uncertainty (`Posterior.significance`),
+    None if none was estimated. `p` is the p-value for this effect alone; `p_all_looks` is corrected for all
+    effects tried. `applied` has an entry for each set of mountings with its own values; it is empty if the
+    effect is not in the catalogue. `together` are sums or differences of values that are far better known
+    than the values. `aliases` are other numbers of periods per turn of the head that look the same at the
+    angles measured.
     """
 
     name: str
@@ -166,28 +176,34 @@ class NamedEffect:
 
     @property
     def probability(self) -> float | None:
-        """The posterior probability of its name; None where no odds were computed."""
+        """The posterior probability that the name is right; None if no odds were computed."""
         return next((one.probability for one in self.odds if one.name == self.name), None)
 
     @property
     def shape_held(self) -> bool:
-        """Whether the u of the parameters holds the effect's shape fixed as found."""
+        """Whether the u of the parameters assumes that the shape found is the true one."""
         return any(one.u is None for one in self.parameters)
 
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """The complete result of the diagnosis of one body of readings.
+    """The complete result of the diagnosis of one set of readings.
 
-    `of_copy` is the verdict on the copy with mistakes corrected; without mistakes it equals `verdict`. `hidden`
-    are effects that the readings could never show, with their parts where it is true of some. `absent` are
-    effects that the bench cannot have, with the reason. `unseen_per_turn` are the periods a turn of head errors
-    that show nowhere at the angles measured. `detectable` are the sizes, in plausible sizes, that half of all
-    runs find. `smallest` has these of effects with several sizes, in any direction. Plots and reports use
-    `linear`, `candidates`, `naming`, `fitted` and `noise`. `whitened` and `data` are the products in which the
-    effects were found. `in_part` are the possible parts of the effects with other shapes, included in the
-    coefficients' u. `left_open` are the parts that the readings leave open, for a model file. `findings` are
-    noise larger than stated, `noise_kinds` deviations from normal noise of one size.
+    `verdict` is "mistake" if there are mistakes; `of_copy` is then the verdict on the corrected copy,
+    otherwise the same. `far` are readings far from the model, `where` the patterns of the residuals. `p_left`
+    is the p-value of the evidence that something else is missing.
+
+    `hidden` maps each effect that these readings could never show to the parts of it that they do not show,
+    none if it is all of it. `absent` maps each effect that the bench cannot have to the reason.
+    `unseen_per_turn` are the numbers of periods per turn at which a head error has no influence at the angles
+    measured. `detectable` maps each effect to the size, in plausible sizes, that is found in half of all
+    runs; `smallest` has such sizes for effects with several parameters.
+
+    `in_part` are the parts of the effects that may be present with other shapes; the u of the coefficients
+    includes them. `left_open` are those parts that the readings leave uncertain, for a model file. `findings`
+    are noise larger than stated, `noise_kinds` departures from normal noise of one size. `form` describes
+    what has no name. `whitened` and `data` are the candidates and the scalar products in which the effects
+    were found; plots and reports use these, `linear`, `candidates`, `naming`, `fitted` and `noise`.
     """
 
     verdict: Verdict
@@ -220,13 +236,16 @@ class Diagnosis:
 
     @property
     def applied(self) -> tuple[AppliedEffect, ...]:
-        """The named effects with their values, and the terms of unnamed effects, to be added to the model."""
+        """The effects found that can be added to the model, with their values.
+
+        They are those of the catalogue, and the terms that describe what has no name.
+        """
         of_form = self.form.applied if self.form is not None else ()
         return (*(a for e in self.effects for a in e.applied), *of_form)
 
     @property
     def noise_by_channel(self) -> Floats:
-        """Noise of a reading in x, y and z, unit of the signal."""
+        """The noise of a reading in the channels x, y and z, (3,), in the unit of the signal."""
         return self.noise.reading * self.linear.by_channel
 
 
@@ -234,8 +253,9 @@ OF_TEMPERATURE = ("thermal_bias", "thermal_scale")
 
 
 def at_reference(found: Iterable[Effect]) -> Iterator[str]:
-    """Yield the temperature for which the coefficients hold, where effects of the temperature are among
-    `effects`.
+    """Yield a sentence on the temperature at which the coefficients hold, if effects depend on it.
+
+    `found` are the effects in the model.
     """
     names = [effect.name for effect in found if _of_temperature(effect)]
     if names:
@@ -251,10 +271,10 @@ def _of_temperature(effect: Effect) -> bool:
 
 
 def assumed(linear: LinearSystem) -> Iterator[str]:
-    """Yield sentences on what the diagnosis assumed or left out.
+    """Yield a sentence for each assumption that the diagnosis made, and for each effect not searched.
 
-    They name the effects that failed to load, an orientation that contradicts the bench file, readings without
-    times or temperatures, and the effects that are omitted because the signals are not in volts.
+    Reasons are effects that failed to load, an orientation that contradicts the bench file, readings without
+    times or temperatures, and signals that are not in volts.
     """
     readings = linear.readings
     yield from (message(f"not looked for: {trouble}") for trouble in CATALOGUE.troubles)

@@ -1,4 +1,4 @@
-"""Simulation beside bench: the readings made again by the model before and after, and tested afresh."""
+"""Simulations of the bench with the models before and after a diagnosis, tested against the readings."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ SEED: Final = 1
 
 @dataclass(frozen=True)
 class ModulusPoint:
-    """Error of the modulus at a verification point, g, with its standard uncertainty."""
+    """The error of the modulus |a| at a verification point, `delta_g`, with its u, both in g."""
 
     angle_deg: float
     pass_number: int
@@ -37,12 +37,13 @@ class ModulusPoint:
 
 @dataclass(frozen=True)
 class Simulation:
-    """A model fitted to readings and run again at the same angles, times and temperatures.
+    """A model fitted to readings, and the bench simulated with it at the same angles, times and temperatures.
 
-    `calibration` has the estimates. `test` compares the readings with the simulated bench without noise.
-    `repeated` is the same calibration of one noisy simulation (seed `SEED`). `effects` are the model's with the
-    values estimated here and their u. `points` are the verification points by this model, which has seen none of
-    them unless `joined`: then some effect shows nowhere else.
+    `calibration` has the estimates. `test` compares the readings with the simulation without noise.
+    `repeated` is the calibration of one simulation with noise (seed `SEED`). `effects` are those of the model
+    with the values and u estimated here. `points` are the errors at the verification points. They are
+    independent of the fit unless `joined`: some effect shows at no other readings, so that the fit includes
+    them.
     """
 
     model: ForwardModel
@@ -55,18 +56,18 @@ class Simulation:
 
     @property
     def tested(self) -> bool:
-        """Whether there are enough repeats to test the fit to the readings."""
+        """Whether there are enough repeats for a test of the fit."""
         return bool(np.isfinite(self.test.p))
 
     @property
     def worst_g(self) -> float | None:
-        """The largest |delta_g| of the verification points; None where there is none."""
+        """The largest absolute error of the modulus at a verification point, g; None if there is none."""
         return max((abs(p.delta_g) for p in self.points if np.isfinite(p.delta_g)), default=None)
 
 
 @dataclass(frozen=True)
 class CoefficientChange:
-    """A coefficient with its u, estimated by the models before and after the diagnosis."""
+    """A coefficient and its u by the model before, and by the model after the diagnosis."""
 
     before: float
     u_before: float
@@ -75,14 +76,15 @@ class CoefficientChange:
 
     @property
     def in_u(self) -> float:
-        """The change in units of the u before; 0 if there is no u."""
+        """The change of the coefficient in units of `u_before`; 0 if that is 0."""
         return (self.after - self.before) / self.u_before if self.u_before else 0.0
 
 
 @dataclass(frozen=True)
 class ModelComparison:
-    """Simulations with the given model, and with the effects found added; the second is None if nothing was
-    named.
+    """Simulations with the given model (`before`), and with the effects found added to it (`after`).
+
+    `after` is None if no effect was added.
     """
 
     before: Simulation
@@ -90,12 +92,12 @@ class ModelComparison:
 
     @property
     def last(self) -> Simulation:
-        """The simulation with the effects found, or with the given model where nothing was named."""
+        """The simulation with the effects found, or that with the given model if no effect was added."""
         return self.after or self.before
 
     @property
     def coefficients(self) -> dict[str, CoefficientChange]:
-        """The twelve coefficients as `calibrate` states them."""
+        """The change of each of the twelve coefficients, by name."""
         before, after = self.before.calibration, self.last.calibration
         columns = np.stack([before.block.vector, before.u, after.block.vector, after.u], axis=1).tolist()
         return {name: CoefficientChange(*row) for name, row in zip(COEFFICIENTS, columns, strict=True)}
@@ -109,12 +111,12 @@ def show(
     g_m_s2: float,
     in_part: tuple[AppliedEffect, ...] = (),
 ) -> ModelComparison:
-    """Simulate the bench of `readings` with the model and with the `added` effects.
+    """Return simulations of the bench with the model, and with the effects `added` to it.
 
-    `readings` are those with any mistake put right; `stand_u` as for `diagnose`. The `added` effects were found
-    in these readings, so they are estimated again without their earlier u; `in_part`, the possible parts of
-    other shapes, keep their prior. Raises `CalibrationError` where
-    they do not determine the coefficients.
+    `readings` are corrected for mistakes. `stand_u` is that of `diagnose`, `g_m_s2` the local gravity. The
+    added effects were found in these readings, and are therefore estimated again without their earlier u.
+    `in_part` are possible parts of other shapes, which keep their prior u. Raises `CalibrationError` if the
+    readings do not determine the coefficients.
     """
     stand = {name: u for name, u in stand_u.items() if name != "setting_error"}
     before = _simulate(readings, model, stand, g_m_s2)
@@ -127,16 +129,20 @@ def show(
 
 
 def label(applied: AppliedEffect) -> str:
-    """Return the name of an effect with its channels, if it has any: "quadratic_nonlinearity[y]"."""
+    """Return the name of an effect with the channels it acts in: "quadratic_nonlinearity[y]".
+
+    If it has no parameter for single channels, the name alone is returned.
+    """
     of_channels = any(parameter.per_channel for parameter in applied.effect.parameters)
     return applied.effect.name + (f"[{''.join(applied.channels)}]" if of_channels else "")
 
 
 def contradicted(stated: Sequence[AppliedEffect], estimated: Sequence[AppliedEffect]) -> Iterator[str]:
-    """Yield a sentence for each value of a model that readings contradict beyond chance (`HARDLY_EVER`).
+    """Yield a sentence for each value of a model that the readings contradict at the level `HARDLY_EVER`.
 
-    `stated` are the effects of the model with their u, `estimated` the same effects with these readings added.
-    What they tell apart from the statement is the more, by the difference of the two variances.
+    `stated` are the effects of the model with their u, `estimated` the same effects after they were estimated
+    again with these readings. The difference of a value is compared with the root of the difference of the
+    two variances.
     """
     for one, now in zip(stated, estimated, strict=True):
         for parameter in one.effect.parameters:

@@ -1,4 +1,4 @@
-"""The search in one run, linearised again about the effects found until it is accurate enough."""
+"""The search for effects in one run, linearised again about the effects found until it is accurate."""
 
 from __future__ import annotations
 
@@ -44,11 +44,12 @@ from bench.readings.table import Readings
 
 @dataclass(frozen=True)
 class Prepared:
-    """Readings prepared for the search: linear system, whitened candidates, data products and threshold.
+    """Readings prepared for the search: linear system, whitened candidates, and threshold.
 
-    `bend` (N,) is the nonlinear part of the finds, subtracted from the response. `log_odds` is ln of the prior
-    odds of the chosen noise hypotheses, with the cost of their sizes. `chosen` maps these hypotheses to their
-    words.
+    `repeats` is the noise from repeats, `data` the scalar products of the residuals with the columns of the
+    candidates, and `limit` the threshold. `bend` (N,) is the nonlinear part of the effects found, already
+    subtracted from the response. `log_odds` is ln of the prior odds of the noise hypotheses accepted, less
+    the cost of their parameters; `chosen` maps the kind of each to its words.
     """
 
     linear: LinearSystem
@@ -62,9 +63,10 @@ class Prepared:
     chosen: Mapping[str, str] = field(default_factory=dict)
 
     def log_evidence(self, naming: Naming) -> float:
-        """Return ln of the evidence of this noise with as many finds as `naming` has, up to a constant.
+        """Return ln of the evidence of this noise, with as many effects as `naming` has, up to a constant.
 
-        Instead of each find all families count, by their priors.
+        Each effect is averaged over all families by their priors, so that the noise does not depend on their
+        names.
         """
         total = Search.beside(self.whitened, ()).log_evidence(self.data) + log_null(self.whitened.grid)
         known: list[int] = []
@@ -83,9 +85,10 @@ SURELY_LESS: Final = 6.0
 
 
 def choose_noise(prepared: Prepared, naming: Naming, again: Reconsider) -> tuple[Prepared, Naming]:
-    """Return the finds in the noise with which they have the largest evidence together.
+    """Return the readings with the noise hypothesis of the largest evidence, and the effects found with it.
 
-    Rounded readings that repeat themselves do not show their noise; the noise of the rounding is kept.
+    `again` searches a system with another noise. Without a better hypothesis, `prepared` and `naming` are
+    returned unchanged; also if repeats share a rounding error, because they do not show their noise then.
     """
     if prepared.whitened.grid.known:
         return prepared, naming
@@ -125,9 +128,10 @@ LEAST_GAIN: Final = 0.5
 
 
 def in_the_noise_of(prepared: LinearSystem, linear: LinearSystem) -> LinearSystem:
-    """Return a system of the same readings and another model, with the noise of `prepared`.
+    """Return `linear` with the kind of noise of `prepared`, a system of the same readings.
 
-    Of several blocks the sizes alone: their rows stand in another order.
+    The two may differ in their models. For several blocks only the noise by channel and run is taken over, as
+    their rows are in another order.
     """
     linear = replace(linear, by_channel=prepared.by_channel, by_run=prepared.by_run)
     if prepared.readings.block is not None:
@@ -148,11 +152,11 @@ STEPS: Final = 6
 
 @dataclass(frozen=True)
 class SearchTask:
-    """The input of every search in addition to the readings.
+    """What every search needs besides the readings.
 
-    `stand` holds standard uncertainties by the names in `STAND_ANGLES`, rad, `setting_rad` the standard uncertainty
-    of a setting. `resolution` is the last digit of the signals. Effects that are `absent` from the bench are not
-    searched.
+    `stand` has the standard uncertainties of the stand angles (`STAND_ANGLES`) by name, rad; `setting_rad` is
+    that of a setting of the head. `resolution` is the step of the last digit of the signals. Effects named in
+    `absent` are not searched.
     """
 
     model: ForwardModel
@@ -163,26 +167,31 @@ class SearchTask:
     absent: Collection[str] = ()
 
     def linear(self, readings: Readings) -> LinearSystem:
-        """Linearise readings; if the last digit is coarse, include the rounding error that repeats share."""
+        """Return the linear system of readings of one run, with the rounding error that repeats share."""
         linear = make_linear(readings, self.model, self.stand)
         return with_rounding(linear, self.resolution, self.repeats(linear).sigma)
 
     def repeats(self, linear: LinearSystem, most: float = np.inf) -> Repeats:
-        """Return the noise from the repeats, at most `most`."""
+        """Return the noise from repeats, but no more than `most`."""
         repeats = noise_of_repeats(linear, self.resolution)
         return replace(repeats, sigma=min(repeats.sigma, most))
 
     def whiten(self, linear: LinearSystem, candidates: Candidates, sigma: float) -> tuple[Whitened, Data]:
-        """Return the candidates in units of the noise about `sigma`, with their products with the response."""
+        """Return the whitened candidates, and their scalar products with the residuals.
+
+        `sigma` is a first estimate of the noise of a reading.
+        """
         grid = grid_with_rounding(linear, sigma, self.setting_rad, self.resolution)
         whitened = Whitened.of(grid, candidates)
         return whitened, whitened.reduce(linear.response[:, None])
 
 
 def search_run(task: SearchTask, readings: Readings) -> tuple[Prepared, Naming]:
-    """Prepare readings and find what is missing: the first find is made linear before the others are looked for.
+    """Return readings of one run prepared for the search, and the effects found in them.
 
-    The noise is chosen by evidence (`choose_noise`). Raises `CalibrationError` where there is too little to fit.
+    The system is linearised again about the first effect found before further ones are searched. The noise
+    hypothesis is chosen by evidence (`choose_noise`). Raises `CalibrationError` if the readings do not
+    determine the coefficients.
     """
 
     def again(prepared: Prepared, linear: LinearSystem, most: float) -> tuple[Prepared, Naming]:

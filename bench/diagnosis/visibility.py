@@ -1,4 +1,4 @@
-"""Effects that readings could never show, and the separation of two explanations of readings."""
+"""Effects that readings could never show, and how well readings tell two explanations apart."""
 
 from __future__ import annotations
 
@@ -24,9 +24,10 @@ BEYOND_BELIEF: Final = 30.0
 
 
 def detectable(whitened: Whitened, threshold: Threshold, ratio: int) -> dict[str, float]:
-    """Return for each effect the size, in plausible sizes, that is found in half of all runs (infinite: never).
+    """Return, for each effect of the catalogue, the size that the search finds in half of all runs.
 
-    The size belongs to the form of the effect that shows best.
+    It is in plausible sizes, for the form of the effect that shows best; infinite if no size is ever found.
+    `ratio` is the index of the noise ratio.
     """
     variants = whitened.candidates.variants
     square = dict.fromkeys(CATALOGUE, 0.0)
@@ -40,10 +41,10 @@ def detectable(whitened: Whitened, threshold: Threshold, ratio: int) -> dict[str
 
 
 def half_power(whitened: Whitened, threshold: Threshold) -> float:
-    """Return the size (rho, units of noise) at which half of all runs find an effect of one parameter.
+    """Return the signal-to-noise ratio rho at which half of all runs find an effect of one parameter.
 
-    At this size ln of the evidence, about rho^2/2 less a cost, equals the threshold. The cost follows from the
-    numbers of parameters, forms and families.
+    At this rho, ln of the evidence equals the threshold. It is about rho^2/2 minus a cost for the number of
+    parameters, forms and families.
     """
     looks = np.log(len(whitened.candidates.families)) + 1.5
     return float(np.sqrt(2.0 * max(threshold.value + looks + 2.0, 1.0)))
@@ -51,10 +52,10 @@ def half_power(whitened: Whitened, threshold: Threshold) -> float:
 
 @dataclass(frozen=True)
 class Smallest:
-    """The size that is found in half of all runs, whatever direction it has among parameters of one unit.
+    """The size of several parameters of one unit, in any proportions, that is found in half of all runs.
 
-    `size` is their norm, in the unit of the catalogue. `part` says that only some directions show; no credible
-    size shows in the others.
+    `size` is the root of the sum of their squares, in `unit`. `part` says that this is true of some
+    proportions only; in the others no credible size is found.
     """
 
     parameters: tuple[str, ...]
@@ -64,10 +65,11 @@ class Smallest:
 
 
 def smallest(whitened: Whitened, threshold: Threshold, ratio: int) -> dict[str, tuple[Smallest, ...]]:
-    """Return `detectable` for each effect with several sizes, as one size for each unit.
+    """Return, for each effect with several parameters of size, the size found in half of all runs.
 
-    Of its channels, mountings and shapes, those that show best count; of the directions among its parameters (such
-    as the phases of a wave), the one that shows worst.
+    There is one entry for each unit. It is for the channel, mounting and shape that show best, and among the
+    proportions of the parameters (such as the phase of a wave) for those that show worst. `ratio` is the
+    index of the noise ratio.
     """
     half = half_power(whitened, threshold)
     candidates = whitened.candidates
@@ -107,10 +109,10 @@ def _smallest_of(gram: Floats, own: Sequence[Parameter], half: float) -> Smalles
 def hidden(
     whitened: Whitened, threshold: Threshold, ratio: int, sizes: Mapping[str, float]
 ) -> dict[str, tuple[str, ...]]:
-    """Return the effects that these readings could never show, in the order of the catalogue.
+    """Return the effects of the catalogue that these readings could never show, or not in part.
 
-    With each stand the parts of which that is true, none named where it is all of them: an effect whose wave
-    they show in one phase and never in the other is among them. `sizes` come from `detectable`.
+    Each name has the parts that they do not show; none if it is the whole effect. A part is one phase of a
+    wave. `sizes` are those of `detectable`, `ratio` is the index of the noise ratio.
     """
     candidates = whitened.candidates
     seen = np.sqrt(np.maximum(whitened.square[ratio], 0.0)) * BEYOND_BELIEF / half_power(whitened, threshold)
@@ -131,7 +133,10 @@ def hidden(
 
 
 class EffectPart(NamedTuple):
-    """One number of an effect at its plausible size: a parameter of one channel or of all, in certain mountings."""
+    """One parameter of an effect at its plausible size, in one channel (None: all), in some mountings.
+
+    `shape` has the values of the shape parameters in SI; no `mounts` means all mountings.
+    """
 
     family: str
     parameter: str
@@ -145,18 +150,21 @@ Form = tuple[EffectPart, ...]
 
 
 def form_of(candidates: Candidates, variant: Variant) -> Form:
-    """Return the form of a variant, so that it can be tested in other readings."""
+    """Return a variant as a form, which does not depend on these readings and can be tested in others."""
     kinds = [candidates.kinds[place] for place in variant.columns]
     return tuple(EffectPart(variant.family, k.parameter, variant.shape, k.mounts, k.channel) for k in kinds)
 
 
 def forms_of(candidates: Candidates, family: str) -> tuple[Form, ...]:
-    """Return the forms that an effect may have in the readings of these candidates."""
+    """Return every form that a family has among the candidates."""
     return tuple(form_of(candidates, v) for v in candidates.variants if v.family == family)
 
 
 def forms_everywhere(family: str, mounts: tuple[str, ...] = ()) -> tuple[Form, ...]:
-    """Return the forms of an effect in every channel, of each shape, in all mountings or the given ones."""
+    """Return a form for each shape of an effect, in all channels at once.
+
+    It acts in the mountings `mounts`, by default in all.
+    """
     parameters = CATALOGUE[family].parameters
     grids = [[(p.name, value) for value in p.grid] for p in parameters if p.grid]
     return tuple(
@@ -171,10 +179,10 @@ def forms_everywhere(family: str, mounts: tuple[str, ...] = ()) -> tuple[Form, .
 
 
 class ReadingDesign:
-    """Readings, measured or planned, in which explanations are compared.
+    """Readings, measured or planned, in which two explanations are compared.
 
-    `noise` is the size of the noise, `others` are effects that are in the model beside what is compared, each
-    known no better than the readings tell.
+    `others` are effects in the model besides the explanations compared; their sizes are free, with a wide
+    prior.
     """
 
     def __init__(self, linear: LinearSystem, noise: NoiseSize, others: Sequence[Form] = ()) -> None:
@@ -184,9 +192,10 @@ class ReadingDesign:
         self._make_free([self._column(part) * KNOWN_SIZE for form in others for part in form])
 
     def remounted(self, families: Sequence[str], before: Sequence[str]) -> None:
-        """Give each mounting that is not in `before` its own effects of single mountings, of plausible size.
+        """Add, for each mounting not in `before`, an unknown error of the mounting, of plausible size.
 
-        The error of one mounting says nothing about the next one; effects that last continue.
+        `families` are the effects concerned. Of these, only those that differ from mounting to mounting are
+        added, as the error of one mounting says nothing about the next; those that outlast a remount are not.
         """
         labels = [str(m) for m in self.linear.moved.mounts if m.installation != VERIFICATION]
         effects = [CATALOGUE[family] for family in families]
@@ -221,8 +230,9 @@ class ReadingDesign:
         return self._unseen[part]
 
     def seen(self, form: Form) -> Floats:
-        """Return the part of a form's columns (m, numbers) that free unknowns cannot take up, for plausible
-        sizes.
+        """Return the columns of a form in units of the noise, with all free unknowns projected out.
+
+        There is a column for each part of the form, the change of the rows by its plausible size.
         """
         new = [part for part in form if part not in self._seen]
         if new:
@@ -231,8 +241,9 @@ class ReadingDesign:
         return np.column_stack([self._seen[part] for part in form])
 
     def divergence(self, found: Sequence[AppliedEffect], rivals: Sequence[Form]) -> float:
-        """Return D, the expected ln odds, of an effect with the values found against the nearest form of a
-        rival.
+        """Return the divergence D of an effect with the values found from the rival form most similar to it.
+
+        D is the expected value of ln of the odds of the effect against that form, if the effect is true.
         """
         total = np.sum([self.linear.effect_column(applied) for applied in found], axis=0)
         one = self._left(total[:, None])[:, 0]
@@ -244,11 +255,14 @@ class ReadingDesign:
         return least / 2.0
 
     def visible(self, forms: Sequence[Form]) -> float:
-        """Return the signal-to-noise rho of an effect of plausible size in its most visible form."""
+        """Return the signal-to-noise ratio of an effect of plausible size in the form that shows best."""
         return max((float(np.linalg.norm(self.seen(form), 2)) for form in forms), default=0.0)
 
     def cosine(self, one: Form, other: Form) -> float:
-        """Return the cosine of the smallest angle between the visible parts of two forms; 0 if one has none."""
+        """Return the cosine of the smallest angle between the columns of two forms (1: indistinguishable).
+
+        Free unknowns are projected out; 0 if nothing is left of one form.
+        """
         first, second = _basis(self.seen(one)), _basis(self.seen(other))
         if not (first.shape[1] and second.shape[1]):
             return 0.0

@@ -1,4 +1,4 @@
-"""Residual patterns: where readings and model disagree, the largest first."""
+"""Patterns of the residuals: where readings and model disagree, the largest first."""
 
 from __future__ import annotations
 
@@ -34,9 +34,10 @@ HARMONICS: Final = (
 
 @dataclass(frozen=True)
 class ResidualPattern:
-    """One pattern in the residuals.
+    """One pattern of the residuals, in a channel and an installation.
 
-    `size` is its amplitude in the unit of the signal, `p` its p-value, corrected for all tests.
+    `size` is its amplitude in `unit`. `p` is its p-value, corrected for the number of patterns tried;
+    `p_local` is not corrected.
     """
 
     channel: str
@@ -55,9 +56,10 @@ Look = tuple[str, str, str, Floats]
 def find_places(
     linear: LinearSystem, grid: NoiseGrid, ratio: int, sigma: float, freedom: int
 ) -> tuple[ResidualPattern, ...]:
-    """Return the patterns that stand out of the noise with all looks counted, at most `MOST_PLACES`.
+    """Return the significant patterns of the residuals, the largest first, at most `MOST_PLACES`.
 
-    `sigma` is the noise of a reading as the repeats give it, with `freedom`; `ratio` says which of the grid.
+    `ratio` is the index of the noise ratio in `grid`. `sigma` is the noise of a reading from repeats, with
+    `freedom` degrees of freedom. p-values are corrected for the number of patterns tried.
     """
     looks = list(_looks(linear))
     white = grid.white[ratio] @ np.concatenate([columns for *_, columns in looks], axis=1)
@@ -166,10 +168,11 @@ def _over_run(linear: LinearSystem, own: Mask) -> Iterator[tuple[str, Floats]]:
 
 @dataclass(frozen=True)
 class FarReading:
-    """A reading that lies `size_u` standard uncertainties from its prediction by a model fitted without it.
+    """A reading that is far from its prediction by a model fitted without it.
 
-    `channel` is x, y, z, "modulus" or "setting" (along the turn of the head). `p` is the probability of such a
-    distance anywhere by the fitted noise.
+    `size_u` is the distance in standard uncertainties. `channel` is x, y, z, "modulus", or "setting" for an
+    error along the direction of a setting error. `p` is the probability that noise moves any reading that
+    far.
     """
 
     installation: str
@@ -181,7 +184,7 @@ class FarReading:
 
     @property
     def words(self) -> str:
-        """The place and the size in words."""
+        """A clause with the place of the reading and its distance."""
         of = {"modulus": "|a|", "setting": message("the angle")}.get(
             self.channel, message(f"channel {self.channel}")
         )
@@ -192,10 +195,11 @@ class FarReading:
 
 
 def far_readings(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> tuple[FarReading, ...]:
-    """Return the readings far from the final model with the effects' columns (N, m), the farthest first.
+    """Return the readings that are far from the final model, the farthest first.
 
-    The sizes are deletion residuals: each is compared with the model fitted without it (Cook and Weisberg,
-    Residuals and Influence in Regression, 1982, section 2.2), with the noise of its channel.
+    `effects` (N, m) are the columns of the effects in this model. The distances are deletion residuals: each
+    reading is compared with the model fitted without it (Cook and Weisberg, Residuals and Influence in
+    Regression, 1982, section 2.2), in units of the noise of its channel.
     """
     heavy = linear.by_row is not None
     rows = replace(linear.with_random(KNOWN_SIZE * effects), by_row=None)
@@ -231,10 +235,10 @@ ALIKE: Final = 0.01
 
 
 def looking_like(angle_rad: Floats, order: int) -> tuple[int, ...]:
-    """Return the other orders whose waves are indistinguishable at these angles (n,) from waves of `order`.
+    """Return the numbers of periods per turn that look like `order` periods per turn at the angles (n,).
 
-    Order 0 stands for no wave: a wave that is constant at all angles, which the coefficients take up. Angles within
-    0.1 deg of each other, or of a whole turn, are one angle.
+    Order 0 is a constant: a wave that looks like it has no influence beyond the coefficients. Angles that
+    differ by less than 0.1 deg, or by whole turns, count as one.
     """
     tenths = np.round(np.degrees(angle_rad[np.isfinite(angle_rad)]) * 10.0) % 3600.0
     angles = np.radians(np.unique(tenths) / 10.0)
@@ -244,7 +248,7 @@ def looking_like(angle_rad: Floats, order: int) -> tuple[int, ...]:
 
 
 def order_of(applied: AppliedEffect) -> int | None:
-    """Return the number of periods per turn of an effect; None if it is no wave of the head angle."""
+    """Return the number of periods per turn of an effect; None if it is not a wave of the head angle."""
     order: int | None = getattr(applied.effect, "order", None)
     if order is not None:
         return order

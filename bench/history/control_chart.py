@@ -260,10 +260,13 @@ class ControlChart:
     known: KnownDrift | None = None
 
     def expected(self, when: datetime) -> tuple[Floats, Floats]:
-        """Return the values (m,) of a further run at a time, and the covariance (m, m) of its difference from them.
+        """Return the expected values of a further run at the time `when`, and the covariance of deviations.
 
-        The centre moves by the known drift since `begun`, and by what the runs show beyond it where that is
-        significant; u grows with the time by that of both.
+        Both have one entry per number of the block, in the order of `names`: shapes (m,) and (m, m). The
+        expected values are the centre of the chart plus the known drift since `begun`, plus the further drift
+        that the runs show wherever that is significant. The covariance is the sum of that of the centre, that
+        between runs, and that of the drift, whose standard uncertainty grows in proportion to the time since
+        `begun`.
         """
         years = (when.timestamp() - self.begun) / SECONDS_PER_YEAR
         lines, value = _Lines(self.begun, self.known), self.centre.value

@@ -389,7 +389,12 @@ class ScatterPart(LimitedPart):
 
 
 class DriftOfUnits(ResultModel):
-    """The drift of the units as standard deviations, and whether it was subtracted."""
+    """The drift of the units for one coefficient, as a standard deviation over the units.
+
+    `rate` and `walk` are in the unit of the coefficient per year and in one year; `p` is the probability of
+    such a drift by chance. `taken_out` says whether the drift was significant and therefore removed before
+    the scatter over time was computed.
+    """
 
     rate: float = Field(description="per year, 1 sigma over units; 0 where none is taken out")
     walk: float = Field(description="random walk in a year, 1 sigma; likewise")

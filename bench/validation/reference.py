@@ -186,7 +186,7 @@ def real_sets(context: Context) -> Iterator[Finding]:
 @check("the paper's (11), a simulated round trip", "7.2.1", "", place="bench/model/geometry.py",
        source="Chernyak, Palyushok, Baranovska, equation (11)")  # fmt: skip
 def round_trip(context: Context) -> Iterator[Finding]:
-    """Simulate readings of the coefficients (11) without errors, by a geometry of its own, and calibrate them."""
+    """Simulate error-free readings from the paper's coefficients (11) by separate code; calibrate them."""
     readings = simulate(None, 0.0)
     for estimator in ("closed-form", "gls"):
         found = calibrate(readings, MODEL, STAND_U, 9.81, estimator)

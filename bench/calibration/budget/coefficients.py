@@ -439,8 +439,11 @@ _PATTERNS: Final[Mapping[str, Callable[[ErrorSource, AnyReadings], _Patterns]]] 
 
 @dataclass(frozen=True)
 class Contribution:
-    """The contribution of a source: column k of `parts` (12, q) is the change of the coefficients by draw k of size
-    u.
+    """The contribution of one error source to the uncertainty of the 12 coefficients.
+
+    `parts` (12, q) has a column for each of q independent errors of the source: the change of the
+    coefficients if that error equals its standard uncertainty. The columns are uncorrelated, so that their
+    squares add.
     """
 
     source: ErrorSource

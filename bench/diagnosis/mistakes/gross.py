@@ -1,4 +1,4 @@
-"""Gross mistakes of wiring and procedure: each map of the record is a hypothesis, scored by its evidence."""
+"""Gross mistakes of wiring and procedure: other meanings of the whole record, scored by their evidence."""
 
 from __future__ import annotations
 
@@ -36,16 +36,21 @@ SHEET_U: Final = (0.10, 0.05, 0.5)
 
 
 def sheet_u(scale: Floats) -> Floats:
-    """Return the prior 1 sigma of (K_ix, K_iy, K_iz, U0_i) about a data sheet, (4, 3), for scale factors (3,)."""
+    """Return the prior standard deviations of the coefficients about those of a data sheet, (4, 3).
+
+    Column i belongs to channel i: three elements of row i of K, then the bias, in the unit of the signal (per
+    g). `scale` (3,) are the scale factors of the data sheet.
+    """
     own, cross, bias = SHEET_U
     return np.asarray(np.vstack([np.where(np.eye(3) == 1, own, cross), np.full(3, bias)]) * scale)
 
 
 @dataclass(frozen=True, eq=False)
 class GrossMistake:
-    """The map that explains the readings best, and those that explain them equally.
+    """The supposed mistake that explains the readings best, and those that explain them as well (`equal`).
 
-    `p` is the number of looks divided by the odds: chance reaches odds of B with a probability below 1/B.
+    `p` is an upper limit of its p-value: the number of suppositions tried divided by the odds of this one.
+    Chance gives odds of B or more with a probability of at most 1/B.
     """
 
     supposition: Reinterpretation
@@ -55,7 +60,11 @@ class GrossMistake:
 
 @dataclass(frozen=True)
 class GrossFit:
-    """The block fitted to readings as recorded, with chi-squares of readings and of data sheet, the latter (3,)."""
+    """A block fitted to readings as they were recorded.
+
+    `misfit` is the chi-square of the readings. `sheet` (3,) is, for each channel, the chi-square of its
+    coefficients about those of the data sheet.
+    """
 
     block: Block
     misfit: float
@@ -64,10 +73,11 @@ class GrossFit:
 
 @dataclass(frozen=True)
 class GrossSearch:
-    """A search for gross mistakes in tables of one bench.
+    """A search for gross mistakes in tables of readings of one bench.
 
-    `nominal` (3,) are the scale factors of the data sheet with their signs, in signal units per g, or None.
-    `stand_rad` is the standard deviation of a reading's error by the bench's limits, rad (as much in g).
+    `nominal` (3,) are the scale factors of the data sheet with their signs, in the unit of the signal per g,
+    or None. `stand_rad` is the standard deviation of the angle between block and vertical that the limits of
+    the bench permit, in rad; it is also the error of the specific force in g.
     """
 
     installations: Mapping[str, Installation]
@@ -75,11 +85,12 @@ class GrossSearch:
     stand_rad: float = 0.0
 
     def find(self, readings: Readings) -> GrossMistake | None:
-        """Return the most probable mistake; None if its odds do not exceed `ODDS` for each look.
+        """Return the most probable mistake; None if its odds are too small.
 
-        Each map competes with the loss of a reading, pass or mounting. If much remains wrong, there may be two
-        mistakes, which hide each other. Then the likeliest maps beside the loss of each mounting are candidates,
-        too, and the one after which a second map explains most is chosen.
+        The odds must exceed `ODDS` times the number of suppositions tried. Each supposition also competes
+        with the assumption that a reading, pass or mounting is useless. If the corrected readings are still
+        far off, there may be two mistakes that hide each other. The search is then repeated without each
+        mounting in turn, and the mistake is returned after which a second one explains the most.
         """
         table = OrientedRows.of(readings)
         maps = suppositions(table, units=self.nominal is not None)
@@ -144,17 +155,22 @@ class GrossSearch:
             odds[best] = -np.inf
 
     def p_of_copy(self, recorded: Readings, right: Readings, log_scaling: float, log_looks: float) -> float:
-        """Return the p-value of a copy with corrected units: the number of looks divided by the odds, 1 at most.
+        """Return an upper limit of the p-value of a copy with corrected units, `right`, against `recorded`.
 
-        The priors of the block hold in the corrected unit. `log_scaling` is ln of the factor by which the
-        correction enlarges a volume of signals, so that densities of the recorded signals are compared.
+        It is the number of suppositions tried (ln: `log_looks`) divided by the odds of the copy, at most 1.
+        The priors of the block are in the corrected unit. `log_scaling` is ln of the factor by which the
+        correction enlarges a volume of signals, so that the densities compared are both those of the recorded
+        signals.
         """
         copy, record = OrientedRows.of(right), OrientedRows.of(recorded)
         odds = [self._log_evidence(table, [nothing(table)], copy, table.every)[0] for table in (copy, record)]
         return p_of(odds[0] - odds[1] + log_scaling, log_looks)
 
     def fit(self, table: OrientedRows, rows: Mask) -> GrossFit:
-        """Fit the block to some rows (n,) of a table as recorded, with errors of the smallest size."""
+        """Return the block fitted to the rows in the mask (n,) of a table as recorded.
+
+        Errors have the smallest of the sizes that the search considers; the data sheet is the prior.
+        """
         mean, u = self._prior(table)
         columns, signal = self._columns(table, nothing(table))[rows], table.signal[rows]
         unit = self._smallest_g * self._scale(table)
@@ -228,7 +244,10 @@ def _enough(maps: Sequence[Reinterpretation]) -> float:
 
 
 def p_of(log_odds: float, log_looks: float) -> float:
-    """Return the number of looks divided by the odds, 1 at most, and above 0."""
+    """Return exp(`log_looks` - `log_odds`): the number of suppositions tried divided by the odds; 1 at most.
+
+    The result is never exactly 0.
+    """
     return max(math.exp(min(log_looks - log_odds, 0.0)), sys.float_info.min)
 
 

@@ -1,7 +1,7 @@
-"""Readings less the model as one table of hypotheses: mistakes, and changes of the bench that resemble them.
+"""Readings minus prediction as one table, on which mistakes compete with changes of the bench.
 
-Every hypothesis adds columns with normal priors to the model. All are compared by their evidence, with the size of
-the noise integrated out and its ratio to the setting error averaged, as in the search for effects.
+Every hypothesis adds columns with normal priors to the linear model. All are compared by their evidence, with
+the size of the noise integrated out and averaged over the noise ratio, as in the search for effects.
 """
 
 from __future__ import annotations
@@ -34,11 +34,12 @@ NEAR_DEG: Final = 3.0
 
 @dataclass(frozen=True)
 class ProjectedReadings:
-    """Whitened readings at one ratio of the noise sizes, with the model and everything known projected out.
+    """The whitened readings of a table at one noise ratio, with all that is known projected out.
 
-    `white` holds the noise sizes, with the noise of a reading as the unit. `basis` (3n, k) spans the directions
-    projected out, `pull` (3n,) are the remaining readings, `square` their squared length, and `log_det` completes
-    the evidence.
+    `white` has the noise of a reading and the setting error. `basis` (3n, k) spans the directions projected
+    out: those of the model and of the known changes. `pull` (3n,) is what is left of the n readings, and
+    `square` its squared length. `log_det` is the part of ln of the evidence that does not depend on the
+    readings.
     """
 
     table: Table
@@ -50,17 +51,20 @@ class ProjectedReadings:
 
     @property
     def log_evidence(self) -> float:
-        """ln of the evidence, integrated over the size of the noise."""
+        """ln of the evidence of the readings, with the size of the noise integrated out, up to a constant."""
         return self.log_det - 0.5 * self.table.freedom * float(np.log(self.square))
 
     @property
     def noise(self) -> float:
-        """The noise of a reading, in the unit of the signal."""
+        """The noise of a reading that the residuals show, in the unit of the signal."""
         free = len(self.pull) - float(np.sum(self.basis**2))
         return self.table.unit * float(np.sqrt(self.square / max(free, 1.0)))
 
     def of_group(self, columns: Floats) -> float:
-        """Return ln of the Bayes factor of a change; its columns (n, 3, p) have the plausible size of the noise."""
+        """Return ln of the Bayes factor for a change described by `columns` (n, 3, p) against no change.
+
+        The columns are in units of the noise; the prior of their p sizes is normal, averaged over `SIZES`.
+        """
         inside = self.table.whiten(self.table.unit * columns, self.white)
         known = self.basis.T @ inside
         values, vectors = np.linalg.eigh(inside.T @ inside - known.T @ known)
@@ -68,7 +72,7 @@ class ProjectedReadings:
         return float(self._factors(np.maximum(values, 0.0)[None], along[None], SIZES)[0])
 
     def of_readings(self) -> Floats:
-        """Return ln of the Bayes factor (n,) of arbitrary errors in all channels of each reading."""
+        """Return ln of the Bayes factor for arbitrary errors in all channels of each reading, (n,)."""
         values, vectors = np.linalg.eigh(self.blocks)
         along = np.einsum("nij,ni->nj", vectors, self.pulls) ** 2
         return self._factors(np.maximum(values, 0.0), along, ERRORS)
@@ -91,24 +95,29 @@ class ProjectedReadings:
 
     @cached_property
     def blocks(self) -> Floats:
-        """Information on an error of each reading from all others, per unit of noise, (n, 3, 3)."""
+        """The information matrix of the errors of the three channels of each reading, (n, 3, 3).
+
+        It is the inverse covariance of these errors as all other readings determine them, in units of the
+        noise.
+        """
         own = self.basis.reshape(len(self.table.left), 3, -1)
         seen = np.swapaxes(self._ways, 1, 2) @ own
         return np.asarray(np.swapaxes(self._ways, 1, 2) @ self._ways - seen @ np.swapaxes(seen, 1, 2))
 
     @property
     def pulls(self) -> Floats:
-        """The right sides (n, 3) that belong to `blocks`."""
+        """The right-hand sides (n, 3): `blocks` times the estimated errors of each reading."""
         return np.asarray(np.einsum("nji,nj->ni", self._ways, self.pull.reshape(-1, 3)))
 
 
 @dataclass(frozen=True)
 class Table:
-    """Readings of a `problem` less its prediction for a first guess of the block, `left` (n, 3).
+    """n readings minus the prediction for a first guess of the block, `left` (n, 3), linearised there.
 
-    `slope` (n, 3) is du/dphi per rad; `coefficients` and `stand` (n, 3, p) have their columns, the stand's as wide
-    as its priors. `unit` is the noise of a reading as the bulk of them shows it. All are in the unit of the
-    signal.
+    `slope` (n, 3) is the derivative of the signals by the head angle, per rad. `coefficients` (n, 3, 12) are
+    the derivatives by the coefficients. `stand` (n, 3, p) are those by the p other unknowns of the `problem`,
+    times their prior standard deviations. `unit` is the noise of a reading, from the median of the residuals.
+    All are in the unit of the signal.
     """
 
     problem: Problem
@@ -121,7 +130,10 @@ class Table:
 
     @classmethod
     def of(cls, problem: Problem, block: Block, signal: Floats, floor: float) -> Table:
-        """Return the table of readings `signal` (n, 3); `floor` is the least noise."""
+        """Return the table of the readings `signal` (n, 3), linearised at `block`.
+
+        `floor` is the smallest permitted value of the noise, in the unit of the signal.
+        """
         linear = problem.linear(block, problem.prior_mean)
         table = cls(
             problem, block, signal - linear.predicted, linear.slope, linear.jacobian[:, :, :FIXED],
@@ -143,48 +155,55 @@ class Table:
         return unit
 
     def chi2(self, noise_of: ProjectedReadings) -> float:
-        """Return the chi-square of the readings given the model, in the noise that the other readings show."""
+        """Return the chi-square of the readings given the model, with the noise that `noise_of` shows."""
         size = noise_of.noise
         table = replace(self, unit=size)
         return table.seen(noise_of.white.setting_rad * self.typical_slope / noise_of.table.unit).square
 
     @property
     def typical_slope(self) -> float:
-        """Root mean square length of du/dphi, in the unit of the signal per rad."""
+        """Root mean square length of `slope`, in the unit of the signal per rad; never zero."""
         return max(float(np.sqrt(np.mean(np.sum(self.slope**2, axis=1)))), 1e-300)
 
     @property
     def freedom(self) -> int:
-        """The number of signals beyond the coefficients."""
+        """The number of signals minus that of the coefficients."""
         return self.left.size - FIXED
 
     @property
     def turn(self) -> Ints:
-        """The number of each reading's pass in its mounting (n,), from 0."""
+        """The number of the pass of each reading, (n,), from 0.
+
+        Passes of different mountings have different numbers.
+        """
         conditions = self.problem.conditions
         key = np.stack([conditions.mount, conditions.pass_number], axis=1)
         return np.unique(key, axis=0, return_inverse=True)[1].ravel()
 
     @property
     def deflection(self) -> Floats:
-        """The signals (n, 3) minus the signals at zero force that the first guess predicts."""
+        """The predicted signals (n, 3) minus the biases, for the first guess of the block."""
         return np.asarray(self.problem.predict(self.block, self.problem.prior_mean) - self.block.U0)
 
     @property
     def force(self) -> Floats:
-        """The specific force on the block, (n, 3), in g."""
+        """The predicted specific force in block axes, (n, 3), in g."""
         return np.asarray(self.deflection @ np.linalg.inv(self.block.K).T)
 
     def whiten(self, columns: Floats, white: Noise) -> Floats:
-        """Return columns (n, 3, p) as rows of unit noise, (3n, p)."""
+        """Return `columns` (n, 3, p) as rows with independent noise of variance 1, shape (3n, p).
+
+        `white` has the noise of a reading and the setting error.
+        """
         return whiten(columns, self.slope, white).reshape(self.left.size, -1)
 
     def seen(
         self, ratio: float, known: Sequence[Floats] = (), more: Sequence[Floats] = ()
     ) -> ProjectedReadings:
-        """Return the readings at a ratio of the noise sizes, beside other columns (n, 3, p).
+        """Return the readings at one noise ratio, with the model and further columns (n, 3, p) projected out.
 
-        What is `known` is in units of the noise, and left free; `more` has priors N(0, 1).
+        The columns `known` are in units of the noise, with a wide prior; `more` are in the unit of the
+        signal, with standard normal priors of their sizes.
         """
         white = Noise(self.unit, ratio * self.unit / self.typical_slope, np.inf, "grid")
         wide = self.coefficients * (WIDE * self.unit / np.max(np.abs(self.coefficients)))
@@ -201,9 +220,9 @@ class Table:
 
     @cached_property
     def points(self) -> Floats:
-        """A free value of each channel at each angle of a mounting, (n, 3, p).
+        """A free value for each channel at each angle that a mounting repeats: indicator columns (n, 3, p).
 
-        A reading within `NEAR_DEG` of the median angle of its repeats belongs to their point, so that a wrong
+        A reading within `NEAR_DEG` of the median angle of its repeats counts as one of them, so that a wrong
         setting stays with its repeats.
         """
         conditions = self.problem.conditions
@@ -215,9 +234,10 @@ class Table:
         return per_channel(group[:, None] == np.unique(group)[np.bincount(group) > 1])
 
     def changes(self) -> Iterator[tuple[Mask | None, Floats]]:
-        """Yield the changes of the bench that may resemble wrong readings, as columns (n, 3, p) of unit size.
+        """Yield the changes of the bench that may resemble wrong readings, as columns (n, 3, p).
 
-        Before the columns is a mask (n,) of the pass, where there are several and the change is of one.
+        They are of unit size. The first item of each pair is the mask (n,) of the pass in which the change
+        occurs, None if the change is not limited to one pass or there is only one.
         """
         if self.points.shape[2]:
             yield None, self.points
@@ -236,14 +256,20 @@ class Table:
         yield from ((None, columns) for columns in _hysteresis(self.problem, self.block))
 
     def of_pass(self, rows: Mask) -> Floats:
-        """Return columns (n, 3, 9) of other zeros and gains and of a rotation of the block in some rows."""
+        """Return the changes of a pass, in the rows of the mask (n,), as columns (n, 3, 9).
+
+        They are a bias and a gain for each channel, and a rotation of the block about each axis.
+        """
         unit = self.deflection / np.max(np.abs(self.deflection))
         turned = self.rotations * rows[:, None, None] / np.max(np.abs(self.block.K))
         return np.concatenate([per_channel(rows[:, None]), scaled(unit, rows), turned], axis=2)
 
     @cached_property
     def rotations(self) -> Floats:
-        """The derivatives (n, 3, 3) of the signals by rotations of the block about its axes, per rad."""
+        """The derivatives of the signals by rotations of the block about its three axes, (n, 3, 3), per rad.
+
+        The second index is the channel, the third the axis.
+        """
         return np.stack([np.cross(self.force, axis) @ self.block.K.T for axis in np.eye(3)], axis=2)
 
 
@@ -260,11 +286,14 @@ def _hysteresis(problem: Problem, block: Block) -> Iterator[Floats]:
 
 
 def per_channel(columns: Floats | Mask) -> Floats:
-    """Return columns (n, k) for each channel separately: (n, 3, 3k)."""
+    """Return k courses (n, k) as columns (n, 3, 3k) that act in one channel each."""
     each = np.einsum("nk,ij->nikj", columns.astype(np.float64), np.eye(3))
     return np.asarray(each.reshape(len(columns), 3, -1))
 
 
 def scaled(signal: Floats, by: Floats | Mask) -> Floats:
-    """Return columns (n, 3, 3): the signal (n, 3) of each channel alone times a course (n,)."""
+    """Return columns (n, 3, 3) that change the gain of one channel each: its signal times the course `by`.
+
+    `signal` is (n, 3), `by` is (n,).
+    """
     return np.asarray(signal[:, :, None] * np.eye(3) * np.asarray(by, dtype=np.float64)[:, None, None])

@@ -1,7 +1,8 @@
 """Suppositions that the readings were taken otherwise than the table says.
 
-A supposition changes the meaning of what was recorded (which wire is which, which way the head counts, which
-installation it was, which stop a reading belongs to) in the whole run, in one mounting or in one pass of it.
+A supposition changes the meaning of what was recorded: which wire is which, which way the head counts, which
+installation it was, or which stop of the head a reading belongs to. It applies to the whole run, to one
+mounting, or to one pass of a mounting.
 """
 
 from __future__ import annotations
@@ -27,7 +28,11 @@ TENS: Final = (3, -3, 1, -1, 2, -2, 6, -6)
 
 @dataclass(frozen=True)
 class OrientedRows:
-    """The rows of a table that have an orientation; `rows` (n,) are their indices in the table."""
+    """The n readings of a table that were taken in an orientation.
+
+    `rows` (n,) are their indices in the table, `mount` (n,) the indices of their mountings in `mounts`, and
+    `label` (n,) their installations. `signal` (n, 3) is in `unit`.
+    """
 
     rows: Ints
     mounts: tuple[Mounting, ...]
@@ -40,7 +45,7 @@ class OrientedRows:
 
     @classmethod
     def of(cls, readings: Readings) -> OrientedRows:
-        """Take the oriented rows of a table."""
+        """Return the readings of a table that were taken in an orientation."""
         chosen = readings.oriented()
         conditions = chosen.conditions()
         return cls(
@@ -64,15 +69,16 @@ class OrientedRows:
 
     @property
     def labels(self) -> list[str]:
-        """The installations that occur, in order of appearance."""
+        """The labels of the installations that occur, in order of appearance."""
         return list(dict.fromkeys(self.label.tolist()))
 
 
 @dataclass(frozen=True)
 class Scope:
-    """Where a supposition applies: `mask` (n,) marks its rows.
+    """The part of a run to which a supposition applies: the rows in `mask` (n,).
 
-    No mounting means the whole run; no pass means all passes.
+    `mounts` are its mountings and `pass_number` its pass; without mountings it is in all of them, without a
+    pass number in all passes.
     """
 
     mask: Mask
@@ -81,7 +87,7 @@ class Scope:
 
     @property
     def whole(self) -> bool:
-        """Whether it is the whole run."""
+        """Whether the supposition applies to the whole run."""
         return not self.mounts and self.pass_number is None
 
     def __str__(self) -> str:
@@ -95,11 +101,13 @@ class Scope:
 
 @dataclass(frozen=True)
 class Reinterpretation:
-    """A supposed mistake in the record; a field with its default keeps what was recorded.
+    """A supposed mistake in the record of n readings; a field with its default value keeps what was recorded.
 
-    `label` (n,) are the true installations and `angle_rad` (n,) the true angles. `source` (n,) has for each row
-    the index of the row that contains its signals, -1 for none. `turns` are the rotations of the block in each
-    installation. `matrix` (3, 3) turns the channels as read into the true signals in the unit of the file.
+    `label` (n,) and `angle_rad` (n,) are the true installations and head angles. `source` (n,) is, for each
+    reading, the index of the reading that was recorded with its signals, -1 if there is none. `turns` has the
+    rotation matrix (3, 3) by which the block was mounted otherwise, for each installation concerned. `matrix`
+    (3, 3) converts the signals as recorded to the true signals in the unit of the file; it acts in `scope`
+    only. `words` is a sentence for people.
     """
 
     name: str
@@ -113,45 +121,50 @@ class Reinterpretation:
 
     @property
     def factor(self) -> Floats:
-        """The factors (3,) of the signals' size."""
+        """The factor (3,) by which `matrix` multiplies the size of each channel."""
         return np.asarray(np.sum(np.abs(self.matrix), axis=1))
 
     @property
     def scales(self) -> bool:
-        """Whether the unit is another."""
+        """Whether the supposition is that a channel was recorded in another unit."""
         return bool(np.any(self.factor != 1.0))
 
     @property
     def log_jacobian(self) -> float:
-        """ln of the factor by which the map to the true signals enlarges a volume of signals.
+        """ln of the factor by which the correction enlarges a volume of signals.
 
-        In a part of the run it is at most 0, because a channel that hardly moves there fits any factor.
+        If it applies to a part of the run, this is at most 0: a channel that hardly moves there fits any
+        factor.
         """
         size = float(np.count_nonzero(self.scope.mask) * np.sum(np.log(self.factor)))
         return size if self.scope.whole else min(size, 0.0)
 
     @property
     def moves(self) -> bool:
-        """Whether angles or installations are others."""
+        """Whether the supposition is that angles or installations were recorded wrongly."""
         return self.label is not None or self.angle_rad is not None
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """The names of the channels whose signal, sign or size is wrong."""
+        """The names of the channels that are exchanged, reversed, or in another unit."""
         return tuple(
             c for c, own, right in zip(CHANNELS, self.matrix, np.eye(3), strict=True) if (own != right).any()
         )
 
     def signal(self, table: OrientedRows) -> Floats:
-        """Return the signals (n, 3) that belong to the rows; the recorded ones if no row contains them."""
+        """Return the true signals (n, 3) of the readings of `table`.
+
+        A reading for which `source` is -1 gets the recorded signals of the first row.
+        """
         moved = table.signal if self.source is None else table.signal[np.maximum(self.source, 0)]
         return np.where(self.scope.mask[:, None], moved @ self.matrix.T, moved)
 
     def correct(self, readings: Readings, table: OrientedRows) -> Readings:
-        """Return a corrected copy of the whole table, from which `table` was taken.
+        """Return a corrected copy of the table `readings`, the oriented readings of which are `table`.
 
-        In a supposition on the whole run, the wires and the head's sense are also corrected in verification
-        points and free positions. A reference keeps its sign, which is known. A row without signals is omitted.
+        If the supposition applies to the whole run, wires and the sense of the head are also corrected in
+        verification points and free positions. The sign of a reference voltage is known and not changed.
+        Readings without signals of their own are omitted.
         """
         signal, spread, samples = readings.signal.copy(), readings.signal_sd.copy(), readings.samples.copy()
         angle, target = readings.angle_rad.copy(), readings.target_rad.copy()
@@ -207,9 +220,9 @@ class Reinterpretation:
 
 
 def suppositions(table: OrientedRows, *, units: bool = False) -> list[Reinterpretation]:
-    """Return every supposition about a table, the simpler ones first.
+    """Return every supposition about a table that is tried, the simpler ones first.
 
-    With `units` they include signals in another unit, range or decimal point.
+    If `units`, they include signals in another unit or range, or with a misplaced decimal point.
     """
     scopes = _scopes(table)
     found: list[Reinterpretation] = []
@@ -224,12 +237,12 @@ def suppositions(table: OrientedRows, *, units: bool = False) -> list[Reinterpre
 
 
 def nothing(table: OrientedRows) -> Reinterpretation:
-    """Return the supposition that all is as recorded."""
+    """Return the supposition that all was recorded correctly."""
     return Reinterpretation("", Scope(table.every), "")
 
 
 def losses_of(table: OrientedRows) -> list[Reinterpretation]:
-    """Return the suppositions that a reading, or all of a pass or mounting, has signals of unknown origin."""
+    """Return the suppositions that a reading, a pass or a mounting has signals of unknown origin."""
     scopes = [Scope(row) for row in np.eye(len(table), dtype=bool)]
     scopes += [scope for scope in _scopes(table) if not scope.whole]
     rows = np.arange(len(table))
@@ -367,7 +380,10 @@ def _stop_rad(table: OrientedRows, mask: Mask) -> Floats | None:
 
 
 def other_mountings(table: OrientedRows) -> list[Reinterpretation]:
-    """Return, for each installation, the 23 other orientations in which the block may be mounted."""
+    """Return the suppositions that the block was mounted in another orientation, 23 for each installation.
+
+    The orientations are those in which the block's axes remain along the axes of the installation.
+    """
     found = []
     for label in table.labels:
         mask = table.label == label

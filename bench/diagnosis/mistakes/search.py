@@ -1,8 +1,9 @@
-"""Mistakes of procedure and wiring as hypotheses: maps of the record, and terms of the model beside other changes.
+"""The search for mistakes of procedure and wiring, which are corrected one after the other in a copy.
 
-The likeliest mistake is put right in a copy, and all are compared again there until none is left. The record itself
-is never changed. Maps that move readings by volts come before terms: terms are linear about a block, and no fit
-gives that block while a map is wrong.
+The likeliest mistake is corrected in a copy of the record, and the copy is searched again until no mistake is
+left. The record itself is never changed. Other meanings of the record, which move readings by volts, are
+tried before wrong settings and outliers: these are linear changes about a block, and no fit gives that block
+while a gross mistake is left.
 """
 
 from __future__ import annotations
@@ -34,8 +35,10 @@ MOST: Final = 12
 
 @dataclass(frozen=True)
 class Evidence:
-    """Root mean square misfit of all readings to the model and to the data sheet, in units of the noise (1: noise
-    alone).
+    """The misfit of all readings before and after a mistake is corrected.
+
+    It is the root mean square of the deviations from model and data sheet, in units of the noise; noise alone
+    gives 1.
     """
 
     before: float
@@ -44,13 +47,14 @@ class Evidence:
 
 @dataclass(frozen=True)
 class Mistake:
-    """A mistake, its place, and its correction in the copy.
+    """A mistake in the record, where it is, and how the copy corrects it.
 
     `name` is one of swapped_channels, reversed_polarity, reversed_rotation, swapped_installations,
     shifted_points, wrong_setting, outlier, wrong_unit, another_block, stuck_channel. `installations` are
-    written as `str(Mount)`; none means the whole run. `words` is a sentence; `p` is corrected for all looks.
-    `cannot_tell_from` are names of mistakes and effects that explain these readings equally ("other_mounting":
-    the block was mounted in another orientation).
+    mountings written as `str(Mounting)`; empty means the whole run. `words` is a sentence. `p` is the
+    p-value, corrected for all suppositions tried. `cannot_tell_from` are the names of mistakes and effects
+    that explain these readings equally well; "other_mounting" means that the block was mounted in another
+    orientation.
     """
 
     name: str
@@ -66,9 +70,9 @@ class Mistake:
 
 @dataclass(frozen=True)
 class MistakeSearch:
-    """The mistakes in the order of their correction, and the corrected copy.
+    """The result of a search: the mistakes in the order of their correction, and the corrected copy.
 
-    The copy omits each reading with an outlier and lists it in `skipped`.
+    Readings with an outlier are not in the copy; its `skipped` lists them.
     """
 
     mistakes: tuple[Mistake, ...]
@@ -76,7 +80,10 @@ class MistakeSearch:
 
 
 class MistakesLeaveTooLittle(CalibrationError):
-    """The readings with the mistakes corrected are insufficient; `reason` says why, `search` has the mistakes."""
+    """The readings are insufficient once the mistakes are corrected.
+
+    `search` has the mistakes and the corrected copy; `reason` says what is missing.
+    """
 
     def __init__(self, search: MistakeSearch, reason: str) -> None:
         super().__init__(search, reason)
@@ -94,13 +101,14 @@ def find_mistakes(
     nominal_scale_factors: Floats | None,
     significance: float = HARDLY_EVER,
 ) -> MistakeSearch:
-    """Look for mistakes in a table of readings.
+    """Return the mistakes in a table of readings, and a copy without them.
 
-    `stand_u` are standard uncertainties by the names in `STAND_ANGLES` and of the "setting_error", rad;
-    `nominal_scale_factors` (3,) are those of the data sheet with their signs, in the unit of the signal per
-    g, or None: then a mistake that the coefficients take up (channels exchanged in the whole run) cannot be
-    seen. `significance` is the probability, all looks counted, of finding any single reading wrong where none
-    is. Raises `CalibrationError` where no row can be used or one is not a number.
+    `stand_u` has the standard uncertainties of the stand angles (`STAND_ANGLES`) and of the "setting_error"
+    by name, rad. `nominal_scale_factors` (3,) are those of the data sheet with their signs, in the unit of
+    the signal per g. Without them (None), a mistake that only changes the coefficients, such as channels
+    exchanged in the whole run, cannot be found. `significance` is the probability that any single reading is
+    found wrong in a record without mistakes. Raises `CalibrationError` if no reading can be used, or a signal
+    is not a number.
     """
     usable_rows(readings, model)
     nominal = None if nominal_scale_factors is None else np.asarray(nominal_scale_factors, dtype=np.float64)

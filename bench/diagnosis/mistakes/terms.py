@@ -1,4 +1,4 @@
-"""Wrong settings, outliers, and passes that are off as a whole: terms of the model beside changes of the bench."""
+"""Wrong settings, outliers and passes that are wrong as a whole, compared with changes of the bench."""
 
 from __future__ import annotations
 
@@ -38,11 +38,13 @@ MOST: Final = 1 / 8
 
 @dataclass(frozen=True)
 class WrongReadings:
-    """A mistake in some `rows` of the problem: a reading, or the readings of a pass (`whole`).
+    """A mistake in one reading, or in all readings of a pass.
 
-    `off_rad` is the true angle minus the recorded one, None where the readings are of no use. `ties` are names of
-    mistakes or effects that may explain the rows as well. `p` is the number of looks divided by the odds against
-    no mistake. Of a reading, `shift` (3,) is the error of the signals, and `sigma` its size in units of the noise.
+    `rows` are the indices of these readings among the oriented ones. `off_rad` is the true head angle minus
+    the recorded one, None if the readings are useless. `ties` are the names of mistakes or effects that may
+    explain these readings as well. `p` is the number of hypotheses tried divided by the odds of this one
+    against no mistake. For a single reading, `shift` (3,) is the error of its signals in their unit, and
+    `sigma` the largest error in standard deviations of the noise; for a pass, `shift` is empty.
     """
 
     name: MistakeName
@@ -56,15 +58,16 @@ class WrongReadings:
 
     @property
     def whole(self) -> bool:
-        """Whether it is in all readings of a pass."""
+        """Whether the mistake is in all readings of a pass."""
         return not len(self.shift)
 
 
 @dataclass(frozen=True)
 class TermSearch:
-    """The oriented readings `signal` (n, 3) of a problem; `floor` is their least noise.
+    """A search for wrong readings among n oriented readings, `signal` (n, 3).
 
-    `fit` returns the block fitted to some rows (n,).
+    `problem` has the model and its unknowns. `floor` is the least noise of a reading, in the unit of the
+    signal. `fit` returns the block fitted to the readings in a mask (n,).
     """
 
     problem: Problem
@@ -74,7 +77,7 @@ class TermSearch:
 
     @cached_property
     def table(self) -> Table:
-        """The table of hypotheses about a block fitted to all readings."""
+        """The readings minus the prediction for a block fitted to all of them."""
         return self._without(np.zeros(len(self.signal), dtype=bool))
 
     def _without(self, rows: Mask) -> Table:
@@ -82,11 +85,13 @@ class TermSearch:
         return Table.of(self.problem, self.fit(~rows), self.signal, self.floor)
 
     def find(self, significance: float) -> list[WrongReadings]:
-        """Return the pass that is wrong as a whole; without one, the wrong readings, the largest first.
+        """Return the pass that is wrong as a whole, or else the single readings that are wrong.
 
-        The likeliest of all errors of single readings and all changes of the bench joins the model, and all others
-        are compared beside it, until no reading or pass is off with odds of 1 over `significance`. A change of a
-        pass that joins is first compared with mistakes of the pass.
+        The readings are sorted by the size of their errors, the largest first. Step by step, the likeliest
+        hypothesis joins the model: an error of a single reading, or a change of the bench. This ends when no
+        error of a reading and no change of a pass has odds above 1/`significance`. A change of a pass is
+        first compared with mistakes in this pass; the first mistake that wins is the only result. The result
+        is empty if nothing is wrong, or if too many readings would be.
         """
         table, n = self.table, len(self.signal)
         changes = list(table.changes())

@@ -52,7 +52,10 @@ class ExpressionReading(Protocol, Generic[Term]):
     """An interpretation of an expression, for example as its value, its degree or its dimension."""
 
     def number(self, value: float, unit: str) -> Term:
-        """Interpret a number; `value` is in the SI unit `unit` ("" for a plain number)."""
+        """Return the interpretation of a number that occurs in the expression.
+
+        `value` is converted to SI, and `unit` is its SI unit, or "" for a plain number.
+        """
 
     def name(self, name: str) -> Term:
         """Interpret a variable or a parameter."""

@@ -223,7 +223,7 @@ class VoltmeterGain(VoltmeterEffect):
     shown_by = "a reference voltage at the inputs; the voltmeters' calibration"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return gain U in volts, shape (n, 3)."""
+        """Return the voltages that the gain error adds to the n readings, in V, (n, 3): the error times U."""
         return values["gain"] * seen.signal
 
 
@@ -242,7 +242,7 @@ class ReferenceStep(VoltmeterEffect):
     outlasts_mount = True
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return step U in volts, shape (n, 3)."""
+        """Return the voltages that the step adds to the n readings U, in V, (n, 3): its size times U."""
         return values["step"] * seen.signal
 
 

@@ -68,7 +68,11 @@ class Calibrate(OnReadings):
 
     @property
     def otherwise(self) -> bool:
-        """Whether an option differs from the one with which a run's own result is computed."""
+        """Whether any option that affects the coefficients differs from its default.
+
+        A run's stored result is computed with the defaults, so it cannot be reused if this is true. The model
+        is not considered.
+        """
         usual = (self.estimator, self.nominal_angles, self.join_free, self.join_verification, self.prior)
         return usual != ("gls", False, True, False, None)
 
