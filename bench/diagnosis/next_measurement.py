@@ -245,7 +245,8 @@ class Proposal:
     def write(self, path: Path) -> Proposal:
         """Write a copy of the procedure that begins with the reason; return the proposal with its path.
 
-        If `path` exists with other contents, a number is added to the name instead. Raises `OSError`.
+        The copy is written to `path`. If a file with other contents exists there, a number is added to the
+        name instead. Raises `OSError` if the copy cannot be written.
         """
         path.parent.mkdir(parents=True, exist_ok=True)
         lines = textwrap.wrap(f"Proposed: {self.why}", 108, break_on_hyphens=False)
