@@ -293,8 +293,8 @@ def stated(rows: FreeRows) -> float:
     """Return the standard uncertainty of |a| at one position that the scatter of its samples implies, in g.
 
     Samples are taken as independent: the variance of each signal is that of its samples (`signal_sd`) over
-    their number. The result is the root mean square over all positions and channels; NaN if a table has no
-    `signal_sd`.
+    their number, converted to g by the scale factor. The result is the root mean square over all positions
+    and channels; NaN if a table has no `signal_sd`.
     """
     sizes = []
     for block, table in zip(rows.block, rows.tables, strict=True):

@@ -129,7 +129,7 @@ class FreeSystem(LinearSystem):
 
     @property
     def g_per_signal(self) -> Floats:
-        """Factors that convert the rows to g, shape (N,)."""
+        """Factors (N,) that convert the rows to g: all 1, as the rows are in g already."""
         return np.ones(len(self))
 
     def rows_in(self, mounts: Sequence[str]) -> Mask:
@@ -221,10 +221,10 @@ def make_rows(
 
     Each of `tables` is from one sensor in one record. Tables with the same times are of the same record, and
     so of different sensors. `one_sensor` states whether all tables are of one sensor (True) or each of
-    another (False); if None, the sensors are told apart by their coefficients. The effects of `model` are
-    kept for `make_system`. Raises `CalibrationError` if the positions of a sensor do not determine its
-    coefficients, if units differ, or if an effect of the model needs an angle, time or temperature that the
-    tables lack.
+    another (False); if None, the coefficients show which tables are of the same sensor. The effects of
+    `model` are kept for `make_system`. Raises `CalibrationError` if the positions of a sensor do not
+    determine its coefficients, if units differ, or if an effect of the model needs an angle, time or
+    temperature that the tables lack.
     """
     if len({table.unit for table in tables}) > 1:
         raise CalibrationError("signals in different units cannot be evaluated together; use one unit")

@@ -181,9 +181,9 @@ def _random_of(part: LinearSystem, stand_u: Mapping[str, float]) -> tuple[Floats
 def with_blocks(readings: Readings, model: ForwardModel) -> Readings:
     """Return readings of several runs with the number of the accelerometer block of each row as `block`.
 
-    `block` is None if all rows are of one block. Stated numbers are kept. Otherwise blocks are told apart by
-    the coefficients of each run; a run that does not determine its coefficients is assigned to the first
-    block.
+    `block` is None if all rows are of one block. Stated numbers are kept. Otherwise the coefficients of each
+    run show which runs are of the same block; a run that does not determine its coefficients is assigned to
+    the first block.
     """
     if readings.block is not None:
         return readings if len(np.unique(readings.block)) > 1 else replace(readings, block=None)

@@ -153,7 +153,7 @@ It counts as hidden if it is found only beyond twice as many plausible sizes.
 
 @dataclass(frozen=True)
 class Separation:
-    """How well an effect found (`effect`) and one of its ties (`other`) are told apart.
+    """How well readings distinguish an effect found (`effect`) from one of its ties (`other`).
 
     `before` is the divergence D of the present readings, `after` that together with the readings of a
     procedure. D is the expected value of ln of the odds of the true name against the other; higher is better.
@@ -166,7 +166,7 @@ class Separation:
 
     @property
     def settled(self) -> bool:
-        """Whether the two are told apart after the procedure."""
+        """Whether the readings distinguish the two after the procedure: D is at least `SEPARATED`."""
         return self.after >= SEPARATED
 
 
@@ -245,7 +245,8 @@ class Proposal:
     def write(self, path: Path) -> Proposal:
         """Write a copy of the procedure that begins with the reason; return the proposal with its path.
 
-        If `path` exists with other contents, a number is added to the name instead. Raises `OSError`.
+        The copy is written to `path`. If a file with other contents exists there, a number is added to the
+        name instead. Raises `OSError` if the copy cannot be written.
         """
         path.parent.mkdir(parents=True, exist_ok=True)
         lines = textwrap.wrap(f"Proposed: {self.why}", 108, break_on_hyphens=False)
@@ -325,7 +326,10 @@ class _Bill:
     # --- ties ---------------------------------------------------------------------------------------
 
     def settling(self) -> Proposal | None:
-        """Return the procedure that settles the ties."""
+        """Return the procedure that resolves the most ties, or else separates them fastest.
+
+        None if no procedure helps.
+        """
         before = self._divergences(None)
         bills, chances = [], []
         for path, plan in self.plans.items():
@@ -383,7 +387,7 @@ class _Bill:
     # --- what is hidden -----------------------------------------------------------------------------
 
     def showing(self) -> Proposal | None:
-        """Return the shortest procedure that shows most of the effects that the readings could hardly show."""
+        """Return the shortest of the procedures that show the most hidden effects; None if none shows any."""
         diagnosis = self._diagnosis
         known = {applied.effect.name for applied in diagnosis.linear.model.effects}
         blind = [

@@ -201,7 +201,7 @@ class LocalScatter:
 
     @property
     def words(self) -> str:
-        """The place in words."""
+        """The channel and the installation or pass, in words."""
         return f"channel {self.channel}, {self.where or 'everywhere'}"
 
 

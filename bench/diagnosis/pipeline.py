@@ -410,7 +410,7 @@ class Rival:
 def rivals(diagnosis: Diagnosis) -> tuple[tuple[Rival, ...], ...]:
     """Return, for each effect found, the most plausible families in its place, the best first.
 
-    They are the effect itself, its ties, and others up to `LISTED` in all.
+    They are the first `LISTED` ones by evidence, and in any case the effect itself and its ties.
     """
     naming = diagnosis.naming
     if not naming.found:

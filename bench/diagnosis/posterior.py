@@ -210,8 +210,8 @@ def _inverse(normal: Floats) -> Floats:
 def whiten_rows(linear: LinearSystem, noise: NoiseSize, columns: Floats, rows: Mask | None = None) -> Floats:
     """Return the columns multiplied by the inverse square root of the noise covariance of their rows.
 
-    The rows are those in the mask `rows` (None: all), of `columns` with only these; they must be whole
-    settings.
+    `columns` has all N rows, or only those in the mask `rows` (N,), which must contain all three channels of
+    a setting or none.
     """
     chosen = slice(None) if rows is None else rows
     relative = linear.relative[chosen][:, None]

@@ -191,7 +191,8 @@ class Diagnosis:
 
     `verdict` is "mistake" if there are mistakes; `of_copy` is then the verdict on the corrected copy,
     otherwise the same. `far` are readings far from the model, `where` the patterns of the residuals. `p_left`
-    is the p-value of the evidence that something else is missing.
+    is the p-value of the lack-of-fit test: the noise about the model with all effects found, against that of
+    repeats.
 
     `hidden` maps each effect that these readings could never show to the parts of it that they do not show,
     none if it is all of it. `absent` maps each effect that the bench cannot have to the reason.

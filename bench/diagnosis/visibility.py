@@ -255,7 +255,11 @@ class ReadingDesign:
         return least / 2.0
 
     def visible(self, forms: Sequence[Form]) -> float:
-        """Return the signal-to-noise ratio of an effect of plausible size in the form that shows best."""
+        """Return the signal-to-noise ratio of an effect of plausible size in the form that shows best.
+
+        It is the length of the change of the readings in units of the noise, with free unknowns projected
+        out.
+        """
         return max((float(np.linalg.norm(self.seen(form), 2)) for form in forms), default=0.0)
 
     def cosine(self, one: Form, other: Form) -> float:

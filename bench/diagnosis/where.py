@@ -237,7 +237,7 @@ ALIKE: Final = 0.01
 def looking_like(angle_rad: Floats, order: int) -> tuple[int, ...]:
     """Return the numbers of periods per turn that look like `order` periods per turn at the angles (n,).
 
-    Order 0 is a constant: a wave that looks like it has no influence beyond the coefficients. Angles that
+    Order 0 is a constant: the coefficients take up a wave that looks like it at these angles. Angles that
     differ by less than 0.1 deg, or by whole turns, count as one.
     """
     tenths = np.round(np.degrees(angle_rad[np.isfinite(angle_rad)]) * 10.0) % 3600.0

@@ -136,9 +136,10 @@ class _Search:
     significance: float
 
     def unit(self, readings: Readings) -> list[tuple[Mistake, Readings]]:
-        """Where no data sheet says how large signals are, compare them with each other.
+        """Return a mistake in the unit of signals, found by comparing them with each other, and the copy.
 
-        The looks are all prefixes of all channels in all parts of the table.
+        Empty if there is none, or if a data sheet is given: `map` then finds wrong units. The p-value counts
+        every unit prefix of every channel in every part of the table.
         """
         unit = (
             wrong_unit(readings, self.model, sheet_of(readings.unit, ()))
@@ -154,14 +155,17 @@ class _Search:
         return [(_unit_mistake(unit, p), copy)]
 
     def map(self, readings: Readings) -> list[tuple[Mistake, Readings]]:
-        """Compare other meanings of the record."""
+        """Return the most probable other meaning of the record, and the corrected copy; empty if none."""
         gross = self.gross.find(readings)
         if gross is None:
             return []
         return [(_gross_mistake(gross), gross.supposition.correct(readings, OrientedRows.of(readings)))]
 
     def terms(self, readings: Readings) -> list[tuple[Mistake, Readings]]:
-        """Compare passes and single readings that are wrong with changes of the bench."""
+        """Return the passes and single readings that are wrong, each with a corrected copy.
+
+        A copy is corrected for all mistakes up to its own.
+        """
         table, terms = self._of(readings)
         angle, kept = readings.angle_rad.copy(), np.ones(len(readings), dtype=bool)
         skipped, found = list(readings.skipped), []
@@ -187,9 +191,9 @@ class _Search:
         return table, TermSearch(problem, table.signal, floor, fit)
 
     def with_evidence(self, found: Sequence[Mistake], copies: Sequence[Readings]) -> tuple[Mistake, ...]:
-        """Return the mistakes, each with the misfit of readings and data sheet before and after its correction.
+        """Return the mistakes, each with the misfit before and after its correction (`Evidence`).
 
-        The misfit is a root mean square in units of the noise.
+        `copies` are the record, then the copy after each correction.
         """
         if not found:
             return ()

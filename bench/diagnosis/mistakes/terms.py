@@ -166,15 +166,15 @@ class _Beside:
         return self.weight[:, None] + [one.of_readings() for one in self.seen]
 
     def of_readings(self) -> Floats:
-        """Return ln of the odds (n,) of an error of each reading, for all looks."""
+        """Return ln of the odds of an error of each reading, divided by the number of readings, (n,)."""
         return np.asarray(logsumexp(self._of_readings, axis=0) - np.log(self._of_readings.shape[1]))
 
     def likeliest(self, row: int) -> ProjectedReadings:
-        """Return the readings at the ratio at which an error of a row is most probable."""
+        """Return the readings at the noise ratio at which an error of the reading `row` is most probable."""
         return self.seen[int(np.argmax(self._of_readings[:, row]))]
 
     def of_group(self, columns: Floats) -> float:
-        """Return ln of the odds of a change of the bench."""
+        """Return ln of the odds of a change of the bench, described by `columns` (n, 3, p)."""
         return float(logsumexp(self.weight + [one.of_group(columns) for one in self.seen]))
 
 
@@ -268,12 +268,12 @@ class _Pass:
 
     @classmethod
     def of(cls, table: Table, rows: Mask) -> _Pass:
-        """Choose the ratio by the readings beside the pass."""
+        """Return the pass, with the noise ratio that is most probable for all other readings."""
         free = np.einsum("nk,ij->nikj", np.eye(len(rows))[:, rows], np.eye(3)).reshape(len(rows), 3, -1)
         return cls(table, rows, max(RATIOS, key=lambda ratio: table.seen(ratio, [free]).log_evidence))
 
     def seen(self, columns: Floats, beyond: Floats | float = 0.0) -> ProjectedReadings:
-        """Return the readings beside `columns` (n, 3, p) with priors N(0, 1) in the pass.
+        """Return the readings with changes of the pass in the model: `columns` (n, 3, p), sizes N(0, 1).
 
         `beyond` (n, 3) is added to the predicted signals of the pass.
         """
@@ -281,14 +281,14 @@ class _Pass:
         return table.seen(self.ratio, more=[columns * self.rows[:, None, None]])
 
     def evidence(self, columns: Floats | None = None, beyond: Floats | float = 0.0) -> float:
-        """Return ln of the evidence of columns in the pass, as in `seen`."""
+        """Return ln of the evidence of the readings with the changes of the pass in the model (`seen`)."""
         return self.seen(
             np.zeros((len(self.rows), 3, 0)) if columns is None else columns, beyond
         ).log_evidence
 
     @property
     def another_block(self) -> Floats:
-        """Columns (n, 3, 12) of changed coefficients by channel, with the data sheet's tolerances as 1 sigma."""
+        """Changes (n, 3, 12) of the signals by each coefficient, one tolerance of the data sheet each."""
         columns = np.column_stack([self.table.force, np.ones(len(self.rows))])
         size = sheet_u(np.linalg.norm(self.table.block.K, axis=1))
         each = np.einsum("na,ai,ij->niaj", columns, size, np.eye(3))
