@@ -307,7 +307,7 @@ def in_place(scored: Scored, one: FoundEffect, among: Among | None = None) -> Fo
         ties=tuple(ties),
         plainer_than=tuple(f for f in plainer if f not in ties),
         same=tuple(f for f in ties if f in same),
-        odds=tuple(o for o in odds if o.probability >= 1.0 - SET or o.name in ties),
+        odds=tuple(odds),
     )
 
 

@@ -26,7 +26,7 @@ from bench.diagnosis.gap import Gap, measure_gap, near_ratios
 from bench.diagnosis.levels import BY_CHANCE
 from bench.diagnosis.mistakes.search import Mistake, MistakesLeaveTooLittle
 from bench.diagnosis.multi_run_system import find_mistakes_in_each, search_runs, with_blocks
-from bench.diagnosis.naming import FamilyOdds, FoundEffect, Naming, Scored, name, same_signature
+from bench.diagnosis.naming import SET, FamilyOdds, FoundEffect, Naming, Scored, name, same_signature
 from bench.diagnosis.next_measurement import Proposal, propose
 from bench.diagnosis.noise_grid import RATIOS, digit_of
 from bench.diagnosis.noise_kinds import NoiseFinding, noise_findings, noise_kinds
@@ -336,13 +336,14 @@ def _tie_names(candidates: Candidates, found: FoundEffect) -> tuple[str, ...]:
 
 
 def _odds(candidates: Candidates, found: FoundEffect) -> tuple[FamilyOdds, ...]:
-    """Return the odds instead of a find by the names of results, all unnamed forms together."""
+    """Return the odds instead of a find by the names of results: unnamed forms summed, then from 1 % or tied."""
     whole: dict[str, float] = {}
     for one in found.odds:
         called = name_of(candidates, one.name)
         whole[called] = whole.get(called, 0.0) + one.probability
+    tied = _tie_names(candidates, found)
     ranked = sorted(whole.items(), key=lambda item: -item[1])
-    return tuple(FamilyOdds(called, probability) for called, probability in ranked)
+    return tuple(FamilyOdds(called, p) for called, p in ranked if p >= 1.0 - SET or called in tied)
 
 
 def _in_words(variant: Variant) -> str:
