@@ -84,9 +84,13 @@ def require_sealed() -> None:
 
 
 def twin_of(readings: Readings, found: RecordDiagnosis) -> Readings:
-    """Return readings at the same times with the signal of what was found, and noise drawn as it was fitted."""
+    """Return readings with the signal of what was found, and noise drawn as it was fitted.
+
+    Their times are those of the record from its first mean on: before that nothing is known of its signal.
+    """
     rng = np.random.default_rng(SEED)
     record = make_record(readings)
+    readings = readings.select(readings.time_s >= record.conditions.elapsed_s[0])
     noise = np.column_stack([one.drawn(rng, 1)[:, 0] for one in found.noises])
     noise = noise @ RecordWork.of(record).helmert * record.scale[:, None]
     added = np.sum([record.added(one) for one in found.applied], axis=0)
