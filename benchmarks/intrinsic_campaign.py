@@ -14,9 +14,10 @@ joint ellipsoid of 95 % (promised: 0.93 at least). How far the turns move the tw
 
 The second command is on power. Each pair is two calibrations of one block by the same meters, with every error
 of a bench drawn, the rolls of both mountings too, and in each of the nine in turn a change of 6 u of the
-difference of the pair (with `--case roll` only stand, noise and roll are drawn). Promised: the joint test of the nine finds 98 % of them. Beside it stands what the
-twelve find, whose u has the roll of both mountings: jointly, and any of them by itself (Holm). Pairs of
-calibrations of turned blocks are the subject of the third command. Exit status 1 where a promise is broken.
+difference of the pair. With `--case roll` only stand, noise and roll are drawn. Promised: the joint test of the
+nine finds 98 % of them. Beside it stands what the twelve find, whose u has the roll of both mountings: jointly, and
+any of them by itself (Holm). Pairs of calibrations of turned blocks are the subject of the third command. Exit
+status 1 where a promise is broken.
 """
 
 from __future__ import annotations
