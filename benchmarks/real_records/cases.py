@@ -84,13 +84,12 @@ def require_sealed() -> None:
 
 
 def twin_of(readings: Readings, found: RecordDiagnosis) -> Readings:
-    """Return readings with the signal of what was found, and noise drawn as it was fitted.
+    """Return readings at the same times with the signal of what was found, and noise drawn as it was fitted.
 
-    Their times are those of the record from its first mean on: before that nothing is known of its signal.
+    Before the first mean of the record the effects go on as straight lines.
     """
     rng = np.random.default_rng(SEED)
     record = make_record(readings)
-    readings = readings.select(readings.time_s >= record.conditions.elapsed_s[0])
     noise = np.column_stack([one.drawn(rng, 1)[:, 0] for one in found.noises])
     noise = noise @ RecordWork.of(record).helmert * record.scale[:, None]
     added = np.sum([record.added(one) for one in found.applied], axis=0)
@@ -99,7 +98,8 @@ def twin_of(readings: Readings, found: RecordDiagnosis) -> Readings:
     signal = np.full(readings.signal.shape, np.nan)
     for number, fit in enumerate(found.fits):
         course = record.reference_v + fit.zero_v + added[:, number] + noise[:, number]
-        level = np.interp(at_h, record.time_h, course)
+        slope = (added[1, number] - added[0, number]) / record.time_h[1]
+        level = np.interp(at_h, record.time_h, course) + slope * np.minimum(at_h, 0.0)
         signal[:, record.channels[number]] = level + rng.normal(0.0, scatter, len(readings))
     reference = np.interp(at_h, record.time_h, record.reference_v)
     extra = {**readings.extra, "reference_v": np.array([repr(v) for v in reference.tolist()])}
