@@ -258,7 +258,7 @@ SizeA = Annotated[float, not_negative(CURRENT)]
 
 
 def quantity_of(annotation: Any, metadata: Sequence[Any]) -> QuantityKind | None:
-    """Return the physical quantity that an annotated number of a model stands for; None for a plain number."""
+    """Return the kind of quantity of an annotated number in a model; None for a plain number."""
     for entry in metadata:
         read = getattr(entry, "func", None)
         if read is None or not inspect.isfunction(read):

@@ -173,7 +173,7 @@ class AxisWobble(StandEffect):
 
 
 class BracketTilt(ConstantAngle):
-    """A constant tilt out of the plane of rotation that changes at a remount: alpha1 of one mounting."""
+    """A tilt out of the plane of rotation, alpha1 of one mounting: constant in it, and changed by a remount."""
 
     name = "bracket_tilt"
     column = "axis_tilt"
@@ -234,8 +234,9 @@ class BlockSlip(StandEffect):
 
 
 class MountingCreep(StandEffect):
-    """An exponential approach of the mounting angles to their final values: exp(-t / tau), where t is the time
-    since mounting.
+    """The mounting angles approach their final values exponentially, as exp(-t / tau).
+
+    t is the time since mounting.
     """
 
     name = "mounting_creep"
