@@ -76,7 +76,7 @@ class EffectUnknown:
 
 @dataclass(frozen=True)
 class FreeRows:
-    """Readings `signal` (m, 3) in unknown orientations, for which only the modulus |a| = 1 g is known."""
+    """Readings `signal` (m, 3) in unknown orientations, which enter a fit only by their modulus |a| = 1 g."""
 
     signal: Floats
     conditions: Conditions
@@ -129,8 +129,9 @@ class Problem:
 
     @property
     def prior_rows(self) -> Floats:
-        """The matrix (q, q) that whitens the q unknowns, each divided by its prior u: it makes them independent,
-        with unit variance.
+        """The matrix (q, q) that whitens the q unknowns, each divided by its prior u.
+
+        The products are independent and have unit variance.
         """
         q = len(self.stand) + len(self.effects)
         return np.eye(q) if self.hang is None else np.asarray(np.linalg.solve(self.hang, np.eye(q)))
@@ -260,7 +261,7 @@ class Problem:
 
     @cached_property
     def _last(self) -> dict[tuple[bytes, bytes], Linearisation]:
-        """Cache of the latest linearisations: fits begin and end at the same points."""
+        """Cache of the latest linearisations, because fits begin and end at the same points."""
         return {}
 
     def _kept(self, block: Block, others: Floats) -> Linearisation:
@@ -310,7 +311,7 @@ class Problem:
         return model.voltmeter_readings(model.output(force, self.conditions, block), self.conditions, block)
 
     def other_step(self, j: int) -> Floats:
-        """Return the difference step (q,) for unknown `j` after the coefficients: zero in all other elements."""
+        """Return the step (q,) of the central difference by unknown `j` after the coefficients, zero elsewhere."""
         step = np.zeros(len(self.stand) + len(self.effects))
         step[j] = 1e-3 * self.prior_u[j] if j >= len(self.stand) else STEP_RAD
         return step

@@ -1,8 +1,8 @@
 """The nine numbers of a block that do not depend on how it is mounted, and joint coverage factors.
 
-Three sensitivities, three angles between the sensing axes and three offsets are a function of K K^T and U0. A turn
-of the block common to all its installations changes K to K R and so none of them. Source: the intrinsic properties
-of J. Res. NIST 122 (2017) 32 and 126 (2021) 038.
+Three sensitivities, three angles between the sensing axes and three offsets are a function of K K^T and U0. If
+the block is turned by a rotation R in all installations alike, K becomes K R, and these numbers do not change.
+Source: the intrinsic properties of J. Res. NIST 122 (2017) 32 and 126 (2021) 038.
 """
 
 from __future__ import annotations
@@ -123,7 +123,7 @@ def least_dof(found: Calibration) -> float:
 
 
 def _held(own: Derived, unseen: Floats) -> tuple[str, ...]:
-    """Return the numbers that change along `unseen` (12, d), changes of K of relative size 1."""
+    """Whether the estimator can also use readings of which only the modulus is known."""
     change = own.jacobian @ unseen
     size = np.concatenate([own.values[:3], np.full(3, np.degrees(1.0)), np.ones(3)])
     moved = np.max(np.abs(change), axis=1, initial=0.0) > HELD * size

@@ -75,7 +75,7 @@ class KnownNoise:
         return Noise(rms(self.channels), self.setting_rad, np.inf, "given", channels=(x, y, z))
 
     def times(self, part: float) -> KnownNoise:
-        """Return the sizes multiplied by `part`."""
+        """Return the prior with its sizes multiplied by `part`."""
         return replace(self, channels=part * self.channels, setting_rad=part * self.setting_rad)
 
     def joined(self, own: Noise) -> Noise:
@@ -135,7 +135,7 @@ class KnownStand:
     noise: KnownNoise | None = None
 
     def place(self, name: str, installation: str) -> int | None:
-        """Return the index in `keys` of an angle in an installation; None if its mean is unknown."""
+        """Return the index in `keys` of the mean of an angle in an installation; None if there is none."""
         for key in ((name, ""), (name, installation)):
             if key in self.keys:
                 return self.keys.index(key)
@@ -167,10 +167,10 @@ ONE_SITTING: Final = timedelta(days=1)
 def drifted(
     first: tuple[Sequence[str], datetime | None], later: tuple[Sequence[str], datetime | None]
 ) -> float:
-    """Return the fraction of the meters' limits by which their errors may differ, from 0 (they cancel) to 1.
+    """Return the fraction of the meters' limits by which their errors may differ between two uses: 0 to 1.
 
-    Each argument states one use of the meters: their identities and the time. Different or unnamed meters, and
-    unknown times, give 1.
+    Each use is stated by the identities of the meters and the time. At 0 the errors cancel. Different or unnamed
+    meters, and unknown times, give 1.
     """
     (meters, when), (other, then) = first, later
     if not meters or tuple(meters) != tuple(other) or when is None or then is None:
@@ -414,7 +414,10 @@ def require_told(noise: Noise) -> None:
 
 
 def _prior(of: LikelihoodResiduals, known: KnownNoise, floor: float) -> NoisePrior:
-    """Return the prior with its test by y^T P y: chi-square for stated sizes, F for those of other runs."""
+    """Return the prior, with its test by the residual sum of squares y^T P y.
+
+    The test is chi-square for stated sizes, F for sizes from other runs.
+    """
     reading, freedom = max(rms(known.channels), floor), of.count - of.fixed
     prior = NoisePrior(reading, known.setting_rad, known.dof, freedom, np.nan, np.nan, known.stated)
     if freedom <= 0:

@@ -72,8 +72,9 @@ def search(problem: Problem, fit: Fit, refit: Callable[[tuple[Shift, ...]], Fit]
 
 
 def looks(problem: Problem) -> int:
-    """Return the number of candidates tested for an outlier: the signals and the setting of each reading, and each
-    modulus.
+    """Return the number of candidates that are tested for an outlier.
+
+    They are the signals and the setting of each oriented reading, and each modulus.
     """
     return 4 * len(problem.conditions) + (0 if problem.free is None else len(problem.free.signal))
 

@@ -60,7 +60,7 @@ class Estimate:
 
     @property
     def told_by_data(self) -> bool:
-        """Whether the data reduced the uncertainty noticeably."""
+        """Whether the data reduced the prior uncertainty noticeably."""
         return self.u < HARDLY_BETTER * self.prior_u
 
 
@@ -349,7 +349,7 @@ class Calibration(HasCovariance):
 
     @property
     def modulus_rms_g(self) -> float:
-        """Root mean square of |a| - 1 over the free readings that are no outliers, g; NaN where there are none."""
+        """Root mean square of |a| - 1 over the free readings that are not outliers, g; NaN if there are none."""
         if self.free is None:
             return float("nan")
         out = {(o.series, o.installation, o.pass_number, o.point) for o in self.outliers}

@@ -327,10 +327,11 @@ LOOKS: Final = 16
 
 @dataclass(frozen=True)
 class TableError:
-    """Largest differences found between the table and the polynomials, g.
+    """The largest errors of a compensation table against the polynomials, g.
 
-    `bias` is the interpolation error at 0 g, `per_g` its increase per g along any axis. `single` is the additional
-    error of single precision at accelerations up to `reach_g`. `looks` is the number of temperatures tested.
+    `bias` is the interpolation error at 0 g, `per_g` its increase per g along any axis. `single` is the
+    additional error of single precision at accelerations up to `reach_g`. `looks` is the number of temperatures
+    compared.
     """
 
     bias: float

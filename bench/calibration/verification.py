@@ -69,7 +69,7 @@ class VerificationPoint:
     def p_false_accept(self) -> float | None:
         """Probability of a false acceptance, for an accepted point or a conditional pass still to be decided.
 
-        Else None.
+        It is None for any other point.
         """
         left_open = self.statement is Statement.CONDITIONAL_PASS and not self.rejected
         return self.p_outside if self.passed or left_open else None

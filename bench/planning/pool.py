@@ -219,7 +219,7 @@ class UntilGoal:
 
     @property
     def ahead(self) -> Goal:
-        """The goal for judging a design by the covariance of the readings alone, with `hidden` in its floor."""
+        """The goal for judging a design by the readings alone, with `hidden` added to its floor."""
         return replace(self.goal, floor=self.goal.floor + self.hidden)
 
     @property
@@ -321,7 +321,7 @@ class Grid:
 
     @classmethod
     def of(cls, stand: Stand, reads: Mapping[Site, int]) -> Grid:
-        """Return the grid of sites in their order; `reads` states the readings per visit to each site."""
+        """Return the grid of the sites in `reads`, which states the number of readings per visit to each site."""
         rows, _ = whitened(stand, conditions_of([site.setting() for site in reads]))
         often = np.sqrt(np.array(list(reads.values()), dtype=np.float64))
         return cls(tuple(reads), rows * often[:, None, None])
@@ -366,7 +366,7 @@ class Visits(ExchangeDesign):
 
     @property
     def wider(self) -> float:
-        """The factor by which u grows because the noise is estimated."""
+        """The factor by which u grows because the noise is estimated, not known."""
         return widening(self._freedom)
 
     @property
@@ -397,7 +397,7 @@ class Visits(ExchangeDesign):
         return bool(np.all(self.counts >= self._most))
 
     def add_repeat(self) -> bool:
-        """Add the repeat of a visited site that helps most; return False if no repeat is possible."""
+        """Add a visit to the visited site whose repeat helps most; return False if no repeat is possible."""
         gain = self._after(self.covariance(), 1.0, 8.0)
         able = (self.counts > 0) & (self.counts < self._most)
         if able.any():

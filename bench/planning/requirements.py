@@ -74,7 +74,7 @@ def fitted(settings: Iterable[Setting]) -> list[Setting]:
 
 
 def verifying(settings: Iterable[Setting]) -> list[Setting]:
-    """Return the settings of verification points."""
+    """Return the settings at verification points."""
     return [s for s in settings if s.mount.installation == VERIFICATION]
 
 
@@ -215,7 +215,7 @@ def _open_of(found: Observability, names: Sequence[str]) -> int:
 
 
 def _menu(settings: Sequence[Setting], model: ForwardModel, cost: Cost) -> list[_Candidate]:
-    """Return the possible additions: verification points in the fit, a pass in another installation, a return."""
+    """Return the additions to try: verification points in the fit, a pass in another installation, a return."""
     menu = []
     there = verifying(settings)
     if there:
@@ -314,7 +314,7 @@ def of_acceleration(magnitude_g: float, *, reading: bool, modulus: bool) -> Targ
 
 @dataclass(frozen=True)
 class Limit:
-    """The limit of the standard uncertainty `u` of a source.
+    """The largest standard uncertainty `u` of a source that still meets the accuracy.
 
     `u` is infinite if any size is acceptable, None if even a size of zero does not meet the accuracy.
     """
@@ -331,7 +331,7 @@ class Limit:
 
     @property
     def stated(self) -> float | None:
-        """The limit as stated in a bench file: half-width of a rectangular distribution, or a number of sigma."""
+        """The limit as a bench file states it: half-width (rectangular), or k standard deviations (normal)."""
         if self.u is None or math.isinf(self.u):
             return None
         return self.u / replace(self.source.distribution, limit=1.0).u
@@ -358,7 +358,7 @@ class Requirement:
 
     @property
     def allowed2(self) -> float:
-        """The permitted variance of the target."""
+        """The variance of the target that the accuracy permits."""
         return (self.accuracy / self.k) ** 2
 
     def by_point(self, sizes: Mapping[str, float]) -> Floats:
@@ -421,10 +421,7 @@ class Requirement:
     def _bracket(
         excess: Callable[[float], float], kept: float, size: float, beyond: float
     ) -> tuple[float, float]:
-        """Return two sizes, a factor of ten apart, between which the excess changes its sign.
-
-        `kept` is a size without excess; if it is zero, `size` is a size with excess.
-        """
+        """Return two sizes, a factor of ten apart, between which `excess` changes its sign."""
         if kept == 0.0:
             while excess(size / 10) > 0.0:
                 size /= 10

@@ -116,7 +116,10 @@ class Within:
 
     @cached_property
     def _data(self) -> list[tuple[SameLength, Floats, Floats]]:
-        """For each length: contrasts of values, then of benches (m, r, 1 + B), and stated covariance (m, r, r)."""
+        """For each number of runs per unit: contrasts of values and of benches (m, r, 1 + B), and covariance.
+
+        The stated covariance of the contrasts has the shape (m, r, r).
+        """
         y = self.y - np.median(self.y)
         return [
             (
@@ -173,7 +176,7 @@ class Within:
         return likelihood, kept, G, h, X
 
     def fit(self, kept: Sequence[int], scatter: float = 0.0) -> HistoryLikelihood:
-        """Maximise the likelihood over the variances `kept`; the others are zero, the scatter is `scatter`."""
+        """Return the maximum of the likelihood over the variances `kept`; all others are zero, except `scatter`."""
         scale = self.scales
         places = list(kept)
 
@@ -252,15 +255,15 @@ class CalibrationSpread:
 
     @property
     def shown(self) -> bool:
-        """Whether units drift beyond chance."""
+        """Whether the drift of the units is significant."""
         return self.p < SHOWN_P
 
 
 def spread_of(within: Within, *, several: bool, drifts: bool = True) -> CalibrationSpread:
-    """Return scatter and benches (if there are `several`), separated from the drift of units.
+    """Return the scatter, and the spread of the benches if there are `several`, apart from the drift of units.
 
-    A rate or walk that is not significant counts as scatter. Without `drifts`, as for units with too few runs, any
-    drift counts as scatter.
+    A rate or walk that is not significant counts as scatter. Without `drifts`, as for units with too few runs,
+    any drift counts as scatter.
     """
     first = STEADY if several else (SCATTER,)
     steady = within.fit(first)
@@ -289,7 +292,7 @@ def _gained(more: HistoryLikelihood, fewer: HistoryLikelihood) -> float:
 
 
 def _least(within: Within, moving: HistoryLikelihood, first: Sequence[int], mean: float) -> float:
-    """Return the lower 95 % limit of the scatter, whatever part may be drift; 0 if no scatter is significant."""
+    """Return the lower 95 % limit of the scatter, at the drift that explains most of it; 0 if not significant."""
     others = [j for j in (*first, RATE, WALK) if j != SCATTER]
     end = float(np.sqrt(moving.variances[SCATTER]))
 

@@ -115,7 +115,10 @@ def measured(
 def _of_reading(
     contribution: Contribution, budget: Budget, force: Floats, *, same_voltmeters: bool
 ) -> tuple[Floats, Floats]:
-    """Return a source's errors of the reading, V, (d, 3, q): one for the calibration's draws, one for new draws."""
+    """Return a source's errors of one reading, V, as two arrays (d, 3, q).
+
+    The first is for the draws that already acted in the calibration, the second for draws made anew.
+    """
     source, block = contribution.source, budget.setup.block
     per_channel = np.eye(3)[None]
     alone = np.zeros((len(force), 3, 0))
@@ -138,10 +141,7 @@ def _of_reading(
 
 
 def _of_effect(source: ErrorSource, budget: Budget, force: Floats) -> Floats:
-    """Return the error by an effect of the block in use, V, (d, 3, 1), at reference time and temperature.
-
-    It is zero for an effect that does not act on the block's output, or that needs a history.
-    """
+    """Return the error due to an effect of the block in use, V, (d, 3, 1), at reference time and temperature."""
     unknown, setup = source.effect, budget.setup
     none = np.zeros((1, 3, 1))
     if unknown is None:
@@ -369,7 +369,7 @@ class _Simulation:
         return np.concatenate([coefficients, np.linalg.norm(force, axis=1) - 1.0], axis=1)
 
     def _estimate(self, excess: Floats, gain: Floats) -> Floats:
-        """Return the estimates from the differences to error-free readings, whose estimates are exact."""
+        """Return the estimates of trials, from the differences `excess` of their readings to error-free ones."""
         flat = excess.reshape(len(excess), -1) @ gain.reshape(len(gain), -1).T
         return self._setup.block.vector + flat
 
@@ -429,7 +429,7 @@ class Question:
 
 @dataclass(frozen=True)
 class Assessment:
-    """A budget and its consequences; `exact` is None without Monte Carlo; `beside` holds additional notes."""
+    """A budget and its consequences; `exact` is None without Monte Carlo; `beside` are notes from elsewhere."""
 
     budget: Budget
     question: Question

@@ -83,10 +83,7 @@ def correlation_of(covariance: Floats) -> Floats:
 
 def drawn(distribution: Distribution, shape: tuple[int, ...], rng: np.random.Generator,
           dof: float = math.inf) -> Floats:  # fmt: skip
-    """Return draws of an error with mean zero: rectangular, normal, or scaled t where dof is finite.
-
-    Source: JCGM 101:2008, 6.4.2, 6.4.7, 6.4.9 (u is the scale of the t, as for a type A evaluation).
-    """
+    """Return random errors with mean zero: rectangular, normal, or scaled t if `dof` is finite."""
     if distribution.shape == "rectangular":
         return rng.uniform(-distribution.limit, distribution.limit, shape)
     if math.isinf(dof):

@@ -1,7 +1,8 @@
 """The combined uncertainty of a calibration, from its readings and from bench errors that these do not show.
 
-Each error acts on measured readings as on planned ones, and by the estimator's map on the coefficients. So a plan's
-budget and the calibration of its readings agree if their noise does. Source: JCGM 100:2008 (GUM), 4.3 and 5.2.
+Each error acts on measured readings as on planned ones, and through the estimator's linear map on the
+coefficients. A plan's budget therefore agrees with the calibration of its readings if the noise is the same.
+Source: JCGM 100:2008 (GUM), 4.3 and 5.2.
 """
 
 from __future__ import annotations
@@ -86,12 +87,11 @@ def sign(
     day: date | None = None,
     meters: KnownMeters | None = None,
 ) -> Calibration:
-    """Return the calibration with its combined covariance: the covariance from its readings plus that from errors
-    which no reading shows.
+    """Return the calibration with its combined covariance, from readings and from errors that they do not show.
 
-    `readings` is the whole table of the calibration, `day` its date, `meters` the learned errors of the voltmeters.
-    For readings in another unit than volts, whose meters' errors are unknown, only the scatter of the zeros from
-    repeat to repeat is added, and a note.
+    `readings` is the whole table of the calibration, `day` its date, `meters` the learned errors of the
+    voltmeters. For readings in another unit than volts, whose meters' errors are unknown, only the scatter of the
+    zeros from repeat to repeat is added, and a note.
     """
     repeats = tuple(_zero_repeats(calibration, bench))
     if readings.unit != VOLTS:
@@ -139,7 +139,7 @@ def dof_through(calibration: Calibration, jacobian: Floats, known: float | Float
 
 
 def _zero_repeats(calibration: Calibration, bench: BenchFile) -> Iterator[SourceOfError]:
-    """Yield the scatter of the zeros from repeat to repeat, if the bench file states it."""
+    """Yield the scatter of the zeros between repeats, if the bench file states it."""
     stated = bench.uncertainty.zero_repeats
     if stated is None:
         return
@@ -159,7 +159,10 @@ def _foundation(readings: Readings, bench: BenchFile) -> TiltRate | None:
 
 
 def _on_roll(roll: Floats, covariance: Floats) -> tuple[str, ...]:
-    """Return advice on measuring the third mounting angle, if it dominates the u of a coefficient."""
+    """Return advice to measure the third mounting angle if it causes most of the u of a coefficient.
+
+    `roll` (12, 12) is the part of `covariance` (12, 12) that this angle causes.
+    """
     most = [
         n
         for n, part, u2 in zip(COEFFICIENTS, np.diag(roll), np.diag(covariance), strict=True)
@@ -282,7 +285,7 @@ def _acting(
 ) -> list[ErrorSource]:
     """Return the errors that no reading shows.
 
-    Linearity is left out if the repeats share an error at least as large, which then contains it.
+    The meters' nonlinearity is left out if repeats share an error at least as large, which then includes it.
     """
     shown = max((c.size for c in calibration.shared if c.what == "setting"), default=0.0)
     return [
