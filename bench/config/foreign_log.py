@@ -1,4 +1,4 @@
-"""Logs of others as readings files: a mapping says which of their columns is what, in which unit and time format.
+"""Conversion of logs from other programs to readings files, by a mapping of their columns, units and time format.
 
 log_columns: 1
 time_format: "%Y-%m-%d %H:%M:%S"
@@ -49,9 +49,9 @@ def _listed(value: Any) -> Any:
 
 
 class LogColumn(FileModel):
-    """The columns of the log whose mean becomes a column of the readings file.
+    """The columns of a log whose mean becomes one column of the readings file.
 
-    `unit` is the unit in the log; `add`, in SI, is added.
+    `unit` is the unit in the log. `add`, in SI, is added to the mean.
     """
 
     columns: Annotated[tuple[str, ...], BeforeValidator(_listed)]
@@ -60,9 +60,10 @@ class LogColumn(FileModel):
 
 
 class LogColumns(FileModel):
-    """A mapping of the columns of a log to those of a readings file; `time_format` is that of `strptime` or `iso`.
+    """A mapping from the columns of a log to those of a readings file.
 
-    `comment` is the beginning of lines that are no rows. `constants` are cells that are the same in every row.
+    `time_format` is that of `strptime`, or `iso`. Lines that begin with `comment` are skipped. `constants` are
+    cells that are the same in every row.
     """
 
     log_columns: Literal["1"]
@@ -87,7 +88,10 @@ class LogColumns(FileModel):
 
 
 def _factor(name: str, unit: str | None) -> float:
-    """Return the size of a log's unit in that of a column. Raises `ValueError` for a unit of another quantity."""
+    """Return the size of a log's unit in the unit of column `name`.
+
+    Raises `ValueError` if the quantities differ.
+    """
     wanted = next((si for end, si in SUFFIXES.items() if name.endswith(end)), None)
     if unit is None:
         return 1.0

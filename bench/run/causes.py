@@ -316,7 +316,7 @@ CLEARLY: Final = 5.0
 
 
 class Confidence:
-    """Decides for each early sign whether it stops the run, and remembers the mistakes that a person accepted."""
+    """Decides for each early sign whether it stops the run, and keeps the mistakes that a person accepted."""
 
     def __init__(self, readings: int) -> None:
         self._sure = float(chdtri(3, STOP_ALARM / max(readings, 1)))

@@ -103,12 +103,12 @@ class VoltmeterTruth(FileModel):
     """The errors of the simulated voltmeters: whether they have noise, and whether they have errors.
 
     `accuracy` chooses random errors within the 90-day limits of the maker, or the errors in the certificates. The
-    further keys make an input as real ones are: a source of `source_ohm` is loaded by 10 MΩ unless the high
-    impedance is on; `mains` is the amplitude of the mains on the signal, which whole power-line cycles cancel;
-    `zero_drift` is the drift of the zero per hour with autozero off; `flicker` is the standard deviation of 1/f
-    noise per decade of frequency. `firmware` names the versions of the meters in turn; "3-1-1" prints a comma after
-    the last reading. `errors_at_start` stand in the error queue at switch-on. With `real_port` an RS-232 meter
-    loses what is sent between a query and its reply, and is silent after ten idle minutes.
+    further keys are flaws of a real input: a source of `source_ohm` is loaded by 10 MΩ unless the high impedance
+    is on; `mains` is the amplitude of the mains on the signal, which whole power-line cycles cancel; `zero_drift`
+    is the drift of the zero per hour with autozero off; `flicker` is the standard deviation of 1/f noise per
+    decade of frequency. `firmware` names the versions of the meters in turn; "3-1-1" sends a comma after the last
+    reading. `errors_at_start` is the number of errors in the queue at switch-on. With `real_port`, an RS-232
+    meter loses messages sent between a query and its reply, and stops responding after ten idle minutes.
     """
 
     noise: bool = True

@@ -43,7 +43,7 @@ _BYTES_OF_SAMPLE: Final = 40
 def check(plan: Plan, bench: BenchFile, *, dry_run: bool = False) -> list[str]:
     """Return every reason why a plan cannot be carried out on a bench, one sentence each.
 
-    In a dry run nobody can answer a prompt without a default, so each such prompt is a reason, too.
+    In a dry run, each prompt without a default is a reason, too, because nobody can answer it.
     """
     return [*_installation_problems(plan, bench), *_reading_problems(plan, bench), *_scan_problems(plan, bench),
             *_turn_problems(plan, bench), *_signal_problems(plan, bench), *_temperature_problems(plan, bench),

@@ -113,7 +113,7 @@ class LivingOperator:
         return answer
 
     def _turned_meanwhile(self, prompt: Prompt) -> Answer:
-        """Show the prompt to the person while the operator turns and the encoder watches, which ends it."""
+        """Show the prompt to the person while the operator turns the head, until the encoder ends the prompt."""
 
         def turn() -> None:
             self._hands.ask(prompt)
