@@ -55,7 +55,10 @@ class SimulatedMeter:
 
 
 class Elsewhere:
-    """A world as a thermometer away from the block sees it: `at_c` of the time, s, is the temperature there."""
+    """A world for a thermometer away from the block: its block has the temperature of that place.
+
+    `at_c` returns the temperature there at a time, s.
+    """
 
     def __init__(self, world: World, at_c: Callable[[float | None], float]) -> None:
         self._world = world

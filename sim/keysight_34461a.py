@@ -1,6 +1,6 @@
 """A simulated Keysight 34461A under its own identity: the 34401A with the commands and memory of a Truevolt meter.
 
- @@Source: Truevolt Series Operating and Service Guide, "SCPI programming reference": CONFigure, SENSe:VOLTage,
+Source: Truevolt Series Operating and Service Guide, "SCPI programming reference": CONFigure, SENSe:VOLTage,
 SAMPle:COUNt, FETCh?, READ?, SYSTem:IDENtify.
 """
 

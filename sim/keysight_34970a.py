@@ -371,12 +371,12 @@ class Probe:
 
     @property
     def place(self) -> int:
-        """The index of its meter on the bench."""
+        """The index, on the bench, of the meter to which the sensor is wired."""
         return _PLACE
 
     @property
     def temperature_c(self) -> float:
-        """The temperature of its meter, °C."""
+        """The temperature of the meter to which the sensor is wired, °C."""
         return self._world.meters_c()
 
     def signal_v(self, time_s: float | None = None) -> float:

@@ -174,7 +174,7 @@ class Measurement(Protocol):
 
 @dataclass(frozen=True)
 class InputFlaws:
-    """What real wiring and a real input add; zeros are an ideal input.
+    """Errors that real wiring and a real input add to a signal; all zero for an ideal input.
 
     `source_ohm` is the resistance of the source, which an input of 10 MOhm loads. `mains_v` is the amplitude of
     the mains voltage on the signal; an integration over whole cycles cancels it. `zero_drift_v_s` is the drift of

@@ -1,6 +1,6 @@
-"""What is true of an instrument that answers a request with one line of text: what its bench file says.
+"""Facts about instruments that answer a request with one line of text; their bench file states the rest.
 
-The port is that of most serial adapters; one that is set otherwise is set to it, or has its baud rate stated.
+The port has the settings of most serial adapters. Set the instrument to them, or state its baud rate.
 """
 
 from typing import Final

@@ -416,7 +416,7 @@ def _sessions(visa: MessageBasedResource) -> dict[int, Any]:
 
 
 def _interface(visa: MessageBasedResource) -> Any:
-    """Return the socket, pyserial port or other object that pyvisa-py keeps beneath the resource."""
+    """Return the socket, pyserial port or other object on which pyvisa-py bases the resource."""
     return getattr(_sessions(visa).get(visa.session), "interface", None)
 
 

@@ -213,7 +213,7 @@ def _read_line(number: int, text: str) -> tuple[str, Logged]:
 
 
 def exchanges(lines: Iterable[Logged]) -> list[Exchange]:
-    """Return the lines grouped into exchanges; a failure replaces the part of a reply received before it."""
+    """Return the lines grouped into exchanges; a failure replaces the part of the reply received before it."""
     made: list[Exchange] = []
     for entry in lines:
         answer = entry.failure or entry.data.decode("ascii", "backslashreplace")
