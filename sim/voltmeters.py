@@ -285,7 +285,7 @@ class Converter:
                 return 0.0
 
     def _at_input_v(self, configuration: Measurement, time_s: float) -> float:
-        """Return the voltage that is converted: the signal, loaded by the input, and what the input adds to it."""
+        """Return the voltage that is converted: the signal as loaded by the input, plus errors of the input."""
         signal_v, flaws = self._source.signal_v(time_s), self._flaws
         if flaws is None:
             return signal_v

@@ -347,7 +347,7 @@ def probability_worst_outside(
 ) -> float:
     """Return the largest probability that any single quantity lies outside ±limit, given all values.
 
-    The arguments are those of `probability_one_outside`.
+    See `probability_one_outside` for the arguments.
     """
     parts = _after(value, covariance, float(np.min(np.asarray(dof))), population)
     return float(np.max(_each_outside(parts, limit)))

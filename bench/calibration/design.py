@@ -256,7 +256,7 @@ class Problem:
 
     @cached_property
     def _many_conditions(self) -> Conditions:
-        """The conditions repeated for each step of the differences, with mountings of their own."""
+        """The conditions repeated for each step of the differences; each repetition has mountings of its own."""
         return self.conditions.repeated(3 + 2 * len(self._columns))
 
     @cached_property

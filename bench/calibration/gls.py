@@ -300,7 +300,7 @@ def _result(
 
 
 def estimate_noise(problem: Problem, system: System, groups: Ints, others: Floats, floor: float) -> Noise:
-    """Estimate the noise from repeats within `groups` (n,), or from all residuals if the repeats are too few.
+    """Return the noise from repeats within `groups` (n,), or from all residuals if the repeats are too few.
 
     The estimate from residuals also uses the problem's prior of the noise. `floor` (unit of the signal) is the
     lower limit of the noise.
@@ -334,7 +334,7 @@ def estimate_noise(problem: Problem, system: System, groups: Ints, others: Float
 
 @dataclass(frozen=True)
 class Solution:
-    """One step of the fit: the change (p,) of the p unknowns, their covariance (p, p), and the factors of the gain.
+    """One step of the fit: the change (p,) of the p unknowns, their covariance (p, p), and its QR factors.
 
     The change is `inverse` (p, p) times the transpose of `q` times the whitened residuals. `q` has a row for each
     of 3n signals, m moduli and the priors, and p columns.
@@ -412,7 +412,7 @@ def lack_of_fit(problem: Problem, result: Fit) -> LackOfFit:
 def misfit_test(
     misfit: float, residuals: Floats, slope: Floats, noise: Noise, groups: Ints, unknowns: int
 ) -> LackOfFit:
-    """Test the chi-square `misfit` of a fit; `unknowns` counts its unknowns without a prior of their own.
+    """Test the chi-square `misfit` of a fit with `unknowns` unknowns that have no prior.
 
     `residuals` and `slope` (n, 3) and the repeat `groups` (n,) are as in `scatter_of_repeats`.
     """
@@ -459,7 +459,7 @@ class Estimator:
     readings alone. Any other estimator has `weigh`, which returns its fit. A budget uses the map of such a fit to
     readings without errors, and so without outliers. If another estimator has the same map, `counts_as` names
     that estimator. `angles_rad` returns the angles (n,) that the estimator assumes, and raises `CalibrationError`
-    for unsuitable readings; None stands for the angles of the readings.
+    for unsuitable readings; if it is None, the estimator uses the angles of the readings.
     """
 
     name: str

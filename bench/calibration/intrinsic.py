@@ -65,7 +65,7 @@ def intrinsic(block: Block, covariance: Floats) -> Derived:
 
 
 def through(jacobian: Floats, covariance: Floats) -> Floats:
-    """Return the covariance of linear combinations, made exactly symmetric."""
+    """Return the covariance of linear combinations, J C J^T for the `jacobian` J, made exactly symmetric."""
     found = jacobian @ covariance @ jacobian.T
     return np.asarray(0.5 * (found + found.T))
 
@@ -99,7 +99,7 @@ class Intrinsic(Derived):
 def intrinsic_of(found: Calibration) -> Intrinsic | None:
     """Return the nine intrinsic numbers of a calibration.
 
-    None if they are undefined, as for a block with a dead channel.
+    Returns None if they are undefined, as for a block with a dead channel.
     """
     try:
         own = intrinsic(found.block, found.covariance)
@@ -116,14 +116,14 @@ def intrinsic_of(found: Calibration) -> Intrinsic | None:
 def least_dof(found: Calibration) -> float:
     """Return the smallest effective degrees of freedom of the nine intrinsic numbers.
 
-    Infinite if they are undefined.
+    Returns infinity if these are undefined.
     """
     own = intrinsic_of(found)
     return float("inf") if own is None else float(np.min(own.dof))
 
 
 def _held(own: Derived, unseen: Floats) -> tuple[str, ...]:
-    """Whether the estimator can also use readings of which only the modulus is known."""
+    """Return the names of the numbers that change along `unseen` (12, d), changes of K of relative size 1."""
     change = own.jacobian @ unseen
     size = np.concatenate([own.values[:3], np.full(3, np.degrees(1.0)), np.ones(3)])
     moved = np.max(np.abs(change), axis=1, initial=0.0) > HELD * size

@@ -276,7 +276,8 @@ _NAMES: Final = {
 def in_another_unit(channels: Sequence[str], part: str, unit: str, tens: int) -> str:
     """Return in words that signals are 10 to the power of `tens` times too large.
 
-    `part` names their part of the table (" of pass 2"), empty for all of it; `unit` is that of the file.
+    `part` names the affected part of the table (" of pass 2"), empty for all of it; `unit` is the unit in the
+    file.
     """
     everything = len(channels) == len(CHANNELS)
     what = "all signals" if everything else f"the signals of channel {', '.join(channels)}"
@@ -321,7 +322,7 @@ class WrongUnit:
         return in_another_unit(self.channels, self.part, self.unit, round(PREFIX) * self.size)
 
     def corrected(self, readings: Readings) -> Readings:
-        """Return a copy of the readings with the affected signals in the unit of the others."""
+        """Return a copy of the readings with the affected signals converted to their true unit."""
         factor = 10.0 ** (-PREFIX * self.power)
         return replace(
             readings,

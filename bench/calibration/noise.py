@@ -66,7 +66,7 @@ class KnownNoise:
 
     @property
     def dof(self) -> float:
-        """Degrees of freedom of the reading noise, as in `Noise.reading_dof`."""
+        """Degrees of freedom of the reading noise, counted as in `Noise.reading_dof`."""
         return float(np.mean(self.channel_dof))
 
     def given(self) -> Noise:
@@ -102,7 +102,7 @@ class KnownNoise:
         return bool(np.min(chance) < CONTRADICTS_P / 3)
 
     def _setting(self, own: Noise) -> float:
-        """Return the setting error, rad, from the mean of both variances, weighted by their uncertainties."""
+        """Return the setting error, rad, from the weighted mean of the variances of the run and of this prior."""
         known = self.setting_rad**2
         if own.setting_limits_rad is None or not np.isfinite(own.setting_limits_rad[1]):
             return self.setting_rad
@@ -343,7 +343,7 @@ class LikelihoodResiduals:
 
     @cached_property
     def steepness(self) -> float:
-        """Root mean square of |du/dphi|, unit/rad."""
+        """Root mean square of |du/dphi| over the readings, unit/rad."""
         return max(rms(self._along[1]), 1e-300) if len(self.slope) else 1.0
 
     def spread(self, unknowns: int) -> float:
@@ -364,7 +364,7 @@ class LikelihoodResiduals:
         return np.einsum("nip,ni->np", self.columns, unit), length
 
     def likelihood(self, log_sizes: Floats) -> tuple[float, Floats, float]:
-        """Return -2 ln L, its gradient by the logarithms of both sizes, and its term y^T P y."""
+        """Return -2 ln L, its derivatives by the logarithms of reading noise and setting error, and y^T P y."""
         along, length = self._along
         p = self.unknowns
         reading, setting = np.exp(2 * log_sizes)

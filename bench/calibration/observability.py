@@ -221,7 +221,7 @@ def _null_space(matrix: Floats) -> Floats:
 
 
 def _plain_basis(axes: Floats) -> Floats:
-    """Return a basis of the span of axes (3, d) that contains those of x, y and z that lie in the span."""
+    """Return a basis of the span of axes (3, d); it contains each of x, y and z that lies in the span."""
     within = [k for k in range(3) if np.linalg.norm(axes[k]) > 1 - _IN_SPAN]
     plain = np.eye(3)[:, within]
     rest = axes @ _null_space(plain.T @ axes) if within else axes
@@ -265,7 +265,7 @@ class Observability:
 
     @property
     def undetermined(self) -> tuple[str, ...]:
-        """The unknowns that take part in a null direction: the data alone do not determine them."""
+        """The unknowns that the data alone do not determine, because they occur in a null direction."""
         weight = np.abs(self.null).max(axis=1, initial=0.0)
         return tuple(n for n, w in zip(self.names, weight, strict=True) if w > MEMBER)
 
@@ -292,13 +292,16 @@ def with_angles(problem: Problem, names: Collection[str]) -> Problem:
 
 @dataclass(frozen=True)
 class Sensitivities:
-    """Derivatives of the readings by unknowns: `rows` (m, p), unit/SI, one row per signal; `names` (p,)."""
+    """Derivatives of signals by unknowns: `rows` (m, p), one row per signal, in its unit per SI unit.
+
+    `names` (p,) are the unknowns.
+    """
 
     rows: Floats
     names: tuple[str, ...]
 
     def of(self, name: str) -> Floats:
-        """Return the column of an unknown, shape (m,)."""
+        """Return the derivatives of all readings by the unknown `name`, shape (m,)."""
         return np.asarray(self.rows[:, self.names.index(name)])
 
     def without(self, names: Collection[str]) -> Sensitivities:

@@ -250,10 +250,10 @@ class Component:
 
 @dataclass(frozen=True)
 class BiasWander:
-    """Wander of the biases about their mean over a run of `hours`: `size` (3,) rms, in the unit of the signal.
+    """Wander of the biases about their mean over a run of `hours`; `size` (3,) is its rms, in the signal's unit.
 
-    `course` (n, 3) is the estimated deviation at each reading, `per_hour` (3,) the slope of a straight line through
-    it.
+    `course` (n, 3) is the estimated deviation at each reading, `per_hour` (3,) the slope of a straight line
+    through it.
     """
 
     size: Floats

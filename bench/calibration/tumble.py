@@ -381,7 +381,10 @@ def sized(
 
 
 def _contained(judged: Separable, name: str, channel: int) -> dict[str, float]:
-    """Return the shares of inseparable terms in a quantity; for an angle, with the sign of the angle."""
+    """Return the shares of inseparable terms that the quantity `name` contains.
+
+    For an angle they have the sign of the angle.
+    """
     if name not in MISALIGNMENTS:
         return judged.part_in(name)
     cross, _, sign = MISALIGNMENTS[name]
@@ -394,7 +397,10 @@ def _left_out(
     fit: gls.Fit, force: Floats, conditions: Conditions, terms: Sequence[str], through: Floats,
     axes: Mapping[str, Sequence[Quantity]], above: AboveOneG | None,
 ) -> dict[str, dict[str, dict[str, float]]]:  # fmt: skip
-    """Return the change of each quantity by 1 g/g^n of each term not requested, if above `MOVES`."""
+    """Return the changes of the quantities if a term that was not requested has the size 1 g/g^n.
+
+    They are keyed by channel, term and quantity; changes up to `MOVES` are left out.
+    """
     others = [term for term in HOMES if term not in terms]
     moved: dict[str, dict[str, dict[str, float]]] = {}
     first = 0

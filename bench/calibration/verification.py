@@ -104,7 +104,7 @@ class Verification:
     """The verdict: |delta g| within the limit, by the decision rule, at every verification point.
 
     `missing` counts points that were planned or recorded but could not be judged; with one missing nothing is
-    accepted, since (10) applies to every point. `covariance` (n, n) is that of delta g at the points,
+    accepted, since (10) applies to every point. `covariance` (n, n) is the covariance of delta g at the points,
     `contributions` are its parts by name. `population` is the prior distribution of delta g, over many blocks.
     """
 
@@ -150,12 +150,12 @@ class Verification:
 
     @property
     def expanded(self) -> float:
-        """Largest expanded uncertainty of the points, local g."""
+        """Largest expanded uncertainty of delta g over the points, local g."""
         return max(point.U for point in self.points)
 
     @property
     def tur(self) -> float:
-        """Least test uncertainty ratio of the points."""
+        """Smallest test uncertainty ratio over the points."""
         return min(point.tur for point in self.points)
 
     @property
@@ -209,7 +209,7 @@ class Verification:
 
     @cached_property
     def global_risk(self) -> GlobalRisk | None:
-        """Global risks of the rule over the population, at the point with the largest U, or None."""
+        """Global risks of the rule over the population, at the point with the largest U; None without one."""
         if self.population is None:
             return None
         point = max(self.points, key=lambda p: p.U)

@@ -1,8 +1,6 @@
-"""Conversion of logs from other programs to readings files, by a mapping of their columns, units and time format.
+"""Conversion of other programs' logs to readings files, by a mapping of their columns, units and time format.
 
-log_columns: 1
-time_format: "%Y-%m-%d %H:%M:%S"
-columns:
+log_columns: 1 time_format: "%Y-%m-%d %H:%M:%S" columns:
   time_s: timestamp
   reference_v: {columns: [k1, k2, k3], unit: V}     # their mean; their scatter goes into reference_sd_v
   ux_v: {columns: dut, unit: uV}

@@ -137,7 +137,7 @@ def _reached(chooser: Chooser, standing: Standing, stated: float) -> tuple[Reach
 
 
 def _freedom(done: Counter[Site]) -> tuple[int, int]:
-    """Return the degrees of freedom of the noise from repeats, and from the other residuals of the model."""
+    """Return the degrees of freedom of the noise: from repeats, and from other residuals of the model."""
     readings, groups = sum(done.values()), len(done)
     mounts = len({site.mount for site in done})
     unknown = min(_OF_ONE_MOUNTING * mounts, FIXED)
@@ -575,9 +575,10 @@ def telling_apart(
 
 
 def _told_apart(information: Floats, rows: Floats, known: int) -> Floats:
-    """Return the information (c,) that each of rows (c, 3, p) adds on the unknowns from index `known` on.
+    """Return the information (c,) that each of c readings adds on the unknowns from index `known` on.
 
-    The measure is the gain in the log determinant of the information matrix; the other unknowns are free.
+    `rows` (c, 3, p) are their derivatives. The measure is the gain in the log determinant of the information
+    matrix, with all p unknowns free.
     """
     of_all = rows @ np.linalg.solve(information, np.swapaxes(rows, 1, 2))
     own = rows[:, :, :known]

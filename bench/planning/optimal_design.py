@@ -148,7 +148,7 @@ def vector_goal(block: Block, magnitude_g: float = 1.0, asked_g: float = 1.0) ->
 def whole_goal(block: Block, goals: Sequence[Goal]) -> Goal:
     """Return a goal, loose compared with `goals`, that makes a plan calibrate the whole block.
 
-    Without it, readings that determine only one coefficient would leave the others unknown.
+    Without it, a plan for one coefficient could leave the other coefficients undetermined.
     """
     typical = float(np.max(np.abs(block.K)))
     asked = max(goal.asked / (typical if goal.unit.startswith("V") else 1.0) for goal in goals)

@@ -77,8 +77,8 @@ class Sites:
     def choices(self, most: int) -> Iterator[tuple[int, ...]]:
         """Yield index tuples of mountings to combine, small sets first, without equivalent ones.
 
-        Two mountings are equivalent if the same block axes lie along the shaft and across it, with whatever
-        sign: the orientations that occur in one occur in the other at another head angle.
+        Two mountings are equivalent if the same block axes lie along the shaft and across it, up to sign: the
+        block then has the same orientations in both, at different head angles.
         """
         for size in range(1, min(most, len(self.mounts)) + 1):
             for chosen in combinations(range(len(self.mounts)), size):

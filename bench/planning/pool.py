@@ -219,7 +219,7 @@ class UntilGoal:
 
     @property
     def ahead(self) -> Goal:
-        """The goal for judging a design by the readings alone, with `hidden` added to its floor."""
+        """The goal for judging a design from the readings alone; its floor includes `hidden`."""
         return replace(self.goal, floor=self.goal.floor + self.hidden)
 
     @property
@@ -349,7 +349,7 @@ class Visits(ExchangeDesign):
         return self._known[1]
 
     def _variances(self, covariance: Floats) -> Floats:
-        """Return the variances as the base class does, but without optimizing the order of products each time."""
+        """Return the variances as the base class does, but without optimising the order of products each time."""
         own = covariance[:FIXED, :FIXED]
         each = np.sum((self._functionals @ own) * self._functionals, axis=1)
         return np.asarray(np.bincount(self._goal, each) + self._floor)
@@ -371,7 +371,7 @@ class Visits(ExchangeDesign):
 
     @property
     def _freedom(self) -> float:
-        """Degrees of freedom of the reading noise; of three signals, one is counted for the setting error."""
+        """Degrees of freedom of the reading noise; of each three signals, one is counted for the setting error."""
         if self.repeats >= LEAST_REPEATS:
             return 2.0 * self.repeats
         return 2.0 * (3 * self.settings - len(self._prior)) / 3.0
@@ -525,7 +525,7 @@ def _greedy(task: DesignTask, most: Ints, repeats: int, *, wide: bool) -> Visits
 
 
 def _all_of(task: DesignTask) -> VisitDesign:
-    """Return all remaining visits, or the best visits and repeats that the time allows."""
+    """Return all remaining visits or, if time is short, the best visits and repeats that it allows."""
     most = task.done + task.left
     if task.time_s(most) <= task.limit_s:
         return VisitDesign(most, False, task.time_s(most))

@@ -110,7 +110,7 @@ def _of_thermometer(by: Corrections, temperature_c: Floats) -> Floats | float:
 
 
 def on_scale(table: Curve, angle_rad: Floats) -> Floats:
-    """Return the corrections of a head, rad, interpolated from its table at any angles, rad; NaN for NaN."""
+    """Return the corrections of a head, rad, at the angles `angle_rad`, interpolated in its table; NaN for NaN."""
     known_rad, added_rad = np.array(table).T
     return np.asarray(np.interp(angle_rad, known_rad, added_rad, period=math.tau))
 

@@ -144,9 +144,9 @@ class ReadingJudgement(NamedTuple):
 
 
 class Expectation:
-    """Kalman-filter states of m members.
+    """Kalman-filter states for m members, each of which supposes another mistake (or none).
 
-    Each member supposes another mistake (or none): `mean` (m, 17), `covariance`; V/g, V and rad.
+    `mean` (m, 17) and `covariance` hold the coefficients, V/g and V, then the stand's angles, rad.
     """
 
     def __init__(self, mean: Floats, covariance: Floats) -> None:
@@ -421,7 +421,7 @@ QUARTER_TURNS: Final = _quarter_turns()
 
 
 def orientations(installations: Mapping[str, Installation], label: str) -> dict[str, Installation]:
-    """Return the other orientations in which a block may sit on the platform, by a sentence about each.
+    """Return the other orientations in which a block may sit on the platform, keyed by a sentence on each.
 
     They are the quarter turns of installation `label`, without those that equal a known installation.
     """

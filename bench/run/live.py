@@ -52,7 +52,7 @@ class LightlyRead(Protocol):
 
     @property
     def voltmeters(self) -> Sequence[Voltmeter]:
-        """The meters that are read."""
+        """The meters whose signals are read."""
 
 
 @dataclass(frozen=True)

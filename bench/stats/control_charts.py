@@ -254,8 +254,9 @@ def judge(
 
 
 def without_one(values: Floats, covariances: Floats, basis: Basis) -> Floats | None:
-    """Return the p-value (m,) of each run of a baseline (m, p) against the others; None if the others are too
-    few.
+    """Return the p-value (m,) of each run of a baseline (m, p) against the others.
+
+    None if the other runs are too few.
     """
     runs, p = values.shape
     if runs - 1 < least_runs(basis, p) or runs < 2:

@@ -190,8 +190,8 @@ def asked_for(at: Projection, Z: ComponentColumns, inside: int, dof: float) -> C
     Probability and Statistics: The Harald Cramer Volume (1959) 213). A quadratic form divided by its mean is
     treated as chi-square divided by its degrees of freedom, which match its mean and variance (Satterthwaite,
     Biometrics Bull. 2 (1946) 110). It is tested as F, with at most `dof` denominator degrees of freedom, because
-    those variances are estimates. With few degrees of freedom of either kind, as for a drift or few repeats,
-    large values are not rare.
+    those variances are estimates. If the chi-square or the denominator has few degrees of freedom, as for a drift
+    or few repeats, large values are not rare.
     """
     scores, traces, whole = at.moments(Z)
     scale = np.sqrt(np.diag(whole)[:inside])

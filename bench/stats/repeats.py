@@ -1,8 +1,9 @@
 """Repeats of quantities against their stated uncertainty: how far they scatter, and how u must be widened.
 
-Three terms can widen u. `restart` is an error that each repeat draws anew; `drift` is a random walk from one
-repeat to the next; `scale` multiplies u by one factor everywhere (Birge ratio), as if each repeat drifts within
-itself. The term chosen is the one with which a repeat left out is best predicted from the others.
+Three terms can widen u. `restart` is an error that is drawn again for each repeat; `drift` is a random walk from
+one repeat to the next; `scale` multiplies u by one factor everywhere (Birge ratio), as if each repeat drifted
+within itself. The term chosen is the one with which a repeat left out is best predicted from the remaining
+repeats.
 """
 
 from __future__ import annotations

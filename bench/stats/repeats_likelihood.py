@@ -110,8 +110,8 @@ def believed_sizes(
 ) -> Sizes:
     """Return the noise of many runs, with a size for each channel if the channels differ.
 
-    The channels have one size with `one_size`, or if only the last digit of the replies varies. The other arguments
-    are those of `sizes_of`.
+    The channels have one size with `one_size`, or if only the last digit of the replies varies. See `sizes_of`
+    for the other arguments.
     """
     common = sizes_of(scatter, freedom, slope, floor, COMMON)
     variances, count = common.copy(), len(common)

@@ -203,7 +203,7 @@ class Within:
 
 
 def _over(a: Floats, b: Floats) -> Floats:
-    """Return the products of (m, r, i) and (m, r, j), summed over units and contrasts, shape (i, j)."""
+    """Return the sums over units and contrasts of the products of `a` (m, r, i) and `b` (m, r, j), (i, j)."""
     return np.asarray(a.reshape(-1, a.shape[2]).T @ b.reshape(-1, b.shape[2]))
 
 

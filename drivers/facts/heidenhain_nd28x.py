@@ -2,8 +2,8 @@
 
 Sources: ND 281B User's Manual, pages 47 (data format, control characters), 61 and 62 (commands); ND 287 User's
 Manual, pages 102 (control characters) and 108 (commands); ND 287 Operating Instructions 07/2016, page 6 (status
-display). The codes of the commands and the status bar of the ND 287 are those of public programs, one for the ND
-287 and one for the ND 760 and ND 780, which agree; the manuals describe the commands in the same order.
+display). The codes of the commands and the status bar of the ND 287 are from two public programs that agree, one
+for the ND 287, one for the ND 760 and ND 780; the manuals describe the commands in the same order.
 
 Not confirmed by a source:
 - the baud rate as delivered, and the list of rates (38400 is in the manual of the ND 221B);

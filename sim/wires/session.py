@@ -407,7 +407,7 @@ class Session:
         return self._left
 
     def look_whether_left(self) -> None:
-        """Update whether the client has left for good; to be called only from the session's own thread."""
+        """Update whether the client has left for good; only the session's own thread may call this."""
         try:
             self._interrupted()
         except OSError:

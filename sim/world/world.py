@@ -262,7 +262,7 @@ class World(KeyedNumbers):
 
     @contextmanager
     def aside(self) -> Iterator[None]:
-        """Let instruments be read without a trace: afterwards time, history and random numbers are as before.
+        """Let instruments be read without consequences: afterwards time, history and random numbers are as before.
 
         Random numbers drawn meanwhile belong to no step. It needs a virtual clock, because no other can go back.
         """

@@ -117,7 +117,7 @@ def _of_reading(
 ) -> tuple[Floats, Floats]:
     """Return a source's errors of one reading, V, as two arrays (d, 3, q).
 
-    The first is for the draws that already acted in the calibration, the second for draws made anew.
+    The first is for the draws that already acted in the calibration, the second for new draws.
     """
     source, block = contribution.source, budget.setup.block
     per_channel = np.eye(3)[None]
@@ -414,7 +414,7 @@ NAMED: Final = 0.01
 
 @dataclass(frozen=True)
 class Question:
-    """Options of an assessment: measuring range and limit of delta g (g), decision rule, trials, voltmeters.
+    """Options of an assessment: measuring range (g), limit of delta g (g), decision rule, trials, voltmeters.
 
     `population` is the distribution of delta g over many blocks.
     """
@@ -429,7 +429,10 @@ class Question:
 
 @dataclass(frozen=True)
 class Assessment:
-    """A budget and its consequences; `exact` is None without Monte Carlo; `beside` are notes from elsewhere."""
+    """A budget and its consequences; `exact` is None without Monte Carlo.
+
+    `beside` are further notes, which the budget itself does not give.
+    """
 
     budget: Budget
     question: Question

@@ -234,7 +234,7 @@ def _task(
 
 @dataclass(frozen=True)
 class Influence:
-    """The effect of one error on the signals of n readings.
+    """The effect of one kind of error on the signals of n readings.
 
     `pattern` (n, 3) is in V per unit of the error. Entries with the same number in `group` (n, 3), from 0 to
     `draws` - 1, share one random draw.

@@ -156,7 +156,10 @@ def _means(kinds: tuple[str, ...], known: KnownStand, labels: Sequence[str]) -> 
 
 
 def _with_root(source: ErrorSource, root: Floats) -> ErrorSource:
-    """Return the source with draws correlated by a root in SI; its u is the root mean square of their u."""
+    """Return the source with draws correlated by the matrix `root` (q, k), SI.
+
+    Its u is the root mean square of the u of the q draws.
+    """
     u = rms(np.sqrt(np.sum(root**2, axis=1)))
     return replace(
         source,

@@ -227,7 +227,7 @@ def _never_over(found: JointErrors, prior: Floats, certified: Mask) -> JointErro
 
 @dataclass(frozen=True)
 class LearnedMeters:
-    """Learned differences between `meters` around a `day`: of gains (1) and of zeros (V)."""
+    """Learned differences of gain (1) and of zero (V) between `meters`, as of `day`."""
 
     meters: tuple[str, ...]
     day: datetime.date

@@ -1,4 +1,4 @@
-"""Propagation of uncertainty, linear and by Monte Carlo, and the comparison of both."""
+"""Propagation of uncertainty: linear, by Monte Carlo, and a comparison of the two."""
 
 from __future__ import annotations
 
@@ -158,9 +158,9 @@ class Validation:
 
 
 def validate(linear: Propagated, trials: Distributed, digits: int = 1) -> Validation:
-    """Compare the probabilistically symmetric coverage intervals of both methods. Source: JCGM 101:2008, 8.1.
+    """Compare the probabilistically symmetric coverage intervals of linear propagation and Monte Carlo.
 
-    `digits` is the number of meaningful digits of u.
+    `digits` is the number of meaningful digits of u. Source: JCGM 101:2008, 8.1.
     """
     reach = linear.expanded(trials.probability)
     low, high = trials.symmetric.T

@@ -67,7 +67,7 @@ def bench_sources(
 def signed_sources(
     bench: BenchFile, model: ForwardModel, day: datetime.date | None = None
 ) -> tuple[ErrorSource, ...]:
-    """Return the sources that a calibration's combined u contains besides readings and stand angles.
+    """Return the sources that a calibration's combined u contains in addition to readings and stand angles.
 
     Local gravity is left out: coefficients are stated per local g.
     """

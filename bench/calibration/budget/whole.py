@@ -54,7 +54,7 @@ class MeasuredReadings:
 
     @property
     def signal(self) -> Floats:
-        """The signals, (n, 3)."""
+        """The signals, (n, 3), in the unit of the readings."""
         return self.readings.signal
 
     @cached_property
@@ -64,7 +64,10 @@ class MeasuredReadings:
 
     @cached_property
     def orientation(self) -> Ints:
-        """Orientation number of each reading, (n,): by installation and whole degree, or its own if unoriented."""
+        """Orientation number of each reading, (n,): readings in one installation at one whole degree share it.
+
+        A reading without an orientation has a number of its own.
+        """
         of = self.readings
         degrees = np.where(np.isfinite(of.angle_rad), np.degrees(of.angle_rad), 0.0)
         keys = np.stack([np.round(degrees) % 360, np.zeros(len(of))], axis=1)

@@ -401,10 +401,10 @@ class GravityError(ErrorSize):
 
 
 class TemperatureError(ErrorSize):
-    """The limit of the difference between the block's temperature and that of the calibration, K.
+    """The limit of the difference between the temperatures of the block in use and in the calibration, K.
 
-    By default the difference is constant throughout a run. If the difference fluctuates, `correlation_time` is its
-    correlation time; only then does averaging over readings reduce it.
+    By default the difference is constant throughout a run. If the difference fluctuates, `correlation_time` is
+    its correlation time; only then does averaging over readings reduce it.
     """
 
     limit: SizeK

@@ -36,7 +36,7 @@ class ConstantAngle(StandEffect):
     per_mount = True
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return the angle in the column of `column`, rad, shape (n, 5)."""
+        """Return the angle in the column of `STAND_ANGLES` that it changes, zero elsewhere, rad, shape (n, 5)."""
         return into(self.column, values["angle"], seen.signal)
 
 
@@ -305,7 +305,10 @@ class MetersExchanged(VoltmeterEffect):
     outlasts_mount = True
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return gain U + zero in V at one channel of each pair and its negative at the other, shape (n, 3)."""
+        """Return gain U + zero, V, shape (n, 3), for channels with exchanged meters.
+
+        It is positive in one channel of each pair and negative in the other.
+        """
         added = np.zeros_like(seen.signal)
         for one, other in PAIRS:
             gain, zero = values[f"{one}{other}_gain"], values[f"{one}{other}_zero"]

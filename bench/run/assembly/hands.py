@@ -44,7 +44,7 @@ class SimulatedHands:
 
     @contextmanager
     def working(self) -> Iterator[None]:
-        """Work in a thread of their own within this context."""
+        """Do the tasks in a separate thread within this context."""
         over = threading.Event()
 
         def work() -> None:

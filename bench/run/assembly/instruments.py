@@ -44,7 +44,7 @@ from sim.world.world import World, WorldSettings
 
 @dataclass(frozen=True)
 class Surroundings:
-    """What drivers need besides their own section: person, clock, line frequency and wire.
+    """The objects that drivers need in addition to their own section: person, clock, line frequency and wire.
 
     `resources` overrides resources of the bench file, by instrument name. `haste` ends the waiting for
     instruments that do not respond. `holding` reserves the instruments that are opened. `sessions` collects the
