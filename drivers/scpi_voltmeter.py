@@ -72,7 +72,7 @@ class ScpiVoltmeter(ABC):
     models: tuple[str, ...] = ()
     """The names of the accepted models in the identity."""
     not_live: str = ""
-    """Why it must not be read lightly between readings; empty where it may."""
+    """Why the meter must not be sampled between readings; empty if it may."""
     called: str = ""
     """The expected meter in the error for a wrong instrument: "a 34401A"."""
     hint: str = ""

@@ -305,7 +305,8 @@ class Trigger(MeasuringCycle):
     def initiate(self) -> None:
         """INITiate: start a measurement into memory.
 
-        Raises `ScpiError` -213 if one is in progress, 531 if the memory is too small, 522 as `read`.
+        Raises `ScpiError` -213 if one is in progress, 531 if the memory is too small, 522 for the same reason as
+        `read`.
         """
         self._require_idle()
         readings = self.trigger_count * self.sample_count
@@ -466,14 +467,14 @@ _COMMA_AFTER_LAST: Final = ("3-1-1", "7-5-2")
 
 
 class Agilent34401A(LineMeter):
-    """The meter: settings, trigger system, status; `source` is the signal that it is wired to, `clock` its time.
+    """A 34401A with its settings, trigger system and status.
 
-    See `LineMeter` for `interface`, and `Converter` for `noise`, `accuracy` and `flaws`. `firmware` is the last
-    field of its identity; "3-1-1" prints a comma after the last reading. `errors_at_start` are errors in its
-    queue at switch-on, such as an adapter's own *IDN? causes. `real_port` gives it the RS-232 port of chapter 4:
-    a buffer of some 100 characters; characters sent between a query and its reply are lost, even Ctrl-C; after
-    ten idle minutes it does not answer until SYSTem:REMote. Sources: 34401A User's Guide, pages 151-152 (DTR/DSR,
-    Ctrl-C); xyphro/UsbGpib issue 41 (an adapter's *IDN?).
+    It measures `source` at the time of `clock`. See `LineMeter` for `interface`, `Converter` for `noise`,
+    `accuracy` and `flaws`. `firmware` is the end of its identity; "3-1-1" prints a comma after the last reading.
+    `errors_at_start` are errors in its queue at switch-on, such as an adapter's own *IDN? causes (xyphro/UsbGpib
+    issue 41). `real_port` gives it the RS-232 port of the User's Guide, pages 151-152: a buffer of some 100
+    characters; characters sent between a query and its reply are lost, even Ctrl-C; after ten idle minutes it is
+    silent until SYSTem:REMote.
     """
 
     model = facts.MODELS[0]

@@ -60,7 +60,7 @@ _ERRORS: Final = {
 
 
 class Keysight34970A(LineMeter):
-    """The meter. `wiring` maps channels to signals, `{101: world.terminals("x"), …}`.
+    """A 34970A or 34972A. `wiring` maps channels to signals, `{101: world.terminals("x"), …}`.
 
     `cards` maps each occupied slot (100, 200, 300) to its card. See the 34401A for `interface`, `noise` and
     `accuracy`. All channels share the gain error and offset of the one converter. Raises `ValueError` for a

@@ -30,7 +30,7 @@ _FIXED: Final = {
 
 
 class LeicaNivel(PlainDialect):
-    """One sensor with the address N`sensor`; `along` and `across` are its axes as in a bench file."""
+    """One Nivel sensor with the address N`sensor`; `along` and `across` are its axes as in a bench file."""
 
     model = "Nivel210"
 

@@ -207,14 +207,14 @@ _HIGH_IMPEDANCE_OHM: Final = 10e9
 
 
 class Converter:
-    """Converts the voltage at the terminals to readings, with the ranges and errors in the `facts` of a meter.
+    """The converter from the voltage at the terminals to readings, with the ranges and errors in `facts`.
 
     With `noise` a sample has white noise according to its integration time and is rounded to the resolution;
-    without, it is exact (although a reply has only 8 decimals). `accuracy` "90 days" draws a gain error, an offset
-    and their temperature coefficients for each range once, within half the limits of error; other values state the
-    errors. `flaws` are the fields of `InputFlaws`. The terminals carry only a DC voltage: AC functions, current,
-    frequency and period read zero; resistance, continuity and diode see open leads; the ratio has no reference.
-    While `overloaded` is set, every sample is beyond the range.
+    without, it is exact (although a reply has only 8 decimals). `accuracy` "90 days" draws a gain error, an
+    offset and their temperature coefficients for each range once, within half the limits of error; other values
+    state the errors. `flaws` are the fields of `InputFlaws`. The terminals carry only a DC voltage: AC functions,
+    current, frequency and period read zero; resistance, continuity and diode see open leads; the ratio has no
+    reference. While `overloaded` is set, every sample is beyond the range.
     """
 
     def __init__(

@@ -138,7 +138,7 @@ def local_number(text: str) -> str:
 _AROUND: Final = re.compile(r"([\s:;,.([«»✓✗–·]*)(.*?)([\s:;,.)\]]*)", re.DOTALL)
 """Signs around a text, its core, and signs after it."""
 _SURE, _SHORT = 5, 60
-"""A filled copy of a text of so many letters is surely one; with fewer, values have up to `_SHORT` signs."""
+"""A match with a text of so many letters is certain; with fewer, values may have up to `_SHORT` signs."""
 _WORD: Final = re.compile(r"\b[a-z]{3,}\b")
 _BLANK: Final = re.compile(r"\{(\d+)\}")
 

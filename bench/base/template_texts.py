@@ -187,7 +187,7 @@ class TranslatedTemplates(Extension):
         environment.globals.update(_text=_text, _shown=shown)
 
     def preprocess(self, source: str, name: str | None, filename: str | None = None) -> str:
-        """Return the source of a template with its texts as look-ups; a style sheet stays as it is."""
+        """Return the source of a template with its texts replaced by look-ups; style sheets are unchanged."""
         if source.startswith(ENGLISH_ONLY) or (name is not None and ".html" not in name):
             return source
         source = source.replace('<html lang="en">', f'<html lang="{language()}">')

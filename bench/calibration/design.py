@@ -251,7 +251,7 @@ class Problem:
 
     @cached_property
     def _columns(self) -> tuple[int, ...]:
-        """The stand angles that are unknown in any mounting."""
+        """Indices of the stand angles that are unknown in at least one mounting."""
         return tuple(sorted({unknown.column for unknown in self.stand}))
 
     @cached_property

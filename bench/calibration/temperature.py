@@ -159,7 +159,7 @@ def _oriented(rows: Readings) -> Mask:
 
 
 def _levels(temperature_c: Floats) -> Ints:
-    """Return the level of each temperature (n,), numbered from the lowest; none is wider than `PLATEAU_K`."""
+    """Return the level of each temperature (n,), numbered from the lowest; no level is wider than `PLATEAU_K`."""
     level = np.zeros(len(temperature_c), dtype=np.int64)
     number, lowest = -1, -np.inf
     for i in np.argsort(temperature_c, kind="stable"):

@@ -152,7 +152,7 @@ def separable(force: Floats, channel: int, terms: Sequence[str], conditions: Con
 NO_PRIOR: Final = 1.0
 """Prior standard deviation of a term, g/g^n: far beyond any plausible size, so that the data decide."""
 OPEN_AT_1_G: Final = 1e-2
-"""The same where points above 1 g follow: 500 times a plausible size, and their fit remains well conditioned."""
+"""`NO_PRIOR` if points above 1 g follow: 500 times a plausible size, so that their fit is well conditioned."""
 K: Final = 2.0
 """Coverage factor of U."""
 MOVES: Final = 0.01
@@ -224,7 +224,7 @@ class TumbleView(HasCovariance):
         return [f"{channel}.{q.name}" for channel, own in self.axes.items() for q in own]
 
     def correlation(self, first: str, second: str) -> float:
-        """Return the correlation of two quantities, by `names`."""
+        """Return the correlation of two quantities, which are given by their `names`."""
         a, b = self.names.index(first), self.names.index(second)
         return float(self.covariance[a, b] / (self.u[a] * self.u[b]))
 

@@ -229,15 +229,15 @@ def verify(
     joint: Mapping[str, Floats] | None = None,
     population: Population | None = None,
 ) -> Verification:
-    """Apply (9)-(10) to the verification rows of a table.
+    """Return the verdict of the paper's check (9)-(10) on the verification rows of a table.
 
     `g_ratio` is the gravity to which the coefficients refer, divided by local gravity; it differs from 1 for a
-    block calibrated elsewhere. u of each delta g, with degrees of freedom `dof`, follows from the `covariance` (12,
-    12) of the coefficients and from `reading_noise`, independent in each signal (unit of the signal; one size, or
-    one per channel). `joint` replaces both: parts by name, (n, n) each, of the covariance of |a| at the points, in
-    the gravity of the coefficients. The setting error of the head has no effect, because the modulus does not
-    depend on it. `rule` is one of `RULES`, a `DecisionRule`, or None for the default. Raises `CalibrationError` if
-    there is no verification row, K is singular or the rule is unknown.
+    block calibrated elsewhere. u of each delta g, with degrees of freedom `dof`, follows from the `covariance`
+    (12, 12) of the coefficients and from `reading_noise`, independent in each signal (unit of the signal; one
+    size, or one per channel). `joint` replaces both: parts by name, (n, n) each, of the covariance of |a| at the
+    points, in the gravity of the coefficients. The setting error of the head has no effect, because the modulus
+    does not depend on it. `rule` is one of `RULES`, a `DecisionRule`, or None for the default. Raises
+    `CalibrationError` if there is no verification row, K is singular or the rule is unknown.
     """
     rows = readings.verification()
     if len(rows) == 0:

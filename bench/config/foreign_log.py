@@ -29,7 +29,7 @@ from bench.base.yaml_files import FileModel, Place
 from bench.readings.csv import LISTED_AT_ONCE, ReadingsError
 
 SUFFIXES: Final[Mapping[str, str]] = {"_v": "V", "_s": "s", "_a": "A"}
-"""The SI unit of a column of a readings file by the end of its name; of others the number is kept as it is."""
+"""The SI unit of a column of a readings file, by its suffix; other columns are not converted."""
 TIME: Final = "time_s"
 KELVIN: Final = 273.15
 MOST_PREVIEWED: Final = 5

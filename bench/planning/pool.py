@@ -332,7 +332,7 @@ class Grid:
 
 
 class Visits(ExchangeDesign):
-    """Numbers of visits to sites, between those already made and those that the plan allows.
+    """Numbers of visits to sites: at least the visits already made, at most the visits that the plan allows.
 
     The noise is estimated from repeats once there are `LEAST_REPEATS` of them, as in a calibration.
     """

@@ -279,7 +279,7 @@ class EventType(StrEnum):
     RUN_STARTED = "run_started"
     """`step`, the first one; `instruments`, their identities by name; `serials`, if certificates are checked."""
     RUN_RESUMED = "run_resumed"
-    """The same data as `run_started`; the author who resumed it, if named or where a register of persons stands."""
+    """The same data as `run_started`; the author who resumed it, if named, or if there is a register of persons."""
     RUN_PAUSED = "run_paused"
     """`reason`."""
     RUN_CONTINUED = "run_continued"

@@ -115,11 +115,11 @@ class RepeatNoise:
 
 
 class ReadingJudgement(NamedTuple):
-    """The comparison of a reading with its expectation, for each of m members.
+    """The comparison of a reading with its expectation, for each of m members (supposed mistakes).
 
-    `residual` (m, 3) is in V, `covariance` (m, 3, 3) is its covariance. `chi2` (m,) has three degrees of
-    freedom. `log_det` (m,) is the logarithm of the covariance's determinant. `design` (m, 3, 17) holds the
-    derivatives of the signals with respect to the state.
+    `residual` (m, 3) is in V, `covariance` (m, 3, 3) is its covariance. `chi2` (m,) has three degrees of freedom.
+    `log_det` (m,) is the logarithm of the covariance's determinant. `design` (m, 3, 17) holds the derivatives of
+    the signals with respect to the state.
     """
 
     residual: Floats
@@ -146,7 +146,8 @@ class ReadingJudgement(NamedTuple):
 class Expectation:
     """Kalman-filter states for m members, each of which supposes another mistake (or none).
 
-    `mean` (m, 17) and `covariance` hold the coefficients, V/g and V, then the stand's angles, rad.
+    `mean` (m, 17) and `covariance` (m, 17, 17) are for the 12 coefficients, V/g and V, then the stand's angles,
+    rad.
     """
 
     def __init__(self, mean: Floats, covariance: Floats) -> None:
@@ -220,7 +221,10 @@ class Expectation:
         return ReadingJudgement(residual, covariance, chi2, np.linalg.slogdet(covariance)[1], design)
 
     def take(self, judged: ReadingJudgement, members: Mask | None = None) -> None:
-        """Update the state with a judged reading (Kalman gain); the mask `members` (m,) selects the members."""
+        """Update the states of all members, or of those in the mask `members` (m,), with a judged reading.
+
+        The update uses the Kalman gain.
+        """
         across = self.covariance @ np.swapaxes(judged.design, 1, 2)
         gain = np.swapaxes(np.linalg.solve(judged.covariance, np.swapaxes(across, 1, 2)), 1, 2)
         if members is not None:
@@ -239,7 +243,7 @@ class ExpectedSignals:
     covariance: Floats
 
     def deviation_rad(self, signals: Floats) -> tuple[float, float]:
-        """Return by how much the head is beyond the commanded angle, and the standard uncertainty (GLS), rad."""
+        """Return the angle of the head beyond the commanded one, and its standard uncertainty (GLS), both rad."""
         weighted = np.linalg.solve(self.covariance, self.slope)
         information = float(self.slope @ weighted)
         if information <= 0.0:
@@ -588,10 +592,10 @@ class Member:
 
 @dataclass(frozen=True)
 class ReplayedReadings:
-    """The result of a replay of all n readings for m members.
+    """The result of a replay of all n readings for m members (supposed mistakes).
 
-    `state` is the final state of the members. `cost` (m,) is the cost of all readings; `before` is the cost
-    for member 0 without the last reading. `taken` (n, m) says which readings each member learnt from.
+    `state` is the final state of the members. `cost` (m,) is the cost of all readings; `before` is the cost for
+    member 0 without the last reading. `taken` (n, m) says which readings each member learnt from.
     """
 
     state: Expectation

@@ -35,7 +35,7 @@ SETTLED_G: Final = 3e-5
 """Signals that move less within `SETTLED_S` have settled, g: a tenth of the paper's verification limit."""
 
 TELLING_ARCSEC: Final = 60.0
-"""The deviation is shown where its U (k = 2) is below this, a usual graduation of a manual head."""
+"""The deviation is shown if its U (k = 2) is below this, a usual graduation of a manual head."""
 
 LINEAR_ARCSEC: Final = 3600.0
 """The deviation is a linear estimate; up to this its error by curvature is below 1 %."""

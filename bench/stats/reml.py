@@ -54,7 +54,11 @@ class ComponentColumns:
 
 @dataclass(frozen=True)
 class Mixed:
-    """A mixed model: data `y` (N,), fixed effects `X` (N, p), components `Z` (N, q_k), `known` V (N, N)."""
+    """A mixed model: data `y` (N,), fixed effects `X` (N, p), random effects with the columns `Z` (N, q_k).
+
+    There is one array in `Z` for each variance component. `known` (N, N) is a covariance of the data that is not
+    estimated.
+    """
 
     y: Floats
     X: Floats

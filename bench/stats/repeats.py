@@ -17,7 +17,7 @@ from scipy import optimize, special
 from bench.base.arrays import Floats
 
 TOO_SMALL: Final = 1.5
-"""u is said to be too small where repeats left out scatter more than this many times as much."""
+"""u counts as too small if repeats left out scatter by more than this multiple of it."""
 LEAST: Final = 3
 """Fewest repeats of which each can be left out in turn."""
 LEVEL: Final = 0.95
@@ -27,7 +27,7 @@ COARSE: Final = 1e5
 """Sizes of a term that are tried, in median stated uncertainties."""
 
 PLAIN: Final = 3.0
-"""By so much, in ln p, another term must predict better than `restart`, the plainest."""
+"""Another term replaces `restart`, the plainest, only if its ln p is larger by more than this."""
 
 TermName = Literal["restart", "drift", "scale"]
 
@@ -169,7 +169,10 @@ def _size(value: Floats, u: Floats, name: TermName) -> float:
 
 
 def _held_out(value: Floats, u: Floats, name: TermName | None) -> tuple[Floats, float]:
-    """Predict each repeat from the others; return the squared errors over their variances (g, r, c), and ln p."""
+    """Predict each repeat from the others; return the squared errors over their variances, and ln p.
+
+    The squared errors are (g, r, c), NaN without a prediction. p is the joint probability density of the repeats.
+    """
     squares, log_p = np.full(value.shape, np.nan), 0.0
     repeats = value.shape[1]
     wider = _widening(repeats - 2) ** 2

@@ -140,8 +140,8 @@ def believed_sizes(
 def equality(scatter: Floats, freedom: Ints | Floats, slope: Floats, common: Floats) -> Floats:
     """Return the p-value (runs,) of channels of one size, by Rao's score test.
 
-    The test is at the sizes `common` (runs, 4) that maximise the likelihood with one size. The setting takes no
-    part if it is at its lower bound.
+    The test is at the sizes `common` (runs, 4) that maximise the likelihood with one size. The setting's variance
+    is left out of the test if it is at its lower bound.
     """
     score, information = _score_and_information(scatter, freedom.astype(np.float64), slope, common)
     score, information = score * common, information * common[:, :, None] * common[:, None, :]

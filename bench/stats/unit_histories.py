@@ -22,7 +22,7 @@ STEADY: Final = (BENCH, SCATTER)
 SHOWN_P: Final = 0.05
 """P-value below which a drift of units is significant, and separated from the scatter."""
 LONGEST: Final = (128, 64, 32, 16)
-"""Choices for the most runs of a unit that are used, evenly spaced: the first one within `MOST_WORK`."""
+"""Candidates for the most runs used of a unit, evenly spaced: the first within `MOST_WORK` is taken."""
 MOST_WORK: Final = 5e7
 """Largest sum of the cubes of runs over all units: a likelihood then takes about a tenth of a second."""
 LEAST_PART: Final = 1e-6
@@ -33,9 +33,9 @@ LEAST_PART: Final = 1e-6
 class SameLength:
     """The m units with n runs each, which have r = n - 1 contrasts.
 
-    `rows` (m, n) are their rows in the table, in order of time; `contrast` (r, n) is the contrast matrix. Its
-    products are `time` (m, r), `walk` (m, r, r), the covariance of a random walk of size one, and `bench` (m, r,
-    B), the indicators of benches.
+    `rows` (m, n) are their rows in the table, in order of time; `contrast` (r, n) is the contrast matrix. `time`
+    (m, r) are the contrasts of the times, `walk` (m, r, r) is their covariance for a random walk of size one, and
+    `bench` (m, r, B) are the contrasts of the bench indicators.
     """
 
     rows: Ints
@@ -47,10 +47,10 @@ class SameLength:
 
 @dataclass(frozen=True)
 class Histories:
-    """The design of contrasts within units; `alike` groups the units by number of runs.
+    """The design of contrasts within units, in groups `alike` of units with equal numbers of runs.
 
-    `runs` (U,) are the numbers of runs of each unit, `benches` is the number of benches. At most `longest` runs of
-    a unit are used.
+    `runs` (U,) are the numbers of runs of each unit, `benches` is the number of benches. At most `longest` runs
+    of a unit are used.
     """
 
     alike: tuple[SameLength, ...]

@@ -25,9 +25,9 @@ MODELS: Final = ("ND-281B", "ND-287")
 # --- messages ---------------------------------------------------------------------------------------
 
 STX: Final = "\x02"
-"""It begins each output."""
+"""The first character of each output."""
 NAK: Final = "\x15"
-"""The answer to a command that it does not know."""
+"""The reply to an unknown command."""
 READ_TERMINATION: Final = "\r\n"
 WRITE_TERMINATION: Final = "\r"
 SERIAL: Final = {

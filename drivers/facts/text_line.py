@@ -16,4 +16,4 @@ TEMPERATURE: Final = "temperature"
 """The named groups of a pattern that hold the number of a counter and of a thermometer."""
 ENDS: Final = {"CR": "\r", "LF": "\n", "CR LF": "\r\n"}
 PER_TURN: Final = {"degrees": 360.0, "arcsec": 1296000.0}
-"""How many of a unit are a turn; of counts the bench file says it."""
+"""Number of each unit in a turn; for counts the bench file states it."""

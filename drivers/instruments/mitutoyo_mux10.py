@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class MitutoyoMux10(ReadOutHead):
-    """A `DividingHead` with an encoder on a channel of a counter that shows degrees."""
+    """A `DividingHead` whose encoder is connected to one channel of a counter that shows degrees."""
 
     def __init__(
         self,

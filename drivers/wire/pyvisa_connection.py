@@ -202,7 +202,7 @@ class SerialSettings:
 
 
 _PSEUDO_TERMINALS: Final = ("/dev/pts/", "/dev/ttys")
-"""Where pseudo-terminals stand on Linux and on macOS."""
+"""The paths of pseudo-terminals on Linux and on macOS."""
 
 
 class Connection:

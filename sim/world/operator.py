@@ -77,9 +77,9 @@ class OperatorSettings:
 class ScriptedOperator:
     """A `drivers.interfaces.WatchingPerson` who carries out `prompt.action` on the world and answers.
 
-    Random numbers are keyed by the world's seed and by the step in the prompt's id (the part before "#"), so a step
-    repeated in another process gives the same result. A repeated question ("…#2") is answered without a slip and
-    without turning the head again.
+    Random numbers are keyed by the world's seed and by the step in the prompt's id (the part before "#"), so a
+    step repeated in another process gives the same result. A repeated question ("…#2") is answered without a slip
+    and without turning the head again.
     """
 
     def __init__(self, world: World, settings: OperatorSettings | None = None) -> None:

@@ -77,7 +77,8 @@ class _Stretch:
 class Heat:
     """The temperatures of the chamber air and of the block in it, both at `ambient_c` at time `now_s`.
 
-    `block_lag_s` is the time constant of the block behind the air. A demand holds until the next one.
+    `block_lag_s` is the time constant of the block behind the air. A demanded air temperature holds until the
+    next demand.
     """
 
     def __init__(self, now_s: float, ambient_c: float, block_lag_s: float) -> None:

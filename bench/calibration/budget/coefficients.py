@@ -405,8 +405,8 @@ HARDLY_ANY: Final = 1e-3
 def _unknown(time_s: Floats, correlation_s: float) -> Floats:
     """Return the principal components (n, q) of a stationary process of unit variance.
 
-    Without a correlation time this is a constant: limits alone say nothing of the course within them, and averaging
-    over passes does not reduce a constant offset (GUM, 4.3.7).
+    Without a correlation time (infinite) the process is a constant: limits alone say nothing of the course within
+    them, and averaging over passes does not reduce a constant offset (GUM, 4.3.7).
     """
     if math.isinf(correlation_s):
         return np.ones((len(time_s), 1))

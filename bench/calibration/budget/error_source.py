@@ -52,9 +52,9 @@ class ErrorSource:
     `origin` says where the size comes from; `prior` marks a plausible size that nobody stated. `factors` scale
     the error where it acts (temperature coefficients, per K). For a parameter of an effect, `effect` is set, and
     `written_in` has the unit of model files and its size in SI. `channels` are the affected ones: for K2 and K3,
-    those whose model has no such effect. For correlated draws `root` (q, k) makes q of them from k independent
-    ones. `angles` are the kinds of stand angle whose means over mountings this source describes. `correlation_s`
-    is the correlation time of an error that is common in "time".
+    those whose model has no such effect. For correlated draws, `root` (q, k) turns k independent draws into q
+    correlated ones. `angles` are the kinds of stand angle whose means over mountings this source describes.
+    `correlation_s` is the correlation time of an error that is common in "time".
     """
 
     name: str

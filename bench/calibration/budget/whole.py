@@ -64,7 +64,7 @@ class MeasuredReadings:
 
     @cached_property
     def orientation(self) -> Ints:
-        """Orientation number of each reading, (n,): readings in one installation at one whole degree share it.
+        """Orientation number of each reading, (n,): equal for the same installation and whole degree.
 
         A reading without an orientation has a number of its own.
         """
@@ -127,10 +127,10 @@ def sign(
 
 
 def dof_through(calibration: Calibration, jacobian: Floats, known: float | Floats = 0.0) -> Floats:
-    """Return the effective degrees of freedom (m,) of quantities computed from the coefficients of `sign`.
+    """Return the effective degrees of freedom (m,) of quantities computed from a calibration with combined u.
 
-    `jacobian` (m, 12) has their derivatives by the coefficients; `known` is an additional variance with
-    infinite degrees of freedom.
+    `jacobian` (m, 12) has their derivatives by the coefficients; `known` is an additional variance with infinite
+    degrees of freedom.
     """
     if not calibration.sources:
         return np.full(len(jacobian), np.inf)

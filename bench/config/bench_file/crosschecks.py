@@ -26,7 +26,7 @@ _LACKS: Final = {"sensor_noise": "a sensor without noise"}
 
 
 FURTHER: Final[tuple[Role, ...]] = ("head", "chamber", "level", "thermometer", "power_supply")
-"""The roles that at most one instrument of a bench has, thermometers away from the block apart."""
+"""The roles that at most one instrument of a bench has, without thermometers away from the block."""
 _THERMOMETERS: Final = ("thermometer", *SURROUNDINGS)
 
 

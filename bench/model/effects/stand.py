@@ -23,7 +23,7 @@ from bench.model.geometry import STAND_ANGLES
 
 
 def into(column: str, angle_rad: Floats, stand_rad: Floats) -> Floats:
-    """Return an array (n, 5) for the stand angles with `angle_rad` in the named column and zeros elsewhere."""
+    """Return an array (n, 5) of stand angles with `angle_rad` (n,) in the named column and zeros elsewhere."""
     addition = np.zeros_like(stand_rad)
     addition[:, STAND_ANGLES.index(column)] = angle_rad
     return addition

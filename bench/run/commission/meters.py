@@ -146,7 +146,7 @@ def _judged_by_time(
 def expected_time_s(
     evening: CommissioningSession, meter: Voltmeter, settings: VoltmeterSettings
 ) -> float | None:
-    """Return the duration of a reading that the driver expects, s; None if the driver does not state one."""
+    """Return the duration of a reading that the driver expects, s; None if the driver states none."""
     if not isinstance(meter, _Timed):
         return None
     section = _form(evening, meter)
