@@ -305,8 +305,7 @@ class Trigger(MeasuringCycle):
     def initiate(self) -> None:
         """INITiate: start a measurement into memory.
 
-        Raises `ScpiError` -213 if one is in progress, 531 if the memory is too small, 522 for the same reason as
-        `read`.
+        Raises `ScpiError` -213 if one is in progress, 531 if the memory is too small, 522 as from `read`.
         """
         self._require_idle()
         readings = self.trigger_count * self.sample_count
@@ -471,10 +470,10 @@ class Agilent34401A(LineMeter):
 
     It measures `source` at the time of `clock`. See `LineMeter` for `interface`, `Converter` for `noise`,
     `accuracy` and `flaws`. `firmware` is the end of its identity; "3-1-1" prints a comma after the last reading.
-    `errors_at_start` are errors in its queue at switch-on, such as an adapter's own *IDN? causes (xyphro/UsbGpib
-    issue 41). `real_port` gives it the RS-232 port of the User's Guide, pages 151-152: a buffer of some 100
-    characters; characters sent between a query and its reply are lost, even Ctrl-C; after ten idle minutes it is
-    silent until SYSTem:REMote.
+    `errors_at_start` are errors in its queue at switch-on, as an adapter's own *IDN? causes (xyphro/UsbGpib issue
+    41). `real_port` is the port of the User's Guide, pages 151-152: its buffer has some 100 characters;
+    characters sent between a query and its reply are lost, even Ctrl-C; after ten idle minutes it is silent until
+    SYSTem:REMote.
     """
 
     model = facts.MODELS[0]

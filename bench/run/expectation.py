@@ -144,10 +144,9 @@ class ReadingJudgement(NamedTuple):
 
 
 class Expectation:
-    """Kalman-filter states for m members, each of which supposes another mistake (or none).
+    """Kalman-filter states for m members, each of which supposes another mistake or none.
 
-    `mean` (m, 17) and `covariance` (m, 17, 17) are for the 12 coefficients, V/g and V, then the stand's angles,
-    rad.
+    `mean` (m, 17) and `covariance` are for the coefficients, V/g and V, then the stand's angles, rad.
     """
 
     def __init__(self, mean: Floats, covariance: Floats) -> None:
@@ -221,10 +220,7 @@ class Expectation:
         return ReadingJudgement(residual, covariance, chi2, np.linalg.slogdet(covariance)[1], design)
 
     def take(self, judged: ReadingJudgement, members: Mask | None = None) -> None:
-        """Update the states of all members, or of those in the mask `members` (m,), with a judged reading.
-
-        The update uses the Kalman gain.
-        """
+        """Update the states (those in the mask `members`, (m,), if given) with a judged reading."""
         across = self.covariance @ np.swapaxes(judged.design, 1, 2)
         gain = np.swapaxes(np.linalg.solve(judged.covariance, np.swapaxes(across, 1, 2)), 1, 2)
         if members is not None:
@@ -594,8 +590,8 @@ class Member:
 class ReplayedReadings:
     """The result of a replay of all n readings for m members (supposed mistakes).
 
-    `state` is the final state of the members. `cost` (m,) is the cost of all readings; `before` is the cost for
-    member 0 without the last reading. `taken` (n, m) says which readings each member learnt from.
+    `state` is the members' final state, `cost` (m,) the cost of all readings; `before` is the cost for member 0
+    without the last reading. `taken` (n, m) says which readings each member learnt from.
     """
 
     state: Expectation
