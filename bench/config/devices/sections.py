@@ -107,8 +107,8 @@ class VoltmeterTruth(FileModel):
     is on; `mains` is the amplitude of the mains on the signal, which whole power-line cycles cancel; `zero_drift`
     is the drift of the zero per hour with autozero off; `flicker` is the standard deviation of 1/f noise per
     decade of frequency. `firmware` names the versions of the meters in turn; "3-1-1" sends a comma after the last
-    reading. `errors_at_start` is the number of errors in the queue at switch-on. With `real_port`, an RS-232
-    meter loses messages sent between a query and its reply, and stops responding after ten idle minutes.
+    reading. `errors_at_start` are errors in the queue at switch-on. With `real_port`, an RS-232 meter loses
+    messages sent between a query and its reply, and stops responding after ten idle minutes.
     """
 
     noise: bool = True
