@@ -202,7 +202,7 @@ def usable_rows(readings: Readings, model: ForwardModel) -> Readings:
 def _free_rows(chosen: FittedRows, readings: Readings) -> FreeRows | None:
     """Return the rows that join the fit by their modulus, or None without such rows.
 
-    Their elapsed times and warm-up are those of the whole table, not of these rows alone.
+    Their elapsed times and temperatures are those of the whole table, not of these rows alone.
     """
     if not len(chosen.free):
         return None

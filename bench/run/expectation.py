@@ -369,7 +369,7 @@ class Supposition:
 
 @dataclass(frozen=True)
 class OtherPose:
-    """The supposition that the block sat in installation `label`, with the head `off_rad` from its read angle."""
+    """The supposition that the block sat in installation `label`, the head at the angle read plus `off_rad`."""
 
     supposed: Supposition
     label: str

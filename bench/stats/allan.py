@@ -269,7 +269,7 @@ def fit_terms(curve: AllanCurve) -> NoiseTerms:
 
 
 def _columns(tau_s: Floats) -> Floats:
-    """Return the Allan variance per unit square of each term at averaging times (…), shape (…, 5)."""
+    """Return the Allan variance of each noise term of size 1 at averaging times (…), shape (…, 5)."""
     powers = np.array([float(term.power) for term in TERMS])
     factors = np.array([term.factor for term in TERMS])
     return np.asarray(factors * tau_s[..., None] ** powers, dtype=np.float64)

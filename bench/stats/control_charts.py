@@ -311,7 +311,10 @@ class ChartDesign:
         return float(special.chdtrc(dimensions, mewma_limit(self.smoothing, self.each_arl, dimensions)))
 
     def alpha_single(self, dimensions: int) -> float:
-        """Return the alarm probability of a single coefficient: `dimensions` of them together have that of T²."""
+        """Return the alarm probability of a single coefficient.
+
+        It is such that `dimensions` coefficients together have the alarm probability of T².
+        """
         return self.alpha / dimensions
 
     def alpha_single_ewma(self, dimensions: int) -> float:

@@ -148,13 +148,13 @@ class _AtPoint(Step):
     point: int
 
     def place(self) -> str:
-        """Return the input in words: "installation 1" or "the shorted input (series 2)"."""
+        """Return the installation or the input in words: "installation 1", "the shorted input (series 2)"."""
         if self.installation in _INPUTS:
             return _INPUTS[self.installation] + ("" if self.series == 1 else f" (series {self.series})")
         return message(f"installation {mount_in_words(self.installation, self.series)}")
 
     def where(self) -> str:
-        """Return the input, the pass and the point in words."""
+        """Return the installation or the input, the pass and the point in words."""
         return message(f"{self.place()}, pass {self.pass_number}, point {self.point}")
 
 
