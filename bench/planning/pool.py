@@ -458,7 +458,7 @@ class DesignTask:
         return float(more @ self.site_s) + sum(self.mount_s.get(mount, 0.0) for mount in mounts)
 
     def least_repeats(self) -> int:
-        """Return the least number of repeats, limited to the greatest possible number."""
+        """Return the required number of repeats, reduced to the greatest number that is still possible."""
         return min(self.repeats, int(np.sum(np.maximum(self.done + self.left - 1, 0))))
 
 

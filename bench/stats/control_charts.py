@@ -144,7 +144,7 @@ class Centre:
         return np.asarray(special.fdtrc(p, left, t2 * left / (p * self.dof)))
 
     def single_limit(self, probability: float) -> float:
-        """Return the deviation, in u of one coefficient, that chance exceeds on either side with `probability`."""
+        """Return the deviation, in u of one coefficient, that chance exceeds in either sign with `probability`."""
         if np.isinf(self.dof):
             return float(-special.ndtri(0.5 * probability))
         return float(-special.stdtrit(self.dof, 0.5 * probability))

@@ -157,7 +157,7 @@ class JointErrors:
 
     @property
     def u(self) -> float:
-        """Root mean square of their standard uncertainties."""
+        """Root mean square of the standard uncertainties of the n errors."""
         return float(np.sqrt(np.mean(np.diag(self.covariance))))
 
     @property
