@@ -198,8 +198,8 @@ class Problem:
         """Return the derivative of the signals with respect to the head angle, unit/rad, shape (n, 3).
 
         It is taken at the coefficients `block` and the other unknowns `others` (stand angles, then effect
-        parameters, as in `stand_matrix`). A setting error of the head times this is its error in the signals
-        of the n readings.
+        parameters, as in `stand_matrix`). Multiplied by a setting error of the head, rad, it gives the error of
+        the signals.
         """
         forward, back = (self.predict(block, others, step) for step in (STEP_RAD, -STEP_RAD))
         return (forward - back) / (2 * STEP_RAD)

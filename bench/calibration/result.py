@@ -333,7 +333,7 @@ class Calibration(HasCovariance):
 
     @property
     def block_terms(self) -> Floats:
-        """Changes (12, q) of the coefficients by K2 and K3 of the block, each of size u."""
+        """Changes (12, q) of the coefficients by q errors of the block (K2 and K3), each of the size of its u."""
         parts = [s.of_block for s in self.sources if s.of_block is not None]
         return np.concatenate([np.zeros((12, 0)), *parts], axis=1)
 

@@ -233,7 +233,7 @@ class MistakeName(StrEnum):
 
 @dataclass(frozen=True)
 class Wiring:
-    """The connection of the three signals to the channels, as a mistake may have swapped or reversed them.
+    """The connection of the three signals to the channels; a mistake may have swapped or reversed some.
 
     For the true signals x, y, z, `order` holds the channel (0, 1, 2) that shows each signal, and `signs` the
     factor that corrects its sign.

@@ -30,7 +30,10 @@ LEAST_SMOOTHING: Final = 0.03
 
 
 def shewhart_arl(k: float, shift: float = 0.0) -> float:
-    """Return the ARL of a two-sided Shewhart chart with limits at k, after a shift, both in standard deviations."""
+    """Return the ARL of a two-sided Shewhart chart with limits ±`k`, after a shift by `shift`.
+
+    Both are in standard deviations.
+    """
     return float(1.0 / (special.ndtr(shift - k) + special.ndtr(-shift - k)))
 
 

@@ -114,8 +114,8 @@ class MixedModelEquations:
     """The solved mixed model equations for groups and benches at given `sizes`, with the units eliminated.
 
     `w` (n,) are weights, `W` (U,) their sums over units, `s` (U,) the terms subtracted by eliminating a unit.
-    `lower` (T + B, T + B) is the Cholesky factor of the equations for T groups and B benches; its columns of
-    benches are multiplied by their size. `solution` (T + B,) are the means of groups, then the bench effects
+    `lower` (T + B, T + B) is the Cholesky factor of the equations for T groups and B benches; each bench's column
+    is multiplied by the size of benches. `solution` (T + B,) are the means of groups, then the bench effects
     divided by their size. `likelihood` is the restricted log likelihood, up to a constant.
     """
 
@@ -141,7 +141,7 @@ class MixedModelEquations:
         return np.asarray(self.sizes[BENCH] ** 2 * own)
 
     def unit(self, y: Floats) -> tuple[Floats, Floats]:
-        """Return predicted effects of units (U,) and the variance of each prediction about zero."""
+        """Return the predicted effects of units (U,), and the variance of each prediction (about zero, not its error)."""
         fixed = self.solution[self.crossing.groups :] * self.sizes[BENCH]
         left = y - self.solution[self.crossing.group[self.crossing.unit]] - fixed[self.crossing.bench]
         sums = np.bincount(self.crossing.unit, self.w * left, self.crossing.units)

@@ -213,9 +213,7 @@ def over_directions(
 
 
 class DeltaG(ResultModel):
-    """Delta g at one verification point, in local g: its uncertainty, and the limit up to which the decision rule
-    accepts it.
-    """
+    """Delta g at one verification point, in local g: its uncertainty, and the acceptance limit of the rule."""
 
     angle_deg: float
     point: int

@@ -72,7 +72,10 @@ class Setup:
         return self._slope(lambda step: (self._angles(), step))
 
     def stand_slope(self, name: str) -> Floats:
-        """Return the derivatives of the readings by a stand angle of their mounting, V/rad, shape (n, 3)."""
+        """Return the derivatives of the readings by the stand angle `name`, V/rad, shape (n, 3).
+
+        Each is by the angle in the mounting of the reading.
+        """
         if name not in self._stand_slopes:
             self._stand_slopes[name] = self._slope(lambda step: (self._angles(name, step), 0.0))
         return self._stand_slopes[name]

@@ -418,7 +418,7 @@ class TemperatureError(ErrorSize):
 
 
 class RoomError(ErrorSize):
-    """The limit of the changes of the room's temperature, K, which voltmeters follow a `lag` late.
+    """The limit of the changes of the room's temperature, K, which the voltmeters follow after the time `lag`.
 
     The lag is 100 min by default, as a published record of a 34420A in an air bath shows.
     """

@@ -245,7 +245,7 @@ def chosen_by_driver(role: Role, *, name: str = "", recorded: bool = False) -> B
 
 
 def unknown_drivers(sections: Iterable[object]) -> list[str]:
-    """Return the sorted driver names in sections as written for which no device is known."""
+    """Return, sorted, the driver names in `sections` (as written in the file) for which no device is known."""
     stated = [section.get("driver") for section in sections if isinstance(section, dict)]
     return sorted({name for name in stated if isinstance(name, str) and devices().get(name) is None})
 

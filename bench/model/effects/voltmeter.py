@@ -50,7 +50,7 @@ class VoltmeterDrift(VoltmeterEffect):
     shown_by = "a shorted input in each pass"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return rate t in volts, shape (n, 3)."""
+        """Return the rate times t in volts, shape (n, 3)."""
         return np.broadcast_to((values["rate"] * seen.conditions.elapsed_s)[:, None], seen.signal.shape)
 
 
