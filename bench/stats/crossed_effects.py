@@ -141,7 +141,7 @@ class MixedModelEquations:
         return np.asarray(self.sizes[BENCH] ** 2 * own)
 
     def unit(self, y: Floats) -> tuple[Floats, Floats]:
-        """Return the predicted effects of units (U,), and the variance of each prediction (about zero, not its error)."""
+        """Return the predicted effects of units (U,) and the variance of the predictions, not of their errors."""
         fixed = self.solution[self.crossing.groups :] * self.sizes[BENCH]
         left = y - self.solution[self.crossing.group[self.crossing.unit]] - fixed[self.crossing.bench]
         sums = np.bincount(self.crossing.unit, self.w * left, self.crossing.units)
