@@ -73,9 +73,10 @@ class LikelihoodPoint:
 
 @dataclass(frozen=True)
 class Weighed:
-    """The sums (runs, w, w) of (B, F, y) of each run, weighted by V^-1 instead of R^-1, and ln det of V/R, (runs,).
+    """The sums (runs, w, w) of (B, F, y) of each run, weighted by V^-1 instead of R^-1, and ln det of V/R,
+    (runs,).
 
-    R is the covariance of the noise alone; V includes the shared variances.
+    R is the covariance of the noise alone; V includes the shared variances. `RunSums` explains B, F and y.
     """
 
     whole: Floats
@@ -390,7 +391,10 @@ def told_by_runs(body: RunSums, layout: Layout, free: Beliefs) -> tuple[Beliefs,
 
 
 def _holding(beliefs: Beliefs, layout: Layout, j: int) -> Beliefs:
-    """Return the beliefs with the variance of a kind held; its mean receives the rest of the stated variance."""
+    """Return the beliefs with the variance of angle kind `j` fixed at its prior.
+
+    The mean of this kind receives the rest of its stated variance.
+    """
     centre, spread = beliefs.centre.copy(), beliefs.spread.copy()
     centre[j], spread[j] = HELD_CENTRE, HELD_SPREAD
     own = np.array([name == layout.kinds[j] for name, _ in layout.means])

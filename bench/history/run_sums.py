@@ -35,11 +35,11 @@ class RunFit:
     """One run, linearised about a fit of its own.
 
     `y` (n, 3) are residuals, with the fitted contribution of the stand angles added back. `X` (n, 3, …) are
-    derivatives by the run's own unknowns: 12 coefficients and any effects. `stand` (n, 3, a) are derivatives by the
-    stand angles `angles` (a,), each a name and an installation; `levels` (a, 2) is the value of each angle by a
-    level with its u, rad (NaN if unmeasured). `slope` (n, 3) is du/dphi. `waves` (n, 3, 2 WAVES) are harmonics of
-    the head; `walk` (n, q) are shapes of a random walk per root hour. `scatter` is the scatter of repeats, `floor`
-    the lowest credible noise.
+    derivatives by the run's own unknowns: 12 coefficients and any effects. `stand` (n, 3, a) are derivatives by
+    the stand angles `angles` (a,), each a name and an installation; `levels` (a, 2) has each angle as measured by
+    a spirit level, with its u, rad (NaN if unmeasured). `slope` (n, 3) is du/dphi. `waves` (n, 3, 2 WAVES) are
+    harmonics of the head; `walk` (n, q) are shapes of a random walk per root hour. `scatter` is the scatter of
+    repeats, `floor` the lowest credible noise.
     """
 
     name: str
@@ -369,7 +369,10 @@ LEAST_SHOWN: Final = 0.01
 
 
 def _pooled_dof(freedom: Floats, slope: Floats, variances: Floats) -> Floats:
-    """Return 2 v^2/u(v)^2 of the variances (4,); for a setting error near zero, u(v) stays finite."""
+    """Return the degrees of freedom 2 v^2/u(v)^2 of the variances v (4,).
+
+    The u(v) of a setting error near zero is bounded, so that its degrees of freedom stay defined.
+    """
     shown = float(np.mean(np.sum(slope**2, axis=1)))
     least = LEAST_SHOWN * float(np.mean(variances[:3])) / shown if shown > 0 else 0.0
     inside = variances.copy()
