@@ -1,7 +1,7 @@
 """Comparison of calibrations of one block: E_n numbers, joint chi-square tests, shared errors.
 
-Calibrations are compared in the nine numbers that do not depend on the mounting, whose joint test decides; the
-twelve coefficients are compared too. What compares calibrations takes snapshots of either.
+Calibrations are compared in the nine numbers that do not depend on the mounting, whose joint test decides, and in
+the twelve coefficients.
 """
 
 from __future__ import annotations
