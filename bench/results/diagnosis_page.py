@@ -248,8 +248,9 @@ def _apart(diagnosis: Diagnosis) -> list[Effect]:
 
 
 def columns_of(shown: ModelComparison) -> list[tuple[str, Calibration]]:
-    """Return the title and calibration of each column of the figures: before, after (if an effect was named),
-    simulated.
+    """Return the title and calibration of each column of the figures.
+
+    The columns are before, after (if an effect was named), and simulated.
     """
     after = [] if shown.after is None else [(message("after"), shown.after.calibration)]
     return [
@@ -287,8 +288,9 @@ def in_time(shown: ModelComparison) -> str:
 
 
 def gap_bars(gap: Gap) -> str:
-    """Return a bar chart of the reduced chi-square of each set of held-out readings, before and after (1: noise
-    alone).
+    """Return a bar chart of the reduced chi-square of each set of held-out readings, before and after.
+
+    Noise alone gives 1.
     """
     folds = gap.folds
     names = [fold.label.replace(" and ", "\nand ") for fold in folds]

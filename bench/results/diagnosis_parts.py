@@ -185,9 +185,7 @@ class CopyPart(ResultModel):
 
 
 class PlacePart(ResultModel):
-    """A channel of a record, or a sensor's record in free positions, and its residuals before any effect is
-    named.
-    """
+    """A channel of a record, or a sensor in free positions, and its residuals before any effect is named."""
 
     channel: str
     installation: str

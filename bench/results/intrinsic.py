@@ -107,8 +107,9 @@ def shown_rows(own: Intrinsic) -> list[list[str]]:
 
 
 def small_unit(name: str, u: float, unit: str) -> tuple[float, str]:
-    """Return a smaller unit for differences of size `u` in the intrinsic number `name`: its size in `unit`, its
-    name.
+    """Return a smaller unit for differences of size `u` in the intrinsic number `name`.
+
+    The result is the size of the smaller unit, in `unit`, and its name.
     """
     if name.startswith("theta"):
         return 1.0 / 3600.0, "″"

@@ -22,8 +22,9 @@ CLOSE: Final = 0.95
 
 
 class QuantityPart(ExpandedPart):
-    """An estimated term of an accelerometer; `u` is the combined u if the result is `combined`, else that of the
-    readings.
+    """An estimated term of an accelerometer.
+
+    `u` is the combined standard uncertainty if the result is `combined`, otherwise the part from the readings.
     """
 
     u_readings: float = Field(description="the part that the readings and the stand as it is stated show")

@@ -65,8 +65,8 @@ OF_THE_REPEATS: Final = (
 class LearningResult:
     """The result of `bench learn`: sizes of the bench's errors (`learned`), and all runs (`sources`).
 
-    `sources` include the runs that contradict the others. `effects` are the effects written to the learned file,
-    which is valid until `expires`.
+    Among `sources` are also the runs that contradict the others. `effects` are written to the learned file, which
+    is valid until `expires`.
     """
 
     learned: Learned
@@ -88,7 +88,7 @@ class LearningResult:
 
     @property
     def behind(self) -> tuple[Source, ...]:
-        """The runs from which the sizes are estimated."""
+        """The sources whose runs contributed to the sizes, without the contradicting ones."""
         return tuple(source for source in self.sources if source.name in self.learned.runs)
 
     @property
@@ -239,7 +239,9 @@ def _until(expires: datetime.date | str | None, made: datetime.date) -> datetime
 
 
 def _certified(source: Source) -> Source:
-    """Return a source corrected by certificates alone; its model has no effects unless the request has a model."""
+    """Return a source corrected by certificates alone; its model has no effects unless the request states a model
+    file.
+    """
     plain = source.model if source.request.model else ForwardModel(source.bench.installation_models())
     return replace(source.as_certified(), model=plain)
 
@@ -324,8 +326,8 @@ NOT_VOLTS: Final = "differences between the voltmeters: the signals are in {unit
 def differences_of(sources: Sequence[Source]) -> MeterDifferences | str:
     """Return the learned differences between the voltmeters of a bench, or why these runs do not determine them.
 
-    They are computed from calibrations with the stand's limits from the bench file, which hardly affect the lengths
-    of the rows of K.
+    They are computed from calibrations with the stand's limits from the bench file. These limits hardly affect
+    the lengths of the rows of K.
     """
     if sources[0].readings.unit != "V":
         return NOT_VOLTS.format(unit=sources[0].readings.unit)

@@ -266,7 +266,7 @@ class VerifyCertificate:
 
 @dataclass(frozen=True)
 class PlanKit:
-    """The plan of an interlaboratory comparison."""
+    """The plan of an interlaboratory comparison, to be written."""
 
     plan: Annotated[str | Path, Option("Plan to write (YAML).", argument=True, typed=Path)]
     _: KW_ONLY
@@ -280,7 +280,7 @@ class PlanKit:
 
 @dataclass(frozen=True)
 class SealKit:
-    """Seals of results, before any is opened."""
+    """The results of laboratories to be sealed, before any of them is opened."""
 
     plan: Annotated[str | Path, Option("Plan of the comparison.", argument=True, typed=Path)]
     results: Annotated[
@@ -413,7 +413,7 @@ class Failures:
 
 
 class Right(StrEnum):
-    """What a person may do; everybody may look, and stop a run.
+    """A right of a person; everybody may view everything and stop a run.
 
     operate: carry out runs. supervise: also take control by force. authorise: issue certificates, accept
     validations, close failures. administer: change the register of persons.
@@ -469,7 +469,7 @@ class PeopleCommand(StrEnum):
 
 @dataclass(frozen=True)
 class ServePanel:
-    """The operator's panel over a folder of runs, to be served; or a command on access to it."""
+    """The operator's panel over a folder of runs, to be served; or a command on access to the panel."""
 
     what: PeopleCommand | None = option(
         None,

@@ -145,5 +145,5 @@ class PlanPoints:
 
     @property
     def has_goals(self) -> bool:
-        """Whether an uncertainty is asked for, and not only a time."""
+        """Whether a goal for an uncertainty is stated, and not only a time."""
         return bool(self.u) or self.delta_g is not None or self.modulus is not None
