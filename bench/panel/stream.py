@@ -54,8 +54,8 @@ class ResidualPlot:
     """The residuals of a run's readings from their predictions, as `points` for viewers.
 
     A point has the keys `n` (event number), `step`, `installation`, `series`, `pass`, `point`, `angle_deg`,
-    `time_s`; per channel the `residual`, its standard uncertainty `u` (both in `unit`) and `sigma`; and `struck` if
-    the reading was repeated. `version` counts changes to earlier points.
+    `time_s`; per channel the `residual`, its standard uncertainty `u` (both in `unit`) and `sigma`; and `struck`
+    if the reading was replaced by a repetition. `version` counts changes to earlier points.
     """
 
     def __init__(self, plan: Plan, bench: BenchFile) -> None:
@@ -270,7 +270,7 @@ def as_event(name: str, data: Any) -> bytes:
 
 
 def as_live(value: bytes) -> bytes:
-    """Return a server-sent event with a live value that the run's program wrote, {} if there is none or it is
+    """Return a server-sent event with a live value, as the run's program wrote it; {} if it is missing or
     damaged.
     """
     try:
@@ -314,7 +314,7 @@ class SharedFollower:
 
     @property
     def over(self) -> bool:
-        """Whether the following has ended, by an error or with its event loop."""
+        """Whether following has ended, because of an error or with its event loop."""
         return bool(self.trouble) or self._task.done()
 
     async def ready(self) -> None:

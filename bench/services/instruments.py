@@ -261,7 +261,8 @@ class CommissioningPlan:
 
 
 def free_folder(now: datetime, what: str = "commissioning") -> Path:
-    """Return an unused default folder for a commissioning, or for the session of checks named `what`."""
+    """Return the default folder, named after the time, for a commissioning or for the session of checks `what`.
+    """
     return Path(f"{what}-{now.astimezone():%Y%m%d-%H%M%S}")
 
 
