@@ -300,7 +300,9 @@ class AnswerTable:
         return AskResult(query=list(query), of=of, count=len(self), rows=self.mappings())
 
     def write_csv(self, file: Path) -> None:
-        """Write the table as CSV (RFC 4180). A ' precedes texts that a spreadsheet would run as formulas."""
+        """Write the table as CSV (RFC 4180). Texts that a spreadsheet would run as formulas get a leading
+        apostrophe.
+        """
         text = io.StringIO()
         writer = csv.writer(text)
         writer.writerow(self.columns)
@@ -322,7 +324,8 @@ class AnswerTable:
 
 
 def answer(catalogue: Catalogue, query: Sequence[str], of: str = "runs") -> AnswerTable:
-    """Return the answer to a question: its runs, or what they have in common, by the kind `of` (see `KINDS`).
+    """Return the answer to a question: its runs, or the objects of another kind `of` (see `KINDS`) that they
+    used.
 
     Raises `Refused` for an invalid question.
     """
@@ -409,7 +412,7 @@ def _grouped(column: ColumnElement[Any], *further: Any) -> Callable[[Condition],
 def _used(
     table: Table, key: ColumnElement[Any], names: str, order: str, *further: Any
 ) -> Callable[[Condition], Select[Any]]:
-    """Return the query of a kind of objects that runs used (instruments, certificates), sorted by `order`.
+    """Return the query for objects that runs used (instruments, certificates), sorted by `order`.
 
     `table` has the objects, `key` is their column in `USES`, `names` and `order` are columns of `table`.
     `further` are counts in addition to the numbers of runs and units.

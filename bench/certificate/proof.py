@@ -81,7 +81,8 @@ class Writer:
         *,
         whole: bool = False,
     ) -> Block:
-        """Return a table block: `align` has l or r for each column, `columns` "auto" or a share of the width.
+        """Return a table block: `align` has "l" or "r" for each column; `columns` has the width of each, "auto"
+        or a share.
 
         A `whole` table is kept on one page.
         """
@@ -108,7 +109,8 @@ def symbol(name: str) -> Cell:
 
 
 def value_cells(value: Value, size: float = 1.0, unit: str = "") -> list[Cell]:
-    """Return the cells of a result in units of `size`: name, value, U, k, degrees of freedom, unit."""
+    """Return the cells of a result: name, value, U, k, degrees of freedom, unit; numbers are in units of `size`.
+    """
     U = value.U / size
     freedom = (
         "∞"
@@ -162,7 +164,7 @@ def code(text: str) -> Cell:
 
 
 def broken(digest: str) -> list[Cell]:
-    """Return the cells for a hash, one for each line."""
+    """Return a hash divided into table cells, one for each line."""
     return [code(digest[at : at + _CODE_LENGTH]) for at in range(0, len(digest), _CODE_LENGTH)]
 
 
@@ -174,7 +176,7 @@ def span(low: float, high: float, u: float | None, unit: str) -> str:
 
 
 def plain(told: Any) -> Any:
-    """Return data with control characters made visible, so that no text can hide anything on the page."""
+    """Return data with control characters made visible, so that no text can hide another on the page."""
     if isinstance(told, dict):
         return {name: plain(of) for name, of in told.items()}
     if isinstance(told, list | tuple):

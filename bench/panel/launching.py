@@ -180,9 +180,7 @@ class TrialResult:
 
 
 class WorkFolder:
-    """A folder in which a process of the panel stores its findings; the process holds a lock there while it is
-    alive.
-    """
+    """A folder in which a process of the panel stores its findings; a lock shows that the process is alive."""
 
     def __init__(self, path: Path) -> None:
         self.path = path

@@ -86,8 +86,7 @@ def operator(request: Request) -> Person:
 async def acting(request: Request, least: Role, most: int = MOST_FIELDS) -> tuple[Person, dict[str, str]]:
     """Return the person who requests a change, and the fields of the form, at most `most`.
 
-    Raises `Refusal` for a person below the role `least`, a request without the session's CSRF token, or too many
-    fields.
+    Raises `Refusal` for a person below the role `least`, a wrong CSRF token, or too many fields.
     """
     person = looking(request)
     sent = await fields(request, most)
