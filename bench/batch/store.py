@@ -343,8 +343,7 @@ class PartWriter:
     _since_s: float = 0.0
 
     def carry_out(self, progress: BatchProgress, computed: Computed) -> None:
-        """Compute the pending runs and write all rows received to parts, even if the computation is interrupted.
-        """
+        """Compute the pending runs and write all rows received to parts, even if the computation is interrupted."""
         self._since_s = self.clock.now_s()
         rows = computed(iter(progress.pending))
         try:

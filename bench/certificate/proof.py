@@ -109,8 +109,7 @@ def symbol(name: str) -> Cell:
 
 
 def value_cells(value: Value, size: float = 1.0, unit: str = "") -> list[Cell]:
-    """Return the cells of a result: name, value, U, k, degrees of freedom, unit; numbers are in units of `size`.
-    """
+    """Return the cells of a result: name, value, U, k, degrees of freedom, unit; numbers are in units of `size`."""
     U = value.U / size
     freedom = (
         "∞"

@@ -131,8 +131,7 @@ class WantedRun:
         return RunRequest(**{"procedure": "", **self.fields})  # type: ignore[arg-type]
 
     def hashed(self) -> WantedRun:
-        """Return the requested run with the present hashes of its files. Raises `Refusal` if one cannot be read.
-        """
+        """Return the requested run with the present hashes of its files. Raises `Refusal` if one cannot be read."""
         return replace(self, sha256=self._hashes())
 
     def changed(self) -> bool:
@@ -250,8 +249,7 @@ class Wishes:
         self._folder = folder
 
     def new(self, wanted: WantedRun) -> WishFolder:
-        """Store a requested run and return its folder. Raises `Refusal` (429) if too many runs are being tried.
-        """
+        """Store a requested run and return its folder. Raises `Refusal` (429) if too many runs are being tried."""
         self._folder.mkdir(mode=0o700, exist_ok=True)
         before = [one for one in self._folder.iterdir() if one.is_dir()]
         before.sort(key=lambda one: one.stat().st_mtime)

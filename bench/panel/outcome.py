@@ -152,8 +152,7 @@ def previous_calibration(run: Run, runs: RunsFolder) -> Run | None:
 
 
 def _identity(run: Run) -> tuple[tuple[str, str, bool], str] | None:
-    """Return the unit (type, serial, simulated or not) and the time of a run; None if no serial number is known.
-    """
+    """Return the unit (type, serial, simulated or not) and the time of a run; None if no serial number is known."""
     try:
         manifest = run.manifest
     except RecordError:

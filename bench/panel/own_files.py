@@ -1,5 +1,4 @@
-"""Bench files and procedures of the working folder: their list, and writing one unless somebody else changed it.
-"""
+"""Bench files and procedures of the working folder: their list, and writing one unless somebody else changed it."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""The table of a procedure, with a row of fields for each written step; copying and removal of steps in its text.
-"""
+"""The table of a procedure, with a row of fields for each written step; copying and removal of steps in its text."""
 
 from __future__ import annotations
 
@@ -242,8 +241,7 @@ def _compared(text: str, lines: list[str], at: Place, times: int) -> str:
 
 
 def place_of(name: str, rows: Iterable[Row]) -> Place:
-    """Return the path in the procedure of the step with this row name. Raises `Refusal` (400) if there is none.
-    """
+    """Return the path in the procedure of the step with this row name. Raises `Refusal` (400) if there is none."""
     for row in rows:
         if row.group.place == name:
             return row.group.at[:-1]

@@ -59,8 +59,7 @@ class Search(WorkFolder):
             return Findings()
 
     def at_work(self) -> bool:
-        """Return whether a search process is running, or was started so recently that it may not have begun yet.
-        """
+        """Return whether a search process is running, or was started so recently that it may not have begun yet."""
         if self.found().done:
             return False
         try:

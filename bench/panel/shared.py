@@ -76,8 +76,7 @@ def looking(request: Request) -> Person:
 
 
 def operator(request: Request) -> Person:
-    """Return the signed-in person of a request that only operators may make. Raises `Refusal` for anybody else.
-    """
+    """Return the signed-in person of a request that only operators may make. Raises `Refusal` for anybody else."""
     person = looking(request)
     person.require(Role.OPERATOR)
     return person

@@ -160,8 +160,7 @@ def _lines(found: InNumbers) -> LinesPart | None:
 
 
 def print_compare(result: CompareResult, out: Console) -> None:
-    """Print the changes since the first calibration, the drift, and the verdict from the nine intrinsic numbers.
-    """
+    """Print the changes since the first calibration, the drift, and the verdict from the nine intrinsic numbers."""
     unit = result.unit
     out.print(
         f"Against {_named(result.first)}: S in {unit}/g, θ in degrees, b in g; K in {unit}/g, U0 in {unit}, "
@@ -440,16 +439,14 @@ def print_benches(result: BenchesResult, out: Console) -> None:
 
 
 def unit_of_change(name: str, unit: str) -> tuple[float, str]:
-    """Return the factor and the unit for printing differences of the number `name`: angles are in seconds of arc.
-    """
+    """Return the factor and the unit for printing differences of the number `name`: angles are in seconds of arc."""
     if name.startswith("theta"):
         return 3600.0, "″"
     return 1.0, "g" if name in INTRINSIC[6:] else unit
 
 
 def _print_together(found: AllTogether, count: str, out: Console) -> None:
-    """Print the benches and pairs of benches that differ significantly in the joint test of all `count` numbers.
-    """
+    """Print the benches and pairs of benches that differ significantly in the joint test of all `count` numbers."""
     benches: Iterable[tuple[str, TogetherPart]] = found.benches.items()
     pairs = ((f"{pair.first} and {pair.second}", pair) for pair in found.pairs)
     apart = [(name, one) for name, one in (*benches, *pairs) if one.apart]

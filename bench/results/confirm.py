@@ -46,8 +46,7 @@ class EffectPart(ResultModel):
 
 
 class ConfirmResult(ResultModel):
-    """The test of a model on new readings: the misfit (gap) with and without it, and the verdict on each effect.
-    """
+    """The test of a model on new readings: the misfit (gap) with and without it, and the verdict on each effect."""
 
     closed: Real = Field(
         description="(before - after)/(before - floor): the part of the gap that the model closes; null where "

@@ -71,8 +71,7 @@ def intrinsic_part(own: Intrinsic) -> IntrinsicPart:
 
 
 def joint_part(u: Floats, dof: Floats) -> JointPart:
-    """Return the joint coverage factor of numbers with `u` (m,) and `dof` (m,); numbers with u = 0 are left out.
-    """
+    """Return the joint coverage factor of numbers with `u` (m,) and `dof` (m,); numbers with u = 0 are left out."""
     found = joint_of(u, dof)
     return JointPart.from_object(found, dof=found.dof if np.isfinite(found.dof) else None)
 

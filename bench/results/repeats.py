@@ -21,8 +21,7 @@ MEANING: Final = {
 
 
 class RatioPart(ResultModel):
-    """The ratio of the scatter of repeats to the u of their prediction from the others, with its 95 % interval.
-    """
+    """The ratio of the scatter of repeats to the u of their prediction from the others, with its 95 % interval."""
 
     value: float
     low: float

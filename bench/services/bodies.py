@@ -219,8 +219,7 @@ def told_in_words(run: Run) -> list[str]:
 
 
 def _signs(source: Source) -> list[_Named]:
-    """Repeat the early warning on the recorded readings, and return the rows that a mistake certainly affected.
-    """
+    """Repeat the early warning on the recorded readings, and return the rows that a mistake certainly affected."""
     assert source.run is not None  # noqa: S101
     history = source.run.history
     watcher = watcher_of(source.run.plan, source.bench)

@@ -261,8 +261,7 @@ class CommissioningPlan:
 
 
 def free_folder(now: datetime, what: str = "commissioning") -> Path:
-    """Return the default folder, named after the time, for a commissioning or for the session of checks `what`.
-    """
+    """Return the default folder, named after the time, for a commissioning or for the session of checks `what`."""
     return Path(f"{what}-{now.astimezone():%Y%m%d-%H%M%S}")
 
 

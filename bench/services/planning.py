@@ -429,8 +429,7 @@ def requirements(request: Require) -> Requirements:
 
 
 def _target(request: Require, bench: BenchFile, *, reading: bool) -> tuple[Target, str, QuantityKind]:
-    """Return the quantity for which an accuracy is required, the unit of the accuracy, and its kind of quantity.
-    """
+    """Return the quantity for which an accuracy is required, the unit of the accuracy, and its kind of quantity."""
     of, up_to = request.of, request.up_to
     if up_to is not None and of not in ACCELERATIONS:
         raise Refused("--up-to needs --of acceleration or --of modulus; add one")

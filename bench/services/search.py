@@ -1,5 +1,4 @@
-"""The search for instruments: the resources that the interfaces offer, and the answer of an addressed resource.
-"""
+"""The search for instruments: the resources that the interfaces offer, and the answer of an addressed resource."""
 
 from __future__ import annotations
 

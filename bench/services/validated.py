@@ -175,8 +175,7 @@ def demanded_by(laboratory: Path | None) -> bool:
 
 
 def refuse_unvalidated_run(bench: BenchFile, path: Path, laboratory: Path | None = None) -> None:
-    """Raise `Refused` for a real run by a program that is not validated, if bench or laboratory file require it.
-    """
+    """Raise `Refused` for a real run by a program that is not validated, if bench or laboratory file require it."""
     laboratory = laboratory_known(laboratory)
     if bench.require_validation or demanded_by(laboratory):
         by = path if bench.require_validation else laboratory
@@ -184,8 +183,7 @@ def refuse_unvalidated_run(bench: BenchFile, path: Path, laboratory: Path | None
 
 
 def refuse_unvalidated_certificate(laboratory: Path) -> None:
-    """Raise `Refused` for a certificate by a program that is not validated, if the laboratory file requires it.
-    """
+    """Raise `Refused` for a certificate by a program that is not validated, if the laboratory file requires it."""
     if demanded_by(laboratory):
         _refuse(laboratory, str(laboratory), None)
 

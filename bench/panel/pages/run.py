@@ -1,5 +1,4 @@
-"""One run: its page, data for its script, answers, wishes (pause, stop, …), control, resuming, ending for good.
-"""
+"""One run: its page, data for its script, answers, wishes (pause, stop, …), control, resuming, ending for good."""
 
 from __future__ import annotations
 
