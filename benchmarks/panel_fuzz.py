@@ -343,7 +343,7 @@ class Place:
         return found
 
     def allowed(self, path: str, request: Request) -> bool:
-        """Whether an entitled request may change this file."""
+        """Whether an entitled request may change the file at `path`."""
         ended = Path(path) != self.runs / "alive" / EVENTS and request.path.endswith(("/give-up", "/wish"))
         if ended and Path(path).name == EVENTS:
             return True

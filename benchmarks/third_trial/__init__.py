@@ -1,1 +1,3 @@
-"""The third trial of the diagnosis: geometry, effects, noise and mistakes written once more, apart from `bench`."""
+"""The third trial of the diagnosis, whose geometry, effects, noise and mistakes are written again, apart from
+`bench`.
+"""
