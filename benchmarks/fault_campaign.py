@@ -367,7 +367,7 @@ def draw(count: int, seed: int, benches: Sequence[Stand]) -> list[Trial]:
 
 
 def draw_fault(generator: random.Random, stand: Stand, kind: FaultKind) -> Fault:
-    """Draw instrument, exchange and duration of a fault."""
+    """Return a random fault of a kind: its instrument, exchange and duration."""
     instrument = generator.choice(stand.able[kind])
     seconds = 0.0
     if kind is FaultKind.LATE:

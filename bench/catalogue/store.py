@@ -385,7 +385,10 @@ def _listen(engine: Engine) -> None:
 
 
 def _take_up_wal(connection: Any) -> None:
-    """Switch a database file to a write-ahead log; retry, because SQLite fails at once if several programs do so."""
+    """Switch a database file to a write-ahead log.
+
+    Retry, because SQLite fails at once if several programs do so.
+    """
     until = time.monotonic() + BUSY_MS / 1e3
     while True:
         try:

@@ -309,7 +309,7 @@ class Certificate:
 
     @property
     def state(self) -> str:
-        """Whether the results show the unit as found or as left; empty if not stated."""
+        """The state of the unit to which the results apply, as found or as left; empty if not stated."""
         return "" if self.unit is None else self.unit.state
 
     @property

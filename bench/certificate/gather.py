@@ -327,7 +327,7 @@ def _contributions(result: CalibrationResult) -> Iterator[Contribution]:
 
 
 def _result_json(run: Run, result: CalibrationResult, verdict: VerificationResult | None) -> str:
-    """Return the result and the verdict as JSON, in which the run's name replaces every path of its local folder."""
+    """Return the result and the verdict as JSON; paths in the run's local folder are replaced by its name."""
     told = {**result.to_dict(), "verification": None if verdict is None else verdict.to_dict()}
     told["source"] = run.name
     for part in (told, told["verification"] or {}):

@@ -61,7 +61,7 @@ def reasons_of(chart: ControlChart, row: int) -> tuple[str, ...]:
 
 
 def _which(chart: ControlChart, z: Floats, limit: float) -> str:
-    """Return the names of the numbers beyond their own limit, farthest first; if there are none, of the farthest."""
+    """Return the names of the numbers beyond their own limit, farthest first; without any, of the farthest."""
     order = np.argsort(-np.abs(z))
     beyond = [k for k in order if abs(z[k]) > limit]
     named = [f"{chart.names[k]} {z[k]:+.1f} u".replace("-", MINUS) for k in order]

@@ -224,7 +224,10 @@ def _angles(body: RunSums, theta: Floats, beliefs: Beliefs) -> list[Contradictio
 def _angle_test(
     body: RunSums, r: int, theta: Floats, means: Floats, covariance: Floats
 ) -> tuple[float, float]:
-    """Return reduced chi-square and p-value of the angles of run `r` against the prediction from the others."""
+    """Test the angles of run `r` against their prediction from the other runs.
+
+    Returns the reduced chi-square and the p-value.
+    """
     c = body.columns
     own = np.flatnonzero(body.mean[r] >= 0)
     by_means = body.by_mean(len(means) - body.waves)[r][own, c:-1]

@@ -207,7 +207,7 @@ LANGUAGE: Final = "bench-language"
 
 
 def _language_of(request: Request) -> str | None:
-    """Return the language of the cookie, else the first known one of Accept-Language; None to keep the program's."""
+    """Return the language in the cookie, else the first known one of Accept-Language; None: the program's."""
     accepted = request.headers.get("accept-language", "")[:200].split(",")
     wanted = [request.cookies.get(LANGUAGE, ""), *(one.partition(";")[0] for one in accepted)]
     return next(filter(None, map(known_language, wanted)), None)
@@ -310,7 +310,7 @@ class KeptList:
 
     @contextmanager
     def changed(self) -> Iterator[list[dict[str, Any]]]:
-        """Yield the rows, to be changed in place, and write them at the end of the context. Raises `RecordError`."""
+        """Yield the rows, to be changed in place; write them at the end of the context. Raises `RecordError`."""
         try:
             with self._lock:
                 rows = self.rows()

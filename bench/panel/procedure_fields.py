@@ -1,4 +1,4 @@
-"""The table of a procedure, with a row of fields for each written step; copying and removal of steps in its text."""
+"""The table of a procedure, with a row of fields for each step; copying and removal of steps in its text."""
 
 from __future__ import annotations
 

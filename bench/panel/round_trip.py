@@ -231,7 +231,10 @@ def _put(tree: Any, one: BenchField, text: str) -> None:
 
 
 def _scalar(text: str, before: Any) -> Any:
-    """Return a text as a scalar with the quotes of the scalar `before`; a word that YAML reads as null is quoted."""
+    """Return a text as a scalar with the quotes of the scalar `before`.
+
+    A word that YAML reads as null is quoted.
+    """
     from ruamel.yaml.scalarstring import DoubleQuotedScalarString, SingleQuotedScalarString
 
     if isinstance(before, SingleQuotedScalarString):

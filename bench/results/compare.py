@@ -439,7 +439,7 @@ def print_benches(result: BenchesResult, out: Console) -> None:
 
 
 def unit_of_change(name: str, unit: str) -> tuple[float, str]:
-    """Return the factor and the unit for printing differences of the number `name`: angles are in seconds of arc."""
+    """Return the factor and the unit for printing differences of the number `name`: arcsec for angles."""
     if name.startswith("theta"):
         return 3600.0, "″"
     return 1.0, "g" if name in INTRINSIC[6:] else unit

@@ -271,7 +271,7 @@ class CheckBlockChart:
 
 
 def _members(chart: ControlChart) -> dict[str, Any]:
-    """Return the JSON members that the charts of the nine intrinsic numbers and of the twelve coefficients share."""
+    """Return the members that the charts of the nine intrinsic numbers and of the twelve coefficients share."""
     centre = chart.centre
     u = np.sqrt(np.diag(centre.covariance) * centre.scale)
     return {

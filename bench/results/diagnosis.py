@@ -516,7 +516,7 @@ def _consequence(shown: ModelComparison, out: Console) -> None:
 
 
 def _blocks(full: FullDiagnosis, out: Console) -> None:
-    """Print the coefficients of each block with u, and the p-value of the block's comparison with its simulation."""
+    """Print the coefficients of each block with u, and the p-value of its comparison with the simulation."""
     changed = any(block.after is not None for block in full.blocks)
     out.print(f"Coefficients of each block{', with what was found' if changed else ''}; in brackets u:")
     rows = table("block", *(f">{name}" for name in full.blocks[0].coefficients), ">p")

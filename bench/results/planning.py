@@ -50,7 +50,7 @@ class LimitPart(ResultModel):
 
     @classmethod
     def of_limit(cls, found: Limit, **part: float) -> LimitPart:
-        """Return the part of the result on a limit; `part=`, if given, is its fraction of the permitted variance."""
+        """Return the part of the result on a limit; `part=`, if given, is its fraction of the variance."""
         source = found.source
         return cls.from_object(
             source,

@@ -1,6 +1,4 @@
-"""The only module of the third trial that calls the program: its diagnosis of a case, and its model's
-predictions.
-"""
+"""The only module of the third trial that calls the program, for diagnoses and for predictions of its models."""
 
 from __future__ import annotations
 

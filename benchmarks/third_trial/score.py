@@ -146,7 +146,7 @@ BOUNDS: Final = {
 
 
 def shares(marks: Iterable[Marks]) -> dict[str, Share]:
-    """Return for each column how often it is right, of how often it was applicable."""
+    """Return for each column the share of applicable marks that are right."""
     columns: dict[str, list[bool]] = {}
     for name, value in (pair for one in marks for pair in one.items()):
         columns.setdefault(name, []).extend([] if value is None else [bool(value)])

@@ -29,7 +29,7 @@ else:
     # placeholders that avoid slow imports; `bench.services.arguments` maps them to kinds of arguments
 
     class Data:
-        """Readings, by name or in memory."""
+        """Readings: by name, or in memory."""
 
     class Bench:
         """A bench file, by name or loaded."""
