@@ -1,5 +1,4 @@
-"""Measure a batch over many run folders: how busy its processes are, their memory, and the effect of 50
-kills.
+"""Measure a batch over many run folders: how busy its processes are, their memory, the effect of kills.
 
     python -m benchmarks.many_folders 10000 /var/tmp/laboratory --seed 1
     python -m benchmarks.batch_campaign busy '/var/tmp/laboratory/*' --count 10000

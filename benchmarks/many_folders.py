@@ -58,7 +58,8 @@ TARGET_DEG: Final = np.concatenate([np.tile(np.arange(9) * 45.0, 6), np.arange(4
 
 @dataclass(frozen=True)
 class Truth:
-    """The truth: units (U, 12), their drift per year (U, 12), effects of benches (B, 12), and the runs.
+    """The true values behind the folders: units (U, 12), drift per year (U, 12), effects of benches (B, 12),
+    runs.
 
     Each run has a unit, a bench and a day.
     """

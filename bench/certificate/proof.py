@@ -1,4 +1,4 @@
-"""The blocks of the pages after the first: method, conditions, results, conformity, record."""
+"""The contents of a certificate's pages after the first: method, conditions, results, conformity, record."""
 
 from __future__ import annotations
 
@@ -188,7 +188,10 @@ _RESULT_COLUMNS: Final = ["auto", 1.2, 1, 0.7, 0.8, 0.6]
 
 
 def pages(certificate: Certificate, write: Writer, attached: list[tuple[str, str, str]]) -> list[Block]:
-    """Return the blocks after the first page; `attached` lists name, description and SHA-256 of each file."""
+    """Return the blocks of the certificate's pages after the first.
+
+    `attached` lists name, description and SHA-256 of each attached file.
+    """
     found = certificate.found
     return [
         *_method(certificate, write),

@@ -279,7 +279,7 @@ def _changes(first: Snapshot, later: Snapshot, difference: Floats, u: Floats, p:
 
 
 def _p_of(chi2: float, count: int, dof: float) -> float:
-    """Return the p-value of a chi-square of `count` numbers whose u has `dof` degrees of freedom.
+    """Return the p-value of the chi-square `chi2` of `count` numbers whose u has `dof` degrees of freedom.
 
     For a finite `dof`, chi2/count follows the F distribution.
     """

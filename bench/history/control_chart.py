@@ -266,9 +266,9 @@ class ControlChart:
 
         Both have one entry per number of the block, in the order of `names`: shapes (m,) and (m, m). The
         expected values are the centre of the chart plus the known drift since `begun`, plus the further drift
-        that the runs show wherever that is significant. The covariance is the sum of that of the centre, that
-        between runs, and that of the drift, whose standard uncertainty grows in proportion to the time since
-        `begun`.
+        that the runs show wherever that is significant. The covariance is the sum of three parts: of the
+        centre, between runs, and of the drift. The standard uncertainty of the drift grows in proportion to
+        the time since `begun`.
         """
         years = (when.timestamp() - self.begun) / SECONDS_PER_YEAR
         lines, value = _Lines(self.begun, self.known), self.centre.value

@@ -116,7 +116,9 @@ class Person:
 
     @property
     def csrf(self) -> str:
-        """The CSRF token in every form of this session, which no other site can know."""
+        """The CSRF token in every form of this session, by which a request proves that it comes from the
+        panel.
+        """
         return hashlib.sha256(f"form:{self.secret}".encode()).hexdigest()[:32]
 
     def require(self, least: Role) -> None:

@@ -142,9 +142,9 @@ def values_in(data: Any, fields: Iterable[BenchField]) -> dict[str, str]:
 
 
 def table_text(text: str, values: Values, fields: Sequence[BenchField]) -> str:
-    """Return the text of a procedure with the values of the table.
+    """Return the text of a procedure with the values that were typed in its table.
 
-    The values of its fields are set first, then the chosen forms of angles.
+    The values of existing fields are set first, then the chosen forms of angles.
     """
     text = edited_text(text, values, fields)
     return edited_text(text, {}, (), lambda tree, _: _arrange_angles(tree, values, fields))

@@ -174,7 +174,7 @@ class GapPart(FormGapPart):
 
 
 class CopyPart(ResultModel):
-    """The copy of the readings with the mistakes corrected."""
+    """The copy of the readings in which the mistakes are corrected."""
 
     readings: Path | None = Field(description="the readings file of the copy; null where it was not written")
     used: int = Field(description="readings in the copy")

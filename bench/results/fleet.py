@@ -382,7 +382,7 @@ def _rates_table(rates: dict[str, RatePart], then: dict[str, ValuePart] | None, 
 
 
 class ScatterPart(LimitedPart):
-    """The standard deviation of a unit's calibrations in excess of their stated u, without drift."""
+    """The scatter between a unit's calibrations in excess of their stated u, after drift is removed (1 σ)."""
 
     value: float = Field(description="root of the mean square over what the calibrations leave open")
     at_least: float = Field(description="lower limit of 95 %")

@@ -35,7 +35,8 @@ class IntrinsicValuePart(CoefficientPart):
 
 
 class IntrinsicPart(ResultModel):
-    """Sensitivities, angles between the sensing axes, and offsets: what does not depend on the mounting.
+    """The nine numbers that do not depend on the mounting: sensitivities, angles between the sensing axes,
+    offsets.
 
     S_i = ‖row i of K‖, cos θ_ij = row_i·row_j/(S_i S_j), b_i = U0_i/S_i.
     """

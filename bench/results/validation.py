@@ -215,7 +215,7 @@ class RegisteredValidation(ResultModel):
 
 
 class ValidationRegisterResult(ResultModel):
-    """The validations of a laboratory: `bench validate --register`, or the one that was just accepted."""
+    """The validations of a laboratory (`bench validate --register`), or the one that was just accepted."""
 
     register_: str = Field(alias="register", description="its folder")
     head: str = Field(description="SHA-256 of the last line, which proves all lines before it")

@@ -91,7 +91,7 @@ class Origin(_Part):
         return to_text(about)
 
     def bench_file(self, readings: Path) -> Path | None:
-        """Return the path of the run's bench file for a readings file; None where no unchanged copy is found.
+        """Return the path of the run's bench file for a readings file; None if no unchanged copy is found.
 
         It is searched for in the run's folder, also relative to the readings file in case both were moved,
         and at the path from which the run took it.
@@ -250,7 +250,7 @@ class BenchTaken:
         return copy if own.name == BENCH and copy.is_file() else own.parent / self.file.learned
 
     def learned(self) -> LearnedFile | None:
-        """Return the learned file of the bench; None where the bench file names none. Raises `FileMistakes`."""
+        """Return the learned file of the bench; None if the bench file names none. Raises `FileMistakes`."""
         path = self.learned_path
         return None if path is None else load_learned(path, self.file)
 
@@ -352,7 +352,7 @@ def _of_run(run: Run, given: str | Path | BenchFile | None) -> tuple[BenchTaken,
 def own_bench(run: Run) -> tuple[BenchFile, Path]:
     """Return the bench file that a run recorded, and the path to which its references are relative.
 
-    This path is the original file, or the run's copy if the original no longer exists.
+    The path is that of the original file or, if this no longer exists, of the run's copy.
     """
     stated = Path(str(run.manifest.get("bench", "")))
     return load_recorded_bench(run.folder / BENCH), stated if stated.is_file() else run.folder / BENCH

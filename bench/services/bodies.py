@@ -63,7 +63,7 @@ def whole_body(request: Diagnose) -> Body:
 
 
 def single_bodies(request: Diagnose) -> list[Body | Failed]:
-    """Return each source as a body of its own, or as a `Failed` if it cannot be read.
+    """Return each source as a separate body, or as a `Failed` if it cannot be read.
 
     If there is only one source, its error is raised instead.
     """
@@ -126,7 +126,7 @@ def _blocks(sources: list[Source], one_block: bool | None) -> list[int | None]:
 
 
 def _of_the_stand(source: Source) -> dict[str, float]:
-    """Return the standard uncertainties of the stand, rad; those of the voltmeter (other units) are left out."""
+    """Return the standard uncertainties of the stand, rad, without the voltmeter's, which has another unit."""
     return {name: u for name, u in source.stand_u.items() if name != "voltmeter_error"}
 
 

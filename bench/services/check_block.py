@@ -581,7 +581,7 @@ def checked_before(
 
 
 def refuse_or_tell(found: CheckBefore, rule: str, reason: str | None) -> tuple[str, ...]:
-    """Return the sentences on a check. Raises `Refused` where the rule forbids the run and `reason` is None."""
+    """Return the sentences on a check. Raises `Refused` if the rule forbids the run and `reason` is None."""
     if found.fine:
         return (f"check block: {found.sentence}",)
     if reason is not None:

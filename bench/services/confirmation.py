@@ -101,8 +101,8 @@ class ConfirmationResult:
 def confirmation_of(source: Source) -> ConfirmationResult:
     """Test the model of a source on its readings; thresholds are kept in the user's cache folder.
 
-    Raises `Refused` where the model is missing, has no effects, or was found in these very readings;
-    `CalibrationError` where the readings do not determine the coefficients or could not show the effects.
+    Raises `Refused` if the model is missing, has no effects, or was found in these same readings. Raises
+    `CalibrationError` if the readings do not determine the coefficients or could not show the effects.
     """
     path = source.request.model
     if path is None:

@@ -310,7 +310,7 @@ class RecordDiagnosisResult(DiagnosisAlone):
 
 
 class FreeDiagnosisResult(DiagnosisAlone):
-    """Where free positions and model disagree, what is missing, and how far it closes the gap."""
+    """The diagnosis of free positions: disagreement with the model, the missing effect, and the gap."""
 
     found: FreeDiagnosis
     view = "bench.results.free_diagnosis"

@@ -195,7 +195,7 @@ def acting_at(where: str, name: str, laboratory: Path | None = None) -> WishAuth
 
 
 def resumer(where: str, name: str) -> WishAuthor:
-    """Return the author to record for resuming a run; nobody if there is neither a `name` nor a register."""
+    """Return the author to record for resuming a run; "nobody" if there is neither a `name` nor a register."""
     by = acting_at(where, name)
     return by if name or persons_of(laboratory_known(None)) is not None else NOBODY_KNOWN
 
@@ -207,7 +207,7 @@ def persons(request: ChangePersons) -> PersonsResult:
     """Carry out the requested change of the register, if any, and return the register.
 
     The first line adds an administrator. Raises `Refused` if the acting person may not administer, if no
-    administrator would remain, and if anything is missing.
+    administrator would remain, and if an option is missing.
     """
     laboratory = laboratory_needed(request.laboratory, "the register of persons is a folder beside it")
     if request.what is None:

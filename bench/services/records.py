@@ -123,7 +123,7 @@ NOTHING_OUTSIDE = (
 
 @dataclass(frozen=True)
 class SealResult:
-    """A seal, its file, and the reason if it has no time stamp although one was requested."""
+    """A seal, its file and, if a requested time stamp is missing, the reason for this."""
 
     seal: Seal
     file: Path

@@ -243,7 +243,7 @@ def take_learned(
     """Return the part of a learned file that is valid for readings of a day in a unit.
 
     `head` and `hashes` identify the record of the readings. `simulated` says whether the readings are
-    simulated, None where this is not stated or there are no readings.
+    simulated; it is None if this is not stated or there are no readings.
     """
     if file is None:
         return NOTHING_LEARNED

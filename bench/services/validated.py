@@ -141,7 +141,7 @@ def register_beside(laboratory: Path) -> Path:
 
 
 def read_validations(laboratory: Path) -> Validations:
-    """Return the register of a laboratory, read without changing anything. Raises `Refused` if it is damaged."""
+    """Return the register of a laboratory, read without changing any file. Raises `Refused` if it is damaged."""
     register = Validations(register_beside(laboratory))
     register.read_lines()
     return register

@@ -177,9 +177,7 @@ class VerificationResult:
 
     @property
     def accepted(self) -> bool:
-        """Whether the verification passed, with coefficients that fit their own readings (or whose fit is
-        unknown).
-        """
+        """Whether the verification passed, and the coefficients fit the readings they come from (if known)."""
         return self.passed and (self.fit is None or self.fit.accepted())
 
     @property

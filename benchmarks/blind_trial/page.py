@@ -62,7 +62,7 @@ def part(result: Stored) -> str:
 
 
 def sums(result: Stored) -> str:
-    """Return a table that sums rows with a single effect by size, and the rates that apply to all rows."""
+    """Return a table of the rows with a single effect, summed by size, and of the rates over all rows."""
 
     def sum_of(kind: str, column: str, low: float, high: float) -> str:
         counts = [

@@ -1,3 +1,1 @@
-"""The third trial of the diagnosis, whose geometry, effects, noise and mistakes are written again, apart from
-`bench`.
-"""
+"""The third trial of the diagnosis; its geometry, effects, noise and mistakes are independent of `bench`."""
