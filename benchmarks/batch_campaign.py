@@ -4,18 +4,17 @@
     python -m benchmarks.batch_campaign busy '/var/tmp/laboratory/*' --count 10000
     python -m benchmarks.batch_campaign kills '/var/tmp/laboratory/*' --count 600 --kills 50 --seed 1
 
-`busy` carries out one batch and observes its processes every second (in /proc, so on Linux only). It reports
-two shares of the processes' life after their first row: the share in which they computed (CPU), and the share
-in which they computed or waited for a core (from `schedstat`), because other programs compete for cores. On
-an otherwise idle machine both are the share of the cores that is used. In the rest of the time they waited
-for work from the program, or for the disk. Memory is the resident set of the program and of the largest
-process, by tenths of the runs.
+`busy` carries out one batch and observes its processes every second (in /proc, so on Linux only). It reports two
+shares of the processes' life after their first row: the share in which they computed (CPU), and the share in which
+they computed or waited for a core (from `schedstat`), because other programs compete for cores. On an otherwise
+idle machine both are the share of the cores that is used. In the rest of the time they waited for work from the
+program, or for the disk. Memory is the resident set of the program and of the largest process, by tenths of the
+runs.
 
-`kills` ends processes at random moments (SIGKILL): the program itself, a computing process, or the fork
-server from which these are copied. The program is then restarted with the same command. At the end every run
-must be in the result exactly once and in one part only, no part may have been rewritten, and the rows of a
-sample must equal, number by number, those of a single calibration. The exit status is 1 if this does not
-hold.
+`kills` ends processes at random moments (SIGKILL): the program itself, a computing process, or the fork server from
+which these are copied. The program is then restarted with the same command. At the end every run must be in the
+result exactly once and in one part only, no part may have been rewritten, and the rows of a sample must equal,
+number by number, those of a single calibration. The exit status is 1 if this does not hold.
 """
 
 from __future__ import annotations
@@ -49,9 +48,7 @@ _TICKS: Final = os.sysconf("SC_CLK_TCK")
 
 @dataclass
 class Seen:
-    """Observations of a process: times (s) of the first and the last one, CPU and queue times (s) at both,
-    memory.
-    """
+    """Observations of a process: times (s) of the first and the last, CPU and queue times (s) then, memory."""
 
     first: tuple[float, float, float]
     last: tuple[float, float, float]
@@ -104,9 +101,7 @@ def workers_of(program: int) -> list[int]:
 
 
 def times_of(pid: int) -> tuple[float, float, int] | None:
-    """Return CPU time (s), queue time (s) of all threads and resident memory (kB); None if the process has
-    ended.
-    """
+    """Return CPU time (s), queue time (s) of all threads and resident memory (kB); None after its end."""
     try:
         stat = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
         queued = sum(
@@ -235,9 +230,7 @@ def written_again(out: Path, parts: dict[str, str]) -> Iterator[str]:
 
 
 def checked(out: Path, runs: list[str], chance: random.Random) -> list[str]:
-    """Return sentences on faults of a result: lost or repeated runs, and numbers that differ from a
-    calibration.
-    """
+    """Return sentences on faults of a result: lost or repeated runs, and numbers that differ from a calibration."""
     table = parquet.read_table(out / "changes.parquet")
     counted = Counter(table["run"].to_pylist())
     in_parts: Counter[str] = Counter()

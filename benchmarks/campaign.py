@@ -49,9 +49,8 @@ def arguments(doc: str | None, given: Sequence[str] | None = None, /, **options:
     """Read the command line of a campaign, whose help is its docstring.
 
     An option is described by its default: False means a flag, a list an option with several values, a type an
-    option whose default is None. A pair is a default and a help text. A dictionary goes to argparse
-    unchanged; with the key "positional", it describes an argument that is no option. `--jobs` is another name
-    of `--workers`.
+    option whose default is None. A pair is a default and a help text. A dictionary goes to argparse unchanged; with
+    the key "positional", it describes an argument that is no option. `--jobs` is another name of `--workers`.
     """
     parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
     for name, default in options.items():
@@ -180,9 +179,9 @@ def done(*words: object) -> None:
 class Kept:
     """Results in a file by key, appended one by one, so that an interrupted campaign can be continued.
 
-    A line is compressed JSON as text. A kill may cut off the last line, whose result is then computed again.
-    The first line states what the results belong to, such as seed and program, so that results of different
-    ones are never mixed.
+    A line is compressed JSON as text. A kill may cut off the last line, whose result is then computed again. The
+    first line states what the results belong to, such as seed and program, so that results of different ones are
+    never mixed.
     """
 
     def __init__(self, path: Path, head: Mapping[str, object]) -> None:

@@ -2,16 +2,15 @@
 
     python -m benchmarks.commands_campaign --transitions 3000 --seed 1
 
-A state machine (hypothesis) starts from an empty folder and uses `run`, `resume`, `abort`, `calibrate`,
-`report`, `export`, `seal` and the panel's buttons. The bench has three voltmeters served on loopback and a
-head that a person turns. A meter may be off, fail during a run, and return. A command may be interrupted by
-Ctrl-C or SIGTERM, stopped, paused or aborted from the panel, or killed: its record then ends at any byte
-after its previous end, and results are missing.
+A state machine (hypothesis) starts from an empty folder and uses `run`, `resume`, `abort`, `calibrate`, `report`,
+`export`, `seal` and the panel's buttons. The bench has three voltmeters served on loopback and a head that a person
+turns. A meter may be off, fail during a run, and return. A command may be interrupted by Ctrl-C or SIGTERM,
+stopped, paused or aborted from the panel, or killed: its record then ends at any byte after its previous end, and
+results are missing.
 
 After every step: each record only grew and `show --verify` succeeds; no reading is in it twice; whatever the
-program recommends is possible; and if all meters are on, `resume` completes a run with all its results. The
-counts of all actions are printed. The exit status is 1 after any fault, which is printed with the steps that
-led to it.
+program recommends is possible; and if all meters are on, `resume` completes a run with all its results. The counts
+of all actions are printed. The exit status is 1 after any fault, which is printed with the steps that led to it.
 """
 
 from __future__ import annotations
@@ -236,9 +235,7 @@ class Desk:
         return f"{self._answer}\n"
 
     def _killed(self, before: dict[str, bytes], at: int, *, results: bool) -> None:
-        """Leave the run in progress as SIGKILL would: its record ends at any byte, and some results are
-        missing.
-        """
+        """Leave the run in progress as SIGKILL would: its record ends at any byte, and some results are missing."""
         for name, content in self._lines().items():
             grown = len(content) - len(before.get(name, b""))
             finished = b'"run_finished"' in content

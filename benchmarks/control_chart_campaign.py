@@ -2,11 +2,11 @@
 
     python -m benchmarks.control_chart_campaign --runs 1000000 --seed 1
 
-The charts are of the nine intrinsic numbers, which do not depend on the mounting. `--runs` is the number of
-chart points in each row of the tables (a tenth of it in the second). Three tables are printed, or one of
-them. The first has the false rejections of charts with short baselines, for each basis of limits and for
-stated u that is right or wrong. The second has the effect of a wrong stated u of one number alone. The third
-has mean run lengths of Shewhart, EWMA and MEWMA charts, published, simulated and by the integral equation.
+The charts are of the nine intrinsic numbers, which do not depend on the mounting. `--runs` is the number of chart
+points in each row of the tables (a tenth of it in the second). Three tables are printed, or one of them. The first
+has the false rejections of charts with short baselines, for each basis of limits and for stated u that is right or
+wrong. The second has the effect of a wrong stated u of one number alone. The third has mean run lengths of
+Shewhart, EWMA and MEWMA charts, published, simulated and by the integral equation.
 """
 
 from __future__ import annotations
@@ -159,8 +159,8 @@ def run_lengths(
 ) -> Floats:
     """Return the run lengths (count,) of charts with known parameters and asymptotic limits.
 
-    The statistic is z² of one value, or T² of `p` values, of the EWMA. `limit` is its upper limit, `shift`
-    the shift of the first coordinate, in standard deviations.
+    The statistic is z² of one value, or T² of `p` values, of the EWMA. `limit` is its upper limit, `shift` the
+    shift of the first coordinate, in standard deviations.
     """
     state = np.zeros((count, p))
     lengths, alive = np.zeros(count), np.arange(count)

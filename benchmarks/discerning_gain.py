@@ -1,12 +1,11 @@
-"""Compare the procedure `discerning` with `paper` and `calibration`: how many effects are named, and named
-alone.
+"""Compare the procedure `discerning` with `paper` and `calibration`: how many effects are named, and named alone.
 
 Usage: python -m benchmarks.discerning_gain [--draws 300] [--seed 1]
 
-Readings are simulated in linear approximation. An effect of the catalogue is drawn (every family equally
-often, one of its forms, normal sizes of one or three times the plausible size), with the noise of the bench,
-and named as `bench diagnose` does. The effects are the catalogue's own forms, which favours the naming: the
-table compares procedures, and does not show how well effects of a real bench are named.
+Readings are simulated in linear approximation. An effect of the catalogue is drawn (every family equally often, one
+of its forms, normal sizes of one or three times the plausible size), with the noise of the bench, and named as
+`bench diagnose` does. The effects are the catalogue's own forms, which favours the naming: the table compares
+procedures, and does not show how well effects of a real bench are named.
 """
 
 from __future__ import annotations

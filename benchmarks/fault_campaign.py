@@ -2,12 +2,12 @@
 
     python -m benchmarks.fault_campaign --faults 1200 --seed 1 --jobs 2
 
-Every trial is a dry run of a short procedure by the command line. Its bench file is one of `config`, with
-exact stand, voltmeters and operator, and short timeouts (0.2 s). One fault of a random kind affects one
-instrument at a random exchange; in a storm there are five. Judged are: the duration of the run; the text on
-standard error; the record's chain of hashes; every recorded sample against the forward model at the recorded
-angle. A stopped run must name the instrument, and end with all planned readings when it is resumed without
-faults. A table by kind of fault and every violation are printed; the exit status is 1 if there is one.
+Every trial is a dry run of a short procedure by the command line. Its bench file is one of `config`, with exact
+stand, voltmeters and operator, and short timeouts (0.2 s). One fault of a random kind affects one instrument at a
+random exchange; in a storm there are five. Judged are: the duration of the run; the text on standard error; the
+record's chain of hashes; every recorded sample against the forward model at the recorded angle. A stopped run must
+name the instrument, and end with all planned readings when it is resumed without faults. A table by kind of fault
+and every violation are printed; the exit status is 1 if there is one.
 """
 
 from __future__ import annotations
@@ -155,9 +155,7 @@ def stands(folder: Path, names: Sequence[str], timeout: str = TIMEOUT) -> list[S
 
 
 def _on_bus(meter: Mapping[str, Any]) -> list[str]:
-    """Return a list with the name of a meter that is reached through a GPIB adapter; empty for any other
-    meter.
-    """
+    """Return a list with the name of a meter that is reached through a GPIB adapter; empty for any other meter."""
     channels = meter.get("channels") or list(meter.get("inputs", {}))
     name = meter.get("name", f"voltmeter.{''.join(channels)}")
     return [name] if meter["resource"].lower().startswith("prologix") else []

@@ -2,15 +2,15 @@
 
     python -m benchmarks.fuzz_campaign --inputs 20000 --seed 1 --jobs 2
 
-Inputs are readings, bench files, procedures, model files, results, records, names, SCPI to the simulated
-meters, answers at prompts, extreme values, pipes for files, damaged catalogues, and calls from Python. Each
-is made from the seed and its number (`fuzz_inputs`, `fuzz_edges`), and tried in a separate process.
+Inputs are readings, bench files, procedures, model files, results, records, names, SCPI to the simulated meters,
+answers at prompts, extreme values, pipes for files, damaged catalogues, and calls from Python. Each is made from
+the seed and its number (`fuzz_inputs`, `fuzz_edges`), and tried in a separate process.
 
 Promised: no traceback, no message of an unforeseen error, no control character for a terminal, one of the
-documented statuses, no acceptance of what must be refused (signals that are not finite, an impossible
-covariance, a wrong unit, a repeated key, a changed record, …), and no hang: an input that takes too long ends
-the campaign and is named. A table by kind and every violation are printed; the exit status is 1 if there is
-one. To repeat one input: `--only readings:17`.
+documented statuses, no acceptance of what must be refused (signals that are not finite, an impossible covariance, a
+wrong unit, a repeated key, a changed record, …), and no hang: an input that takes too long ends the campaign and is
+named. A table by kind and every violation are printed; the exit status is 1 if there is one. To repeat one input:
+`--only readings:17`.
 """
 
 from __future__ import annotations

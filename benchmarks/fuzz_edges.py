@@ -1,6 +1,4 @@
-"""Unusual inputs: impossible or extreme values, units, pipes for files, a damaged catalogue, calls from
-Python.
-"""
+"""Unusual inputs: impossible or extreme values, units, pipes for files, a damaged catalogue, calls from Python."""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
-"""Inputs of the fuzz campaign, each made from its kind and random numbers: files, commands, expected
-refusals.
+"""Inputs of the fuzz campaign, each made from its kind and random numbers: files, commands, expected refusals.
 
-Many inputs are valid ones with a single fault that the format forbids (`refuse` says which). The others are
-changed at random, in their numbers, their structure or their bytes, and may be accepted or refused.
+Many inputs are valid ones with a single fault that the format forbids (`refuse` says which). The others are changed
+at random, in their numbers, their structure or their bytes, and may be accepted or refused.
 """
 
 from __future__ import annotations
@@ -254,9 +253,7 @@ def csv_case(rng: random.Random) -> Case:
 
 @cache
 def result() -> dict[str, Any]:
-    """Return a valid result of `calibrate --json` for the same run, with the members that other commands
-    read.
-    """
+    """Return a valid result of `calibrate --json` for the same run, with the members that other commands read."""
     whole = json.loads((ROOT / "tests/data/records/calibrate.json").read_text(encoding="utf-8"))
     names = ("unit", "g_m_s2", "per", "made_at", "simulated", "coefficients", "order", "covariance", "noise")
     kept = {name: whole[name] for name in names}

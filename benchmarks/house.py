@@ -1,8 +1,8 @@
 """Report the size of the program and the relations of its parts, beside the budgets of its rooms; no gate.
 
-It prints: lines, files and median file of each room; long and small files; import circles at module level,
-and with imports inside functions; modules imported by only one other, and those that import most; the files
-that four commands run through:
+It prints: lines, files and median file of each room; long and small files; import circles at module level, and with
+imports inside functions; modules imported by only one other, and those that import most; the files that four
+commands run through:
 
     python -m benchmarks.house                    # about a minute; --no-paths leaves the commands out
     python -m benchmarks.house --since 62a1056f   # beside the lines of an earlier commit

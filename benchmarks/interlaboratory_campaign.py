@@ -2,18 +2,17 @@
 
     python -m benchmarks.interlaboratory_campaign --runs 200
 
-In each round, five laboratories calibrate one block by the paper's procedure, each on a stand with angles
-drawn from the bench file, and with the noise of its voltmeters; geometry and truth are those of
-tests/support. In one of the laboratories, one of the nine intrinsic numbers is off by 6 u of its difference
-from the others' consensus. Each laboratory is judged against the others (Mandel-Paule, Holm). The first is
-the pilot, which measures again after every two others.
+In each round, five laboratories calibrate one block by the paper's procedure, each on a stand with angles drawn
+from the bench file, and with the noise of its voltmeters; geometry and truth are those of tests/support. In one of
+the laboratories, one of the nine intrinsic numbers is off by 6 u of its difference from the others' consensus. Each
+laboratory is judged against the others (Mandel-Paule, Holm). The first is the pilot, which measures again after
+every two others.
 
-Promised: the wrong laboratory is found in 95 % of the rounds, a right one accused in at most 5 %; without a
-wrong one, any is accused in at most 5 %. In a third case no laboratory is wrong, but one number of the block
-steps between the second and the third laboratory, by 6 u of the difference of two calibrations of the pilot.
-The pilot's returns show it in 95 %. With the block's scatter included in u, any laboratory is accused in at
-most 5 %; the share without it is printed beside. Limits are binomial of 99.9 %. The exit status is 1 if one
-is broken.
+Promised: the wrong laboratory is found in 95 % of the rounds, a right one accused in at most 5 %; without a wrong
+one, any is accused in at most 5 %. In a third case no laboratory is wrong, but one number of the block steps
+between the second and the third laboratory, by 6 u of the difference of two calibrations of the pilot. The pilot's
+returns show it in 95 %. With the block's scatter included in u, any laboratory is accused in at most 5 %; the share
+without it is printed beside. Limits are binomial of 99.9 %. The exit status is 1 if one is broken.
 """
 
 from __future__ import annotations
@@ -46,8 +45,8 @@ RETURNS: Final = 2
 
 
 def round_of(seed: int, number: int) -> tuple[Floats, Floats]:
-    """Return the nine numbers of one block (stops, 9) and their covariances (stops, 9, 9), the pilot's
-    returns last.
+    """Return the nine numbers of one block (stops, 9) and their covariances (stops, 9, 9), the pilot's returns
+    last.
     """
     values, covariances, bench = [], [], own("roll")
     for k in range(LABORATORIES + RETURNS):

@@ -2,13 +2,12 @@
 
     python -m benchmarks.levelling --levellings 1000 --runs 300
 
-Levellings by `bench.run.workbench`, with a level whose zero is 30 arcsec off in a random direction each time:
-how often α1 and α2 of the simulated platform are within U = 2 u of the recorded values. The level is
-electronic (noise, last digit, scale and axes as on the Nivel's data sheet), or a bubble that a person reads.
-Then calibrations of the paper's procedure, from the same readings with and without the measured level; the
-truth comes from the geometry of tests/support/paper_bench.py. Printed are the rms of (estimate - truth)/u of
-each coefficient, and the reduction of u, beside that of least squares with known noise and these priors. The
-exit status is 1 if a limit is broken.
+Levellings by `bench.run.workbench`, with a level whose zero is 30 arcsec off in a random direction each time: how
+often α1 and α2 of the simulated platform are within U = 2 u of the recorded values. The level is electronic (noise,
+last digit, scale and axes as on the Nivel's data sheet), or a bubble that a person reads. Then calibrations of the
+paper's procedure, from the same readings with and without the measured level; the truth comes from the geometry of
+tests/support/paper_bench.py. Printed are the rms of (estimate - truth)/u of each coefficient, and the reduction of
+u, beside that of least squares with known noise and these priors. The exit status is 1 if a limit is broken.
 """
 
 from __future__ import annotations
@@ -45,9 +44,7 @@ MODEL = ForwardModel({"1": INSTALLATION_1, "2": INSTALLATION_2})
 
 @dataclass
 class Platform:
-    """The truth of one levelling: a platform, a head with setting errors, and a level with all kinds of
-    errors.
-    """
+    """The truth of one levelling: a platform, a head with setting errors, and a level with all kinds of errors."""
 
     rng: np.random.Generator
     bubble: bool
@@ -81,9 +78,7 @@ class Platform:
         return Answer(prompt.id, "yes")
 
     def inclination(self, key: str, *, turned: bool) -> Inclination:
-        """Return the platform's inclination as shown; with `turned`, the level shows it with the opposite
-        sign.
-        """
+        """Return the platform's inclination as shown; with `turned`, the level shows it with the opposite sign."""
         tilt = self.alpha + np.array([0.0, self._set_rad])
         seen = (1.0 + self.scale) * (tilt + self.askew * tilt[::-1]) * (-1.0 if turned else 1.0) + self.zero
         if self.bubble:

@@ -2,13 +2,13 @@
 
     python -m benchmarks.many_folders 1000 /var/tmp/laboratory --seed 1 --benches 10 --units 100
 
-One real dry run of the paper's points (54 readings and four verification points) is the template. The others
-are drawn in numpy from a truth, which is stored in `truth.json` beside them: units with spread and drift,
-effects of benches, meters that move between benches, mounting, setting and noise of each run. Each folder has
-the inputs, a record with its true chain of hashes, and results. The coefficients are from least squares with
-prior angles of the stand, at the template's covariance, with errors drawn from it for each run; they thus
-differ from `bench calibrate` of the folder by a fraction of u. Every 33rd run has a quadratic term of x and z
-together that no calibration there models.
+One real dry run of the paper's points (54 readings and four verification points) is the template. The others are
+drawn in numpy from a truth, which is stored in `truth.json` beside them: units with spread and drift, effects of
+benches, meters that move between benches, mounting, setting and noise of each run. Each folder has the inputs, a
+record with its true chain of hashes, and results. The coefficients are from least squares with prior angles of the
+stand, at the template's covariance, with errors drawn from it for each run; they thus differ from `bench calibrate`
+of the folder by a fraction of u. Every 33rd run has a quadratic term of x and z together that no calibration there
+models.
 """
 
 from __future__ import annotations
@@ -58,8 +58,7 @@ TARGET_DEG: Final = np.concatenate([np.tile(np.arange(9) * 45.0, 6), np.arange(4
 
 @dataclass(frozen=True)
 class Truth:
-    """The true values behind the folders: units (U, 12), drift per year (U, 12), effects of benches (B, 12),
-    runs.
+    """The true values behind the folders: units (U, 12), drift per year (U, 12), effects of benches (B, 12), runs.
 
     Each run has a unit, a bench and a day.
     """
@@ -140,9 +139,7 @@ class Estimator:
         self.of_means = np.linalg.inv(noise_v**2 / PASSES * np.eye(len(first)) + first @ first.T)
 
     def __call__(self, theta: Floats, angles: Floats, seen: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-        """Return the estimates (R, 12), rms of residuals, chi-square (42 dof) and scatter of repeats, (R,)
-        each.
-        """
+        """Return the estimates (R, 12), rms of residuals, chi-square (42 dof) and scatter of repeats, (R,) each."""
         fit = WHERE < 2
         force = forces(angles, np.zeros((len(angles), 3, 5)))[:, fit]
         found = np.broadcast_to(theta, (len(angles), 12))
@@ -223,9 +220,7 @@ class Template:
         self.parts = [self._parts(event) for event in self.events]
 
     def _parts(self, event: dict[str, Any]) -> tuple[str, str, str]:
-        """Return the kind of an event line, its text before the time, and its text between the time and
-        `prev`.
-        """
+        """Return the kind of an event line, its text before the time, and its text between the time and `prev`."""
         kind = "reading" if "reading" in event else "turn" if "angle_deg" in event else event["type"]
         rest = {k: v for k, v in event.items() if k not in ("n", "time", "prev")}
         text = json.dumps(rest, ensure_ascii=False)[1:-1]

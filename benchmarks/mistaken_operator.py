@@ -1,8 +1,8 @@
 """A scripted operator who makes one mistake, and corrects it when the run stops and asks.
 
 `Mistake` states what goes wrong, where, and which names are right. The operator's hands are between
-`sim.world.operator.ScriptedOperator` and the world: cables, mountings and turns are mistaken until the run
-asks how to continue.
+`sim.world.operator.ScriptedOperator` and the world: cables, mountings and turns are mistaken until the run asks how
+to continue.
 """
 
 from __future__ import annotations
@@ -250,8 +250,7 @@ def _same_noise_again(world: Any) -> None:
 class MistakenOperator(ScriptedOperator):
     """A scripted operator who makes one mistake, or none if it is None.
 
-    `asked` are the questions at which the run stopped, `slips_told` the prompts that identified a typing
-    slip.
+    `asked` are the questions at which the run stopped, `slips_told` the prompts that identified a typing slip.
     """
 
     def __init__(self, world: World, settings: OperatorSettings, plan: Plan, mistake: Mistake | None) -> None:

@@ -2,11 +2,11 @@
 
     python -m benchmarks.mutation --mutants 30 --seed 1
 
-mutmut changes a copy of the program (an operator, a number, an omitted argument) and runs the tests that
-reach the changed function, except those marked slow, until one fails: the mutant is killed. A random sample,
-drawn with the seed, represents all mutants. Each survivor is shown with its change for a person to judge,
-because many change nothing of importance (the words of a message, an unused default). The exit status is 1 if
-fewer are killed than `--least` demands.
+mutmut changes a copy of the program (an operator, a number, an omitted argument) and runs the tests that reach the
+changed function, except those marked slow, until one fails: the mutant is killed. A random sample, drawn with the
+seed, represents all mutants. Each survivor is shown with its change for a person to judge, because many change
+nothing of importance (the words of a message, an unused default). The exit status is 1 if fewer are killed than
+`--least` demands.
 """
 
 from __future__ import annotations

@@ -1,14 +1,13 @@
-"""Measure a calibration by panel in Chromium: keys and clicks, the delay of live values, the cost of live
-reads.
+"""Measure a calibration by panel in Chromium: keys and clicks, the delay of live values, the cost of live reads.
 
     python -m benchmarks.panel_evening keys        # a whole 'calibration', typed, then read by an encoder
     python -m benchmarks.panel_evening live        # meters of `bench simulate` over TCP, in real time
 
-`keys` types each reading as its deviation from the commanded angle, and counts the keys and clicks sent to
-the browser. With an encoder, simulated hands turn the head, and a person answers only the mountings and the
-thermometer. `live` reads the age of each live value on the screen. It then measures the time from a person's
-answer to the end of the reading, alternately with and without live reads. That no reading changes is tested
-in `pytest tests/run/test_live.py`.
+`keys` types each reading as its deviation from the commanded angle, and counts the keys and clicks sent to the
+browser. With an encoder, simulated hands turn the head, and a person answers only the mountings and the
+thermometer. `live` reads the age of each live value on the screen. It then measures the time from a person's answer
+to the end of the reading, alternately with and without live reads. That no reading changes is tested in `pytest
+tests/run/test_live.py`.
 """
 
 from __future__ import annotations
@@ -49,9 +48,7 @@ AGES: Final = """() => { window.ages = []; const live = document.getElementById(
 
 
 class CountingPerson:
-    """A simulated person at the page of a run who counts keys and clicks, and uses the mouse only if no key
-    works.
-    """
+    """A simulated person at the page of a run who counts keys and clicks, and clicks only if no key works."""
 
     def __init__(self, page: Any) -> None:
         self.page, self.readings = page, 0

@@ -2,11 +2,10 @@
 
     python -m benchmarks.panel_kills --kills 50 --seed 1
 
-All are real processes: the program that carries out a dry run whose questions a person answers in the panel,
-the panel, and a client that answers as fast as a person might. After each kill: the program lives and its
-record is complete; the person is still signed in and in control; the question on the disk is in the panel;
-and no question was answered twice. At the end the program itself is killed: the panel reports this, and
-resumes the run.
+All are real processes: the program that carries out a dry run whose questions a person answers in the panel, the
+panel, and a client that answers as fast as a person might. After each kill: the program lives and its record is
+complete; the person is still signed in and in control; the question on the disk is in the panel; and no question
+was answered twice. At the end the program itself is killed: the panel reports this, and resumes the run.
 """
 
 from __future__ import annotations

@@ -40,9 +40,7 @@ def by_estimator(stand: Stand, estimator: str, settings: Sequence[Setting]) -> F
 
 
 def goals_of(stand: Stand, covariance: Floats) -> dict[str, list[Goal]]:
-    """Return goals equal to the uncertainties in a covariance: for the whole vector, and for each
-    coefficient.
-    """
+    """Return goals equal to the uncertainties in a covariance: for the whole vector, and for each coefficient."""
     whole = vector_goal(stand.block)
     each = coefficient_goals({"all": 1.0})
     return {

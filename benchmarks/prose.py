@@ -1,10 +1,9 @@
 """Report how long and how plain the documentation pages are; with `--check`, refuse banned phrases.
 
-For each page of docs/ and the README it counts: words (as `wc -w` does), sentences, their mean length, the
-share of them over 25 words, pictures, and the phrases of docs/banned-phrases.txt. Sentences are those of
-paragraphs and lists, not of code blocks, tables, headings, comments and front matter. Inline code counts as
-one word. Text that a command writes between the marks `<!-- NAME: made by COMMAND -->` and `<!-- end of NAME
--->` is left out.
+For each page of docs/ and the README it counts: words (as `wc -w` does), sentences, their mean length, the share of
+them over 25 words, pictures, and the phrases of docs/banned-phrases.txt. Sentences are those of paragraphs and
+lists, not of code blocks, tables, headings, comments and front matter. Inline code counts as one word. Text that a
+command writes between the marks `<!-- NAME: made by COMMAND -->` and `<!-- end of NAME -->` is left out.
 
     python -m benchmarks.prose            # all pages
     python -m benchmarks.prose --pages docs/panel.md README.md
@@ -82,9 +81,7 @@ def prose_of(name: str, text: str, phrases: Iterable[str]) -> Prose:
 
 
 def banned_in(text: str, phrases: Iterable[str]) -> Iterator[tuple[int, str]]:
-    """Yield line and phrase of each banned phrase, even if it continues on the next line or in the next
-    literal.
-    """
+    """Yield line and phrase of each banned phrase, even if it continues on the next line or in the next literal."""
     plain = text.lower()
     for phrase in phrases:
         words = phrase.split()

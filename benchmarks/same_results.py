@@ -5,13 +5,13 @@
     python -m benchmarks.same_results compare OLD NEW
     python -m benchmarks.same_results schemas /path/of/old/docs/schemas
 
-`store` makes seeded dry runs and stores the JSON, pages, records, readings and draft certificates of every
-command that evaluates them. It calls the program as a user does, so that it can store what an older version
-gives. `compare` requires that JSON and XML have the same members, texts and integers, and that numbers agree
-to 1e-9 of the largest number in the same list. Of pages it compares the numbers of the text and the plotted
-data. Texts that differ in words alone are listed as reworded, which is no difference. `IGNORED` lists what is
-left out. The exit status is 1 if anything differs. `schemas` requires that this version's JSON schemas have
-every member of those in a folder, and lists new members.
+`store` makes seeded dry runs and stores the JSON, pages, records, readings and draft certificates of every command
+that evaluates them. It calls the program as a user does, so that it can store what an older version gives.
+`compare` requires that JSON and XML have the same members, texts and integers, and that numbers agree to 1e-9 of
+the largest number in the same list. Of pages it compares the numbers of the text and the plotted data. Texts that
+differ in words alone are listed as reworded, which is no difference. `IGNORED` lists what is left out. The exit
+status is 1 if anything differs. `schemas` requires that this version's JSON schemas have every member of those in a
+folder, and lists new members.
 """
 
 from __future__ import annotations

@@ -8,25 +8,25 @@
     python -m benchmarks.signed_uncertainty --few 2000
     python -m benchmarks.signed_uncertainty --clean 1500
 
-The cases are those of tests/support/whole_truth.py, whose truth shares nothing with the model. Printed for
-each: root mean square of (estimate - truth)/u of each coefficient, with the combined u and with the u of the
-readings; coverage of k = 2; rms z of delta g at the verification points. For cases of known size, also the
-variance that a source adds to the estimates (the same run with and without it), over the variance that it
-adds to u^2. The temperature is off by one draw throughout a run, of which the bench file says nothing; in
-cases called wandering it is a process with the correlation time that the bench file states.
+The cases are those of tests/support/whole_truth.py, whose truth shares nothing with the model. Printed for each:
+root mean square of (estimate - truth)/u of each coefficient, with the combined u and with the u of the readings;
+coverage of k = 2; rms z of delta g at the verification points. For cases of known size, also the variance that a
+source adds to the estimates (the same run with and without it), over the variance that it adds to u^2. The
+temperature is off by one draw throughout a run, of which the bench file says nothing; in cases called wandering it
+is a process with the correlation time that the bench file states.
 
-`--pairs`: two calibrations of a remounted block (turned by 0 to 2 degrees) are compared by the joint test of
-the nine intrinsic numbers. Printed are how often they are said to differ, and how often a change in one
-number by six standard uncertainties of the difference is found. `--bound`: runs with noise and stand errors
-only, beside a fit that knows the sizes of the noise; its u is the Cramer-Rao bound.
+`--pairs`: two calibrations of a remounted block (turned by 0 to 2 degrees) are compared by the joint test of the
+nine intrinsic numbers. Printed are how often they are said to differ, and how often a change in one number by six
+standard uncertainties of the difference is found. `--bound`: runs with noise and stand errors only, beside a fit
+that knows the sizes of the noise; its u is the Cramer-Rao bound.
 
-`--few`: that many runs of each design with hardly any degrees of freedom (2+2, 3+2, 3+3, 4+2 readings), for
-which the bench file states the noise. With noise drawn from the prior that the program states, printed are
-the coverage of U (promised: 0.93 of all coefficients, 0.91 of each) and refusals (promised: at most 1 %). At
-twice the stated noise, the result must say that it rests on the statement (promised: always), and how often
-it says that the readings disagree is printed. `--clean`: that many runs, with equal and with unequal
-channels, without any error that readings share: how often a component is found in error (promised: 1 %,
-within the binomial limit of 99 %). The exit status is 1 if a limit is broken.
+`--few`: that many runs of each design with hardly any degrees of freedom (2+2, 3+2, 3+3, 4+2 readings), for which
+the bench file states the noise. With noise drawn from the prior that the program states, printed are the coverage
+of U (promised: 0.93 of all coefficients, 0.91 of each) and refusals (promised: at most 1 %). At twice the stated
+noise, the result must say that it rests on the statement (promised: always), and how often it says that the
+readings disagree is printed. `--clean`: that many runs, with equal and with unequal channels, without any error
+that readings share: how often a component is found in error (promised: 1 %, within the binomial limit of 99 %). The
+exit status is 1 if a limit is broken.
 """
 
 from __future__ import annotations
@@ -112,8 +112,7 @@ def own(case: str) -> Calibrator:
 def run(case: str, seed: int, numbers: range) -> tuple[Floats, ...]:
     """Return arrays over runs of a case.
 
-    They are errors, u, u of the readings (runs, 12), delta g and its u (runs, 8), differences, and added
-    variances.
+    They are errors, u, u of the readings (runs, 12), delta g and its u (runs, 8), differences, and added variances.
     """
     rows: list[list[Floats]] = []
     names = KNOWN.get(case, ())
@@ -173,11 +172,10 @@ def show(case: str, parts: list[Any], runs: int) -> list[str]:
 
 
 def pairs(case: str, seed: int, numbers: range) -> tuple[int, int, int, int, int]:
-    """Return how many pairs were compared, said to differ, changed by 6 u in one of the nine, and found
-    changed.
+    """Return how many pairs were compared, said to differ, changed by 6 u in one of the nine, and found changed.
 
-    The last count is of unchanged pairs that the twelve coefficients say to differ. In each calibration the
-    block is turned by 0 to 2 degrees, equally in both installations.
+    The last count is of unchanged pairs that the twelve coefficients say to differ. In each calibration the block
+    is turned by 0 to 2 degrees, equally in both installations.
     """
     differ = changed = found = by_twelve = 0
     for k in numbers:
@@ -189,9 +187,7 @@ def pairs(case: str, seed: int, numbers: range) -> tuple[int, int, int, int, int
         turned_by = turn(rng)
 
         def second(change: Floats, k: int = k, bench: Bench = bench) -> Snapshot:
-            """Return the second calibration after a change of the block; the noise is the same for any
-            change.
-            """
+            """Return the second calibration after a change of the block; the noise is the same for any change."""
             other = np.random.default_rng([seed, 100 + CASES.index(case), k, 1])
             return snapshot_of_run(
                 own(case).of(simulate_whole(other, case, bench, change=change).readings), "b"
@@ -211,9 +207,7 @@ def pairs(case: str, seed: int, numbers: range) -> tuple[int, int, int, int, int
 
 
 def turn(rng: np.random.Generator) -> Floats:
-    """Return the change of the twelve coefficients by a turn of the block of 0 to 2 degrees in both
-    installations.
-    """
+    """Return the change of the coefficients if the block is turned by 0 to 2 degrees in both installations."""
     return np.concatenate([(K @ turned(rng, np.radians(2.0)) - K).ravel(), np.zeros(3)])
 
 
@@ -237,9 +231,7 @@ def show_pairs(case: str, parts: list[Any]) -> list[str]:
 
 
 def beside_bound(seed: int, numbers: range) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return errors of the fit and of a fit that knows the noise (runs, 12), u of the readings, and the
-    bound.
-    """
+    """Return errors of the fit and of a fit that knows the noise (runs, 12), u of the readings, and the bound."""
     known = Noise(1e-4, SETTING_U_RAD, np.inf, "given")
     rows = []
     for k in numbers:
@@ -280,9 +272,7 @@ def _clean(seed: int, case: str, numbers: range) -> int:
 
 
 def few(seed: int, count: int, workers: int) -> list[str]:
-    """Calibrate few readings: coverage at noise from the stated prior, and the notes at twice the stated
-    noise.
-    """
+    """Calibrate few readings: coverage at noise from the stated prior, and the notes at twice the stated noise."""
     broken = []
     for design in FEW:
         for times, what in ((None, "drawn from the prior"), (2.0, "twice the stated")):

@@ -7,11 +7,11 @@
     python -m benchmarks.speed runs --runs 1 5 20   # one diagnosis of many runs
     python -m benchmarks.speed catalogue --folder LABORATORY --hold-back 100 [--catalogue FILE|URL]
 
-`plan`, `record`, `runs` and `catalogue` work in separate processes, whose start is part of their cost.
-`diagnosis` uses cases of the blind trial: nothing hidden, one effect, one effect outside the catalogue. Each
-is diagnosed first without a simulated threshold, then with it in the cache. In `runs`, each run hides the
-same effect of rho 2.3, which no run shows alone. `catalogue` keeps the last folders of
-`benchmarks.many_folders` back for a second sync. The exit status is 1 if a promise is broken.
+`plan`, `record`, `runs` and `catalogue` work in separate processes, whose start is part of their cost. `diagnosis`
+uses cases of the blind trial: nothing hidden, one effect, one effect outside the catalogue. Each is diagnosed first
+without a simulated threshold, then with it in the cache. In `runs`, each run hides the same effect of rho 2.3,
+which no run shows alone. `catalogue` keeps the last folders of `benchmarks.many_folders` back for a second sync.
+The exit status is 1 if a promise is broken.
 """
 
 from __future__ import annotations

@@ -3,11 +3,10 @@
     python -m venv VENV && VENV/bin/pip install pymeasure qcodes dcps pyvisa-py pyserial
     VENV/bin/python -m benchmarks.strangers --bench-program .venv/bin/bench
 
-The shipped bench is served with its meters set to `lan`, then with each supply in turn. Each published driver
-is used over TCP and over the pseudo-terminal: every property that it has, without an instrument error after
-any. A table and every disagreement are printed; the exit status is 1 if there is one. Packages that are not
-installed are skipped. Over its serial port an E3631A must first be set to remote, which these drivers leave
-to their users.
+The shipped bench is served with its meters set to `lan`, then with each supply in turn. Each published driver is
+used over TCP and over the pseudo-terminal: every property that it has, without an instrument error after any. A
+table and every disagreement are printed; the exit status is 1 if there is one. Packages that are not installed are
+skipped. Over its serial port an E3631A must first be set to remote, which these drivers leave to their users.
 """
 
 from __future__ import annotations
@@ -212,8 +211,7 @@ def _put_and_get(parameter: Callable[..., Any], value: Any) -> Any:
 
 
 def pymeasure_e3631a(resource: str, line_end: str) -> Exchange:
-    """Test every property of pymeasure.instruments.keysight.KeysightE3631A, except the switches of single
-    outputs.
+    """Test every property of pymeasure.instruments.keysight.KeysightE3631A, except the switches of single outputs.
 
     The driver sends these with a channel list, which an E3631A does not know, because it has one switch.
     """

@@ -2,13 +2,13 @@
 
     nice -n 10 python -m benchmarks.supply_campaign --runs 360 --seed 1 --jobs 1
 
-Every trial is a dry run of a short procedure by the command line, on a shipped bench file without errors, fed
-by a simulated supply. Once, at a random moment, a rail drops, trips, goes into current limit, drifts, loses
-its contact or is switched off by hand, or the mains fail and return. Judged are: every recorded value,
-against an undisturbed run and against the true state of the rails at that time; the block's absolute limits,
-in the simulated world instead of the driver. A stopped run must name the supply and the rail. When it is
-resumed undisturbed, it must end with all planned readings, which agree; those after the block was off must
-belong to a new series. A table by kind and every violation are printed; the exit status is 1 if there is one.
+Every trial is a dry run of a short procedure by the command line, on a shipped bench file without errors, fed by a
+simulated supply. Once, at a random moment, a rail drops, trips, goes into current limit, drifts, loses its contact
+or is switched off by hand, or the mains fail and return. Judged are: every recorded value, against an undisturbed
+run and against the true state of the rails at that time; the block's absolute limits, in the simulated world
+instead of the driver. A stopped run must name the supply and the rail. When it is resumed undisturbed, it must end
+with all planned readings, which agree; those after the block was off must belong to a new series. A table by kind
+and every violation are printed; the exit status is 1 if there is one.
 """
 
 from __future__ import annotations
@@ -62,9 +62,7 @@ Place = tuple[str, int, int]
 
 @dataclass(frozen=True)
 class Fed:
-    """A way to feed the block: a shipped bench, its supply, the outputs of its two rails, and their
-    protection.
-    """
+    """A way to feed the block: a shipped bench, its supply, the outputs of its two rails, and their protection."""
 
     name: str
     bench: str
@@ -86,9 +84,7 @@ WAYS: Final = (
 
 @dataclass(frozen=True)
 class FedStand:
-    """A bench without errors and with a supply; the duration of an undisturbed run on it, s, and its
-    readings, V.
-    """
+    """A bench without errors and with a supply; duration (s) and readings (V) of an undisturbed run on it."""
 
     fed: Fed
     bench: Path
@@ -172,9 +168,7 @@ def values_of(run: Run) -> dict[Place, tuple[float, ...]]:
 
 
 class Watch:
-    """A substitute for the class `SimulatedBench` in the composition root: it disturbs the world, and keeps
-    it.
-    """
+    """A substitute for the class `SimulatedBench` in the composition root: it disturbs the world, and keeps it."""
 
     power: Power
     """The supply and the rails of the world."""
@@ -249,9 +243,7 @@ def _judge_world(watch: Watch, outcome: FedOutcome) -> None:
 
 
 def _judge_readings(run: Run, watch: Watch, outcome: FedOutcome) -> None:
-    """Note each recorded value that differs from the undisturbed run, or was read while a rail was off its
-    value.
-    """
+    """Note each recorded value that differs from the undisturbed run, or was read while a rail was off."""
     stand = outcome.trial.stand
     outcome.violations += run.history.problems
     for event in run.history.events:
@@ -312,9 +304,7 @@ def judge_stop(status: Any, outcome: FedOutcome) -> None:
 
 
 def _judge_visits(run: Run, before: set[int], outcome: FedOutcome) -> None:
-    """Note a fault if readings in a mounting from before and after the block was off belong to the same
-    series.
-    """
+    """Note a fault if readings in a mounting from before and after the block was off belong to the same series."""
     visits: dict[str, set[int]] = {}
     later: dict[str, set[int]] = {}
     for step, reading in run.history.readings.items():

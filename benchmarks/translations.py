@@ -2,11 +2,11 @@
 
 python -m benchmarks.translations
 
-Texts are the arguments of `message` in Python, the arguments of `_` in scripts and in expressions of
-templates, the words of page templates, and titles, descriptions and reasons of the shipped procedures and
-bench files. `make lint` fails if one lacks a translation, if a translation has other blanks or elements than
-its text, if a catalogue has an unused text, if a word of the certificate lacks a language, or if the text of
-a `Refusal` or a `Prompt` is not marked.
+Texts are the arguments of `message` in Python, the arguments of `_` in scripts and in expressions of templates, the
+words of page templates, and titles, descriptions and reasons of the shipped procedures and bench files. `make lint`
+fails if one lacks a translation, if a translation has other blanks or elements than its text, if a catalogue has an
+unused text, if a word of the certificate lacks a language, or if the text of a `Refusal` or a `Prompt` is not
+marked.
 """
 
 from __future__ import annotations
@@ -74,8 +74,8 @@ def _in_module(tree: ast.AST, file: Path) -> Iterator[Entry]:
 
 
 def _wordings(node: ast.expr) -> Iterator[Entry]:
-    """Yield the possible wordings of a text: one for each branch of its conditions; a choice by number gives
-    a plural.
+    """Yield the possible wordings of a text: one for each branch of its conditions; a choice by number gives a
+    plural.
     """
     match node:
         case ast.Constant(value=str(text)):

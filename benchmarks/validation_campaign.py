@@ -3,10 +3,10 @@ silent.
 
     python -m benchmarks.validation_campaign --healthy 10 --kills 200
 
-For each fault, checks are carried out (quick) until one fails and names the place. Those of the family that
-should find it come first, and files of packages are hashed again only for faults of packages. Healthy runs
-carry out all checks, with each shipped bench file in turn and a different seed for their random parts. The
-kills are of two programs that append to one register simultaneously.
+For each fault, checks are carried out (quick) until one fails and names the place. Those of the family that should
+find it come first, and files of packages are hashed again only for faults of packages. Healthy runs carry out all
+checks, with each shipped bench file in turn and a different seed for their random parts. The kills are of two
+programs that append to one register simultaneously.
 """
 
 from __future__ import annotations
@@ -42,9 +42,7 @@ def accepted(bench: Path) -> dict[str, object]:
 
 
 def found(fault: PlantedFault, bench: Path) -> tuple[list[ValidationCheck], bool]:
-    """Return the failed checks up to the one that names the place of a fault, and whether there is such a
-    check.
-    """
+    """Return the failed checks up to the one that names the place of a fault, and whether there is such a check."""
     checks: list[Check] = sorted(every(), key=lambda one: not one.family.startswith(fault.family))
     if "package" not in fault.name:
         checks = [one for one in checks if one.name != "package files"]

@@ -3,8 +3,8 @@
     with FAULTS[0].plant(context) as spoilt:
         rows = carry_out(spoilt, every())
 
-An edit replaces text in the source of one function, and the function by the compiled result. `place` is a
-pattern that must occur in a failed check: in its name, its place or its finding.
+An edit replaces text in the source of one function, and the function by the compiled result. `place` is a pattern
+that must occur in a failed check: in its name, its place or its finding.
 """
 
 from __future__ import annotations

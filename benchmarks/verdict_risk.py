@@ -3,21 +3,21 @@
     python -m benchmarks.verdict_risk --runs 4000 --joint 1500 --seed 1
     python -m benchmarks.verdict_risk --blocks 700 --seed 1
 
-Each run is the paper's procedure on a stand whose errors have the sizes that the fit assumes (the limits of
-the paper as three sigma; voltmeter noise `--noise`, V, which the fit does not know), followed by readings at
-the verification points. At each point the modulus has a true error of its own, uniform within the limit plus
-four u: nothing is known of it before the measurement, and afterwards it is distributed as in JCGM 106. The
-program calibrates and verifies as usual; geometry and truth are this benchmark's own. By steps of the
-probability of a false acceptance (of accepted points) and of a false rejection (of rejected points), its
-stated mean and the fraction of wrong decisions are printed. Promised for risks of 0.5 to 50 %: agreement
-within 10 % or 0.002, whichever is more, apart from three standard errors of the counts (runs are independent,
-points of a run are not). `--joint`: the same for the four points of a pass, accepted together.
+Each run is the paper's procedure on a stand whose errors have the sizes that the fit assumes (the limits of the
+paper as three sigma; voltmeter noise `--noise`, V, which the fit does not know), followed by readings at the
+verification points. At each point the modulus has a true error of its own, uniform within the limit plus four u:
+nothing is known of it before the measurement, and afterwards it is distributed as in JCGM 106. The program
+calibrates and verifies as usual; geometry and truth are this benchmark's own. By steps of the probability of a
+false acceptance (of accepted points) and of a false rejection (of rejected points), its stated mean and the
+fraction of wrong decisions are printed. Promised for risks of 0.5 to 50 %: agreement within 10 % or 0.002,
+whichever is more, apart from three standard errors of the counts (runs are independent, points of a run are not).
+`--joint`: the same for the four points of a pass, accepted together.
 
 `--blocks`: blocks with true errors from a population (`POPULATION`) that is stated to the verification, each
-calibrated and verified once, by the default rule. With `--apart`, each of the four points has its own error
-instead of a common one. In five declared bins of the stated risk (`BINS`), the number of wrong decisions must
-be within the limits of its distribution (Poisson-binomial), at 1 % over all bins (Holm). The exit status is 1
-if a promise is broken.
+calibrated and verified once, by the default rule. With `--apart`, each of the four points has its own error instead
+of a common one. In five declared bins of the stated risk (`BINS`), the number of wrong decisions must be within the
+limits of its distribution (Poisson-binomial), at 1 % over all bins (Holm). The exit status is 1 if a promise is
+broken.
 """
 
 from __future__ import annotations
@@ -87,9 +87,7 @@ def simulate(rng: np.random.Generator, noise: float, errors: Floats) -> Readings
 
 
 def run(seed: int, number: int, noise: float, joint: int) -> tuple[Decided, Decided, Decided]:
-    """Return the decisions of a run: accepted points, rejected points, and up to `joint` wholly accepted
-    passes.
-    """
+    """Return the decisions of a run: accepted points, rejected points, and up to `joint` wholly accepted passes."""
     rng = np.random.default_rng([seed, number])
     errors = rng.uniform(-LIMIT_G - BEYOND_G, LIMIT_G + BEYOND_G, (CHECKS, 4))
     readings, errors = simulate(rng, noise, errors), errors.ravel()
@@ -110,8 +108,8 @@ def run(seed: int, number: int, noise: float, joint: int) -> tuple[Decided, Deci
 
 
 def steps(runs: list[Decided]) -> Iterator[tuple[float, float, int, float, float, float]]:
-    """Yield for each step of the stated risk: its ends, number of decisions, mean stated risk, fraction
-    wrong, its u.
+    """Yield for each step of the stated risk: its ends, number of decisions, mean stated risk, fraction wrong, its
+    u.
     """
     for low, high in pairwise(STEPS):
         chosen = [(one.stated >= low) & (one.stated < high) for one in runs]

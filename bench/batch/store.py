@@ -52,9 +52,9 @@ def list_runs(
     """Return the runs that `over` selects, either by a query (words such as `unit=Q-17`, all required) or by
     patterns.
 
-    Patterns are shell patterns (`*`, `?`, `[…]`, `**` for nested folders), matched in the working folder or else
-    in the folder `runs`. A folder that is not a run stands for the runs in it. Raises `Refused` if no run is
-    found; the message names the `option`.
+    Patterns are shell patterns (`*`, `?`, `[…]`, `**` for nested folders), matched in the working folder or else in
+    the folder `runs`. A folder that is not a run stands for the runs in it. Raises `Refused` if no run is found;
+    the message names the `option`.
     """
     words = [word for given in over for word in _words(given)]
     asked = [word for word in words if is_question(word)]

@@ -360,9 +360,9 @@ def changes(before: CalibrationValues | None, now: CalibrationValues) -> Row:
     """Return the columns of the earlier values, the new values and their changes.
 
     Without earlier values there are only the new ones. Both use the same readings, so a change is no random
-    deviation. It is stated in units of the earlier u, or of the new u if the earlier coefficient had none (fixed
-    by convention). If neither has a u, the change is zero or unknown. Results in different units of the signals
-    are not compared.
+    deviation. It is stated in units of the earlier u, or of the new u if the earlier coefficient had none (fixed by
+    convention). If neither has a u, the change is zero or unknown. Results in different units of the signals are
+    not compared.
     """
     row: Row = {**_columns(now, ""), **({} if before is None else _columns(before, "_stored"))}
     if before is None:

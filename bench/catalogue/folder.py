@@ -106,9 +106,7 @@ _TIME: Final = re.compile(rb'"time": "([^"]{1,40})"')
 
 
 class RecordSeen:
-    """The findings of a fast scan of a record as bytes: its hash chain, the run's state, the steps with a
-    reading.
-    """
+    """The findings of a fast scan of a record as bytes: hash chain, state of the run, steps with a reading."""
 
     def __init__(self, folder: Path, manifest: Manifest, manifest_sha256: str) -> None:
         self.folder = folder
@@ -224,9 +222,7 @@ class FolderEntry:
 
 
 def read_folder(path: str, fingerprint: str, *, whole: bool = False) -> FolderEntry:
-    """Return the rows of a run folder, or the reason why it has none; with `whole`, read every event of its
-    record.
-    """
+    """Return the rows of a run folder, or the reason why it has none; `whole` reads every event of its record."""
     try:
         rows = _rows(Path(path), whole=whole)
         return FolderEntry(

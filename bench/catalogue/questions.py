@@ -324,8 +324,7 @@ class AnswerTable:
 
 
 def answer(catalogue: Catalogue, query: Sequence[str], of: str = "runs") -> AnswerTable:
-    """Return the answer to a question: its runs, or the objects of another kind `of` (see `KINDS`) that they
-    used.
+    """Return the answer to a question: its runs, or the objects of another kind `of` (see `KINDS`) that they used.
 
     Raises `Refused` for an invalid question.
     """
@@ -414,8 +413,8 @@ def _used(
 ) -> Callable[[Condition], Select[Any]]:
     """Return the query for objects that runs used (instruments, certificates), sorted by `order`.
 
-    `table` has the objects, `key` is their column in `USES`, `names` and `order` are columns of `table`.
-    `further` are counts in addition to the numbers of runs and units.
+    `table` has the objects, `key` is their column in `USES`, `names` and `order` are columns of `table`. `further`
+    are counts in addition to the numbers of runs and units.
     """
     columns = [table.c[name] for name in names.split()]
 

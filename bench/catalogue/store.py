@@ -1,9 +1,9 @@
 """The catalogue's database, SQLite or PostgreSQL: its location, its tables, and the rebuilding of old ones.
 
 Values that were not recorded are NULL; times are UTC; sizes are SI with the unit in the name. A row's key is
-derived from the object that the row describes (the hash of `run.json`, an instrument's identity, …). Any number
-of programs, in any order and in any database, therefore write the same rows. Arrays are float64, little-endian,
-row by row.
+derived from the object that the row describes (the hash of `run.json`, an instrument's identity, …). Any number of
+programs, in any order and in any database, therefore write the same rows. Arrays are float64, little-endian, row by
+row.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Synchronisation of the catalogue with run folders: new or changed ones are read, vanished ones marked.
 
-The folders are authoritative: a deleted catalogue is rebuilt from them. Many folders are read by worker
-processes. Rows are written in atomic batches, so that the next sync continues an interrupted one, and
-simultaneous syncs lose nothing. A row's key is derived from the object that the row describes. A folder that was
-moved or renamed therefore gives the same run; a copy next to it is reported and counts once.
+The folders are authoritative: a deleted catalogue is rebuilt from them. Many folders are read by worker processes.
+Rows are written in atomic batches, so that the next sync continues an interrupted one, and simultaneous syncs lose
+nothing. A row's key is derived from the object that the row describes. A folder that was moved or renamed therefore
+gives the same run; a copy next to it is reported and counts once.
 """
 
 from __future__ import annotations

@@ -82,8 +82,8 @@ class Condition:
     """A quantity that influences the calibration, and its range `low` to `high` during the run, in `unit`.
 
     `key` is the key of the quantity's name in `words.yaml`; `about`, such as the supply rail, fills the blank in
-    that name. `u` is the standard uncertainty of the quantity, None if only the range is known. `source` names
-    the sensor or the estimate behind the values.
+    that name. `u` is the standard uncertainty of the quantity, None if only the range is known. `source` names the
+    sensor or the estimate behind the values.
     """
 
     key: str
@@ -99,9 +99,8 @@ class Condition:
 class Instrument:
     """An instrument used in the run, with its certificate on the day of the run.
 
-    `identity` is the instrument's answer to the identification query. `foreign` is true if the certificate
-    belongs to another instrument. `why_not` is the reason why the corrections in the certificate were not
-    applied.
+    `identity` is the instrument's answer to the identification query. `foreign` is true if the certificate belongs
+    to another instrument. `why_not` is the reason why the corrections in the certificate were not applied.
     """
 
     name: str

@@ -39,8 +39,8 @@ SHA256: Final = re.compile(r"[0-9a-f]{64}")
 
 @dataclass(frozen=True)
 class Stop:
-    """One stop of the block: its blind `code`, the laboratory, whether it is the pilot, and the seal of its
-    result if given.
+    """One stop of the block: its blind `code`, the laboratory, whether it is the pilot, and the seal of its result
+    if given.
     """
 
     code: str
@@ -67,8 +67,8 @@ class Kit:
 def plan_kit(block: str, laboratories: Sequence[str], seed: int) -> Kit:
     """Return the plan: the first laboratory is the pilot, which measures first, after every two others, and last.
 
-    The order of the other laboratories and the codes are random, drawn with `seed`. Raises `Refused` for fewer
-    than three laboratories, or a name given twice.
+    The order of the other laboratories and the codes are random, drawn with `seed`. Raises `Refused` for fewer than
+    three laboratories, or a name given twice.
     """
     if len(laboratories) < 3 or len(set(laboratories)) < len(laboratories):
         raise Refused("--laboratory: name three or more, each once, the pilot first")
@@ -143,9 +143,9 @@ def evaluate_kit(
     """Return the evaluation of results, given by code: files of `calibrate --json`, or DCCs (XML, PDF) of any
     program.
 
-    `g_m_s2` is the local gravity (m/s²) of certificates that do not state it. `checks` are readings of monitors
-    by code, in order of time. Changes of the block between monitors and between the pilot's stops, in excess of
-    u, widen the u of each difference. Raises `Refused` if a seal is missing or broken, or a stop has no result.
+    `g_m_s2` is the local gravity (m/s²) of certificates that do not state it. `checks` are readings of monitors by
+    code, in order of time. Changes of the block between monitors and between the pilot's stops, in excess of u,
+    widen the u of each difference. Raises `Refused` if a seal is missing or broken, or a stop has no result.
     """
     problems = [f"{s.code}: no result is given" for s in kit.stops if s.code not in given]
     problems += [
@@ -277,8 +277,8 @@ def kit_sealed(request: SealKit) -> Kit:
 def kit_evaluated(request: EvaluateKit) -> KitResult:
     """Compare each laboratory with the consensus of the others, as `bench kit evaluate` does.
 
-    The comparison is in the nine intrinsic numbers. Results and checks are given as CODE=FILE. Raises `Refused`
-    if a seal is missing or broken, or a stop has no result.
+    The comparison is in the nine intrinsic numbers. Results and checks are given as CODE=FILE. Raises `Refused` if
+    a seal is missing or broken, or a stop has no result.
     """
     return evaluate_kit(load_kit(Path(request.plan)), _results(request), request.g, _by_code(request.check))
 

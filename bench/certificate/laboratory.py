@@ -72,8 +72,8 @@ def texts_of(language: str) -> Texts:
 class OnCertificate:
     """A mark for a field of a laboratory or order file that is printed on the certificate under its own name.
 
-    `page` is the page of the PDF. If `otherwise`, a key in `words.yaml`, is set, the row is always printed: a
-    field that the file does not state then has this text. Such rows come first.
+    `page` is the page of the PDF. If `otherwise`, a key in `words.yaml`, is set, the row is always printed: a field
+    that the file does not state then has this text. Such rows come first.
     """
 
     page: Literal["front", "method", "conditions"]
@@ -289,8 +289,8 @@ class Adjusted(FileModel):
 
 
 class External(FileModel):
-    """Results from an external provider: `what` they are, `by` whom they were provided (ISO/IEC 17025:2017,
-    7.8.2.1 p).
+    """Results from an external provider: `what` they are, `by` whom they were provided (ISO/IEC 17025:2017, 7.8.2.1
+    p).
     """
 
     what: str

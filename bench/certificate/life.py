@@ -353,8 +353,8 @@ def made_again(register: Register, number: str, runs: Path) -> Bodies:
 def checked(request: CheckRegister) -> tuple[RegisterResult, list[Path]]:
     """Return the content of a register, for one certificate number or all, and the paths of copied files.
 
-    The files are copied to `request.out`. With `request.again`, each certificate is reproduced from its record
-    and compared. Raises `Refused` for a number that was never issued.
+    The files are copied to `request.out`. With `request.again`, each certificate is reproduced from its record and
+    compared. Raises `Refused` for a number that was never issued.
     """
     if request.out is not None and request.number is None:
         raise Refused("--out: give the number of the certificate to hand out")

@@ -81,8 +81,8 @@ class Writer:
         *,
         whole: bool = False,
     ) -> Block:
-        """Return a table block: `align` has "l" or "r" for each column; `columns` has the width of each, "auto"
-        or a share.
+        """Return a table block: `align` has "l" or "r" for each column; `columns` has the width of each, "auto" or
+        a share.
 
         A `whole` table is kept on one page.
         """

@@ -51,8 +51,7 @@ class SignedXml:
     """A signed XML: its `content` in canonical form, without comments and signature, and the signer's certificate
     `chain`.
 
-    `signed_at` is the time by the signer's clock. `comments` counts the comments in the file, which are not
-    signed.
+    `signed_at` is the time by the signer's clock. `comments` counts the comments in the file, which are not signed.
     """
 
     content: bytes
@@ -354,8 +353,7 @@ def _written_anew(content: bytes) -> bytes:
 
 
 def _check_wrapping(data: Any, signer: Any) -> None:
-    """Raise `NotIntact` if parts of the CMS structure that no signature covers are not as this program writes
-    them.
+    """Raise `NotIntact` if parts of the CMS structure that no signature covers are not as this program writes them.
 
     These parts are the versions, the digest algorithms and the unsigned attributes (RFC 5652, 5.1, 5.3). Some
     readers ignore them.

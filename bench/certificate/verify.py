@@ -67,11 +67,11 @@ UNKNOWN: Final = (
 class Verdict:
     """The findings on a certificate.
 
-    `wrong` lists the reasons why it is not intact, and `agreed` the comparisons that succeeded. `not_signed`
-    lists what the signature does not cover, `not_proved` what the verification cannot show. `why_not_trusted` is
-    None without a trust file and "" for a trusted signer. `shown` are the values in the certificate, even if it
-    is `unsigned`. `standing` is its status in the register, None if no register is available. `issued` is false
-    for a file that cannot be an issued certificate.
+    `wrong` lists the reasons why it is not intact, and `agreed` the comparisons that succeeded. `not_signed` lists
+    what the signature does not cover, `not_proved` what the verification cannot show. `why_not_trusted` is None
+    without a trust file and "" for a trusted signer. `shown` are the values in the certificate, even if it is
+    `unsigned`. `standing` is its status in the register, None if no register is available. `issued` is false for a
+    file that cannot be an issued certificate.
     """
 
     file: str
@@ -97,8 +97,8 @@ class Verdict:
     def accepted(self) -> bool:
         """Whether the certificate is intact, the signer trusted and the number valid, as far as each was checked.
 
-        An unsigned certificate is accepted only if a register that the user named contains it. A register found
-        in the file's folder is not enough, because anybody can write one.
+        An unsigned certificate is accepted only if a register that the user named contains it. A register found in
+        the file's folder is not enough, because anybody can write one.
         """
         holds = self.standing is None or self.standing.holds
         vouched = not self.unsigned or self._by_register

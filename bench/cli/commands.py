@@ -34,9 +34,7 @@ def is_whole_help(ctx: Any) -> bool:
 
 
 def with_plain_help(ctx: Any, args: list[str]) -> list[str]:
-    """Replace `--help-all` by `--help` in the arguments, and note in the context that the whole help is
-    requested.
-    """
+    """Replace `--help-all` by `--help` in the arguments; note in the context that the whole help is requested."""
     options = args[: args.index("--")] if "--" in args else args
     if WHOLE not in options:
         return args

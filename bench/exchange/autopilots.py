@@ -140,8 +140,8 @@ class Autopilot:
 
     `id` and `turn` are the names of its parameters for the sensor's id and for the rotation to the board's axes.
     `head` and `before` are comments at the beginning of its files and before the values; `row` is the format of a
-    value's line. `read` is Python code that reads names and values from such a file. `sorted_by_name` puts the
-    two values of an axis together.
+    value's line. `read` is Python code that reads names and values from such a file. `sorted_by_name` puts the two
+    values of an axis together.
     """
 
     name: str

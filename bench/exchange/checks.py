@@ -73,8 +73,8 @@ READ_CHECKS: Final = (
 def judged(g: str = "1.0", at: int = 3, count: int = COUNT) -> str:
     """Return the last line of a test.
 
-    The test has a function `a`, which maps the first `at` numbers of a check vector to an acceleration; 1 g is
-    `g` in its unit. `count` is the number of check vectors that the file must have.
+    The test has a function `a`, which maps the first `at` numbers of a check vector to an acceleration; 1 g is `g`
+    in its unit. `count` is the number of check vectors that the file must have.
     """
     worst = (
         f"max([abs(p - q) for r in c for p, q in zip(a(r[:{at}]), r[{at}:])] + [9e9] * (len(c) != {count}))"

@@ -319,9 +319,9 @@ def _table(rows: Iterable[ReportedNumber], k: float, times: float = 1.0, unit: s
 class ExportForm:
     """A form: its name in `words`, the suffix of its file's name, and the function that writes it.
 
-    `loses` is a function that returns comment lines on the parts of a result that the form omits; it is None if
-    the form omits nothing. Both functions accept the scale factors (3,), unit/g, that convert signals to m/s²;
-    None means the block's own, rounded.
+    `loses` is a function that returns comment lines on the parts of a result that the form omits; it is None if the
+    form omits nothing. Both functions accept the scale factors (3,), unit/g, that convert signals to m/s²; None
+    means the block's own, rounded.
     """
 
     words: str

@@ -41,11 +41,11 @@ class Snapshot:
 
     `block` is the type and serial number of the block, empty if not recorded. `same_meters` (12, 12) is the
     covariance without the part that cancels if the same meters measure again, None if there is no such part;
-    `meters` are the meters' identities, empty if unknown. Each column of `block_terms` (12, q) is the error due
-    to a one-u error of the block's nonlinearity K2 or K3; it is the same in each of its calibrations. `wander`
-    (3,) is the rms wander of each bias about its mean in the run. `dof` is the smallest effective degrees of
-    freedom of the nine intrinsic numbers. A snapshot in the nine intrinsic numbers has arrays of nine instead of
-    twelve; the biases come last in both.
+    `meters` are the meters' identities, empty if unknown. Each column of `block_terms` (12, q) is the error due to
+    a one-u error of the block's nonlinearity K2 or K3; it is the same in each of its calibrations. `wander` (3,) is
+    the rms wander of each bias about its mean in the run. `dof` is the smallest effective degrees of freedom of the
+    nine intrinsic numbers. A snapshot in the nine intrinsic numbers has arrays of nine instead of twelve; the
+    biases come last in both.
     """
 
     name: str
@@ -413,10 +413,9 @@ def joint_covariances(snapshots: Sequence[Snapshot]) -> Floats:
 class Joint:
     """The joint covariance of all twelve coefficients (or nine intrinsic numbers) of n calibrations, in parts.
 
-    `own` (n, 12, 12) is the independent part of each. `meters` (n, 12, 12) are square roots of the covariances
-    due to the meters; `alike` (n, n) is the correlation of these errors between calibrations. `terms` (n, 12, q)
-    are the errors due to K2 and K3 of the block, shared by all calibrations with the same block index in `block`
-    (n,).
+    `own` (n, 12, 12) is the independent part of each. `meters` (n, 12, 12) are square roots of the covariances due
+    to the meters; `alike` (n, n) is the correlation of these errors between calibrations. `terms` (n, 12, q) are
+    the errors due to K2 and K3 of the block, shared by all calibrations with the same block index in `block` (n,).
     """
 
     own: Floats

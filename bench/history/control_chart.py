@@ -264,11 +264,10 @@ class ControlChart:
     def expected(self, when: datetime) -> tuple[Floats, Floats]:
         """Return the expected values of a further run at the time `when`, and the covariance of deviations.
 
-        Both have one entry per number of the block, in the order of `names`: shapes (m,) and (m, m). The
-        expected values are the centre of the chart plus the known drift since `begun`, plus the further drift
-        that the runs show wherever that is significant. The covariance is the sum of three parts: of the
-        centre, between runs, and of the drift. The standard uncertainty of the drift grows in proportion to
-        the time since `begun`.
+        Both have one entry per number of the block, in the order of `names`: shapes (m,) and (m, m). The expected
+        values are the centre of the chart plus the known drift since `begun`, plus the further drift that the runs
+        show wherever that is significant. The covariance is the sum of three parts: of the centre, between runs,
+        and of the drift. The standard uncertainty of the drift grows in proportion to the time since `begun`.
         """
         years = (when.timestamp() - self.begun) / SECONDS_PER_YEAR
         lines, value = _Lines(self.begun, self.known), self.centre.value
@@ -403,8 +402,8 @@ class _Lines:
         return values - self.years(runs)[:, None] * self._drift.per_year
 
     def error(self, runs: Sequence[CheckRun]) -> Floats:
-        """Return the change (n, 12, 12) of each run's values if the drift rate of each coefficient is wrong by
-        one u.
+        """Return the change (n, 12, 12) of each run's values if the drift rate of each coefficient is wrong by one
+        u.
         """
         return self.years(runs)[:, None, None] * np.diag(self.u(len(runs[0].value)))
 

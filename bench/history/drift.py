@@ -42,8 +42,8 @@ class UnitDrift:
     `rate` with standard uncertainty `u_rate` is per year. `between` is the scatter between calibrations beyond
     their stated u, `walk` the random walk in a year (1 σ each, restricted maximum likelihood, 0 if not detected);
     `…_most` are their upper 95 % limits. `first` and `last` are the dates of the first and last calibration,
-    `count` is their number. `p_all_looks` is the p-value of the rate with Bonferroni's correction for the number
-    of coefficients. `states` serve to predict; `common` is the u of errors that all calibrations share.
+    `count` is their number. `p_all_looks` is the p-value of the rate with Bonferroni's correction for the number of
+    coefficients. `states` serve to predict; `common` is the u of errors that all calibrations share.
     """
 
     rate: Floats
@@ -87,10 +87,10 @@ class States:
     """The filtered state at the last calibration, by coefficient, for m pairs of scatter and walk variances: (12,
     m, …).
 
-    `weight` sums to 1 over m. `between` and `walk` are variances (`walk` per year). `line` (12, m, 2) is level
-    and rate, with `covariance` (12, m, 2, 2). `walked` (12, m) and `columns` (12, m, 2) are the filtered walk of
-    the values and of the two columns of the line; `left` (12, m) is the variance of the walk. `last_year` is the
-    time of the last calibration since the first.
+    `weight` sums to 1 over m. `between` and `walk` are variances (`walk` per year). `line` (12, m, 2) is level and
+    rate, with `covariance` (12, m, 2, 2). `walked` (12, m) and `columns` (12, m, 2) are the filtered walk of the
+    values and of the two columns of the line; `left` (12, m) is the variance of the walk. `last_year` is the time
+    of the last calibration since the first.
     """
 
     last_year: float

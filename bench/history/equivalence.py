@@ -374,10 +374,9 @@ LEAST_LABORATORIES: Final = 3
 class LaboratoryJudged:
     """A laboratory's m numbers against the Mandel-Paule consensus of all others.
 
-    `difference` (m,) is the laboratory's value minus the consensus. Its standard uncertainty `u` (m,) combines
-    the laboratory's stated u with the u of the consensus, which includes the `dark` uncertainty (m,) of the
-    others. `chi2` tests all m numbers jointly; `p_all_looks` is its p-value after Holm's correction over
-    laboratories.
+    `difference` (m,) is the laboratory's value minus the consensus. Its standard uncertainty `u` (m,) combines the
+    laboratory's stated u with the u of the consensus, which includes the `dark` uncertainty (m,) of the others.
+    `chi2` tests all m numbers jointly; `p_all_looks` is its p-value after Holm's correction over laboratories.
     """
 
     difference: Floats
@@ -402,8 +401,7 @@ class LaboratoryJudged:
 class Drift:
     """The `change` (k,) of a travelling unit between two measurements with the same instruments, in k numbers.
 
-    Its `covariance` (k, k) has `dof` degrees of freedom, infinite if the covariance was not estimated from
-    repeats.
+    Its `covariance` (k, k) has `dof` degrees of freedom, infinite if the covariance was not estimated from repeats.
     """
 
     names: tuple[str, ...]
@@ -423,9 +421,9 @@ class Drift:
 def transport_dark(drifts: Sequence[Drift], names: Sequence[str]) -> Floats:
     """Return the scatter (1 sigma) of a travelling unit's state from stop to stop, beyond u, by number (m,).
 
-    It is the Mandel-Paule solution for changes whose variance is u^2 + 2 dark^2, and 0 if they do not exceed u.
-    It is 0 for all numbers unless some change is significant after Holm's correction; otherwise the scatter of a
-    few returns would widen u by chance.
+    It is the Mandel-Paule solution for changes whose variance is u^2 + 2 dark^2, and 0 if they do not exceed u. It
+    is 0 for all numbers unless some change is significant after Holm's correction; otherwise the scatter of a few
+    returns would widen u by chance.
     """
     found = np.zeros(len(names))
     changed = any(holm(np.array([drift.p for drift in drifts])) < APART_P) if drifts else False

@@ -47,8 +47,8 @@ class LearnedSize:
 
 @dataclass(frozen=True)
 class Variance:
-    """A variance component `theta` with its u, both in multiples of `unit` squared; `held` is true if its prior
-    is kept.
+    """A variance component `theta` with its u, both in multiples of `unit` squared; `held` is true if its prior is
+    kept.
     """
 
     name: str

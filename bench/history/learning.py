@@ -73,8 +73,7 @@ class LikelihoodPoint:
 
 @dataclass(frozen=True)
 class Weighed:
-    """The sums (runs, w, w) of (B, F, y) of each run, weighted by V^-1 instead of R^-1, and ln det of V/R,
-    (runs,).
+    """The sums (runs, w, w) of (B, F, y) of each run, weighted by V^-1 instead of R^-1, and ln det of V/R, (runs,).
 
     R is the covariance of the noise alone; V includes the shared variances. `RunSums` explains B, F and y.
     """

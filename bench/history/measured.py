@@ -104,8 +104,7 @@ def to_gravity(g_m_s2: Floats | float, other: float = STANDARD_GRAVITY) -> Float
 def nine_of(name: str, vector: Floats, covariance: Floats) -> Derived:
     """Return the nine intrinsic numbers of coefficients (12,) with a covariance (12, 12).
 
-    Raises `CalibrationError` if they are undefined, as for a block with a dead channel; `name` begins its
-    message.
+    Raises `CalibrationError` if they are undefined, as for a block with a dead channel; `name` begins its message.
     """
     try:
         return intrinsic(Block.from_vector(vector), covariance)

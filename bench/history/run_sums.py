@@ -35,9 +35,9 @@ class RunFit:
     """One run, linearised about a fit of its own.
 
     `y` (n, 3) are residuals, with the fitted contribution of the stand angles added back. `X` (n, 3, …) are
-    derivatives by the run's own unknowns: 12 coefficients and any effects. `stand` (n, 3, a) are derivatives by
-    the stand angles `angles` (a,), each a name and an installation; `levels` (a, 2) has each angle as measured by
-    a spirit level, with its u, rad (NaN if unmeasured). `slope` (n, 3) is du/dphi. `waves` (n, 3, 2 WAVES) are
+    derivatives by the run's own unknowns: 12 coefficients and any effects. `stand` (n, 3, a) are derivatives by the
+    stand angles `angles` (a,), each a name and an installation; `levels` (a, 2) has each angle as measured by a
+    spirit level, with its u, rad (NaN if unmeasured). `slope` (n, 3) is du/dphi. `waves` (n, 3, 2 WAVES) are
     harmonics of the head; `walk` (n, q) are shapes of a random walk per root hour. `scatter` is the scatter of
     repeats, `floor` the lowest credible noise.
     """

@@ -30,8 +30,7 @@ STEADY: Final = 0.01
 
 @dataclass(frozen=True)
 class StaticRecord:
-    """Signals (n, c) of `channels` in `unit`, sampled every `interval_s` seconds; `source` names their
-    origin.
+    """Signals (n, c) of `channels` in `unit`, sampled every `interval_s` seconds; `source` names their origin.
 
     A record at a known input may have gaps: their samples are NaN, and `notes` say so.
     """
@@ -146,9 +145,8 @@ LONGEST_GAPS: Final = 10.0
 def on_grid(source: str, time_s: Floats, signal: Floats, channels: tuple[str, ...]) -> StaticRecord:
     """Return a record in V, with each sample (n, c) moved to the nearest time of a uniform grid.
 
-    The times `time_s` (n,) may jitter or have gaps. Samples at one time of the grid are averaged; a time
-    without a sample has NaN. Raises `CalibrationError` for too few samples, and for a record that is mostly
-    gaps.
+    The times `time_s` (n,) may jitter or have gaps. Samples at one time of the grid are averaged; a time without a
+    sample has NaN. Raises `CalibrationError` for too few samples, and for a record that is mostly gaps.
     """
     if len(time_s) < LEAST_SAMPLES:
         raise CalibrationError(

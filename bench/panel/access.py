@@ -92,8 +92,8 @@ def is_loopback(host: str) -> bool:
 class Role(StrEnum):
     """The role of a person.
 
-    Each role has all rights of the roles before it. The rights are, in order: look and stop; move and answer;
-    force control.
+    Each role has all rights of the roles before it. The rights are, in order: look and stop; move and answer; force
+    control.
     """
 
     VIEWER = "viewer"
@@ -116,9 +116,7 @@ class Person:
 
     @property
     def csrf(self) -> str:
-        """The CSRF token in every form of this session, by which a request proves that it comes from the
-        panel.
-        """
+        """The CSRF token in every form of this session, by which a request proves that it comes from the panel."""
         return hashlib.sha256(f"form:{self.secret}".encode()).hexdigest()[:32]
 
     def require(self, least: Role) -> None:

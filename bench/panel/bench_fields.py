@@ -176,8 +176,8 @@ def _driver_words(name: str, section: type[Any]) -> str:
 def fields_in(
     model: type[BaseModel], at: Place, skip: frozenset[str] = frozenset(), default: Any = None
 ) -> Iterator[tuple[str, BenchField]]:
-    """Yield the fields of a model, and of its required sections, with their names; `at` is the model's path in
-    the file.
+    """Yield the fields of a model, and of its required sections, with their names; `at` is the model's path in the
+    file.
 
     Certificates, lists and optional sections have no field: the user writes them in the file. `default` is the
     section that applies if the file omits it.

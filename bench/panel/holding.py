@@ -135,8 +135,8 @@ def change(
 ) -> Holding:
     """Carry out a person's command (a key of `WORDS`) on the control of a run; return the new state.
 
-    `to` is the person to whom control is granted or denied, by default the first who asked. Raises `Refusal` if
-    the command is not allowed, `OSError` if the journal cannot be written.
+    `to` is the person to whom control is granted or denied, by default the first who asked. Raises `Refusal` if the
+    command is not allowed, `OSError` if the journal cannot be written.
     """
     if word not in WORDS:
         raise Refusal(400, message(f"ask for one of {', '.join(WORDS)}"))

@@ -155,9 +155,9 @@ class WantedRun:
 class TrialResult:
     """The findings of the check and the dry run that precede a run. `stage` is "checking", "trying" or "done".
 
-    `check` is the output of `bench check --json`, `mistakes` are the errors if the files cannot be read. `tried`
-    is the exit status of the dry run (None without one), `said` the end of its output, `result` the output of
-    `bench run --json`.
+    `check` is the output of `bench check --json`, `mistakes` are the errors if the files cannot be read. `tried` is
+    the exit status of the dry run (None without one), `said` the end of its output, `result` the output of `bench
+    run --json`.
     """
 
     stage: str = "checking"

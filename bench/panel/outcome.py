@@ -55,8 +55,8 @@ class Picture:
 class Outcome:
     """What the live page shows of a run that has ended.
 
-    `state` is "waiting" while the results are computed, "none" if there are none, else "ready". `misfit` says why
-    a diagnosis is offered; it is empty if the readings fit the model and the verification passed.
+    `state` is "waiting" while the results are computed, "none" if there are none, else "ready". `misfit` says why a
+    diagnosis is offered; it is empty if the readings fit the model and the verification passed.
     """
 
     state: str

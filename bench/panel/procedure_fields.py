@@ -225,9 +225,7 @@ def _block(text: str, at: Place) -> tuple[int, int, int]:
 
 
 def _compared(text: str, lines: list[str], at: Place, times: int) -> str:
-    """Return the changed lines as a text. Raises `Refusal` (409) if anything but the step at the path `at`
-    differs.
-    """
+    """Return the changed lines as a text. Raises `Refusal` (409) if more than the step at the path `at` differs."""
     changed = "\n".join(lines) + "\n"
     wanted = copy.deepcopy(read_yaml(text).data)
     steps: Any = wanted

@@ -100,9 +100,9 @@ def with_certificate(text: str, instrument: str, section: str) -> str:
 def accept_certificate(request: ReadCertificate, section: Section) -> str:
     """Write the certificate of an instrument into a bench file; return a sentence on what was done.
 
-    The file's first line names who accepted it and the SHA-256 of the document. Raises `Refused` for an
-    instrument that the bench file does not list, for a certificate that lacks corrections, and for one that is
-    there already. Raises `FileMistakes` if the bench file would have mistakes; the file then stays unchanged.
+    The file's first line names who accepted it and the SHA-256 of the document. Raises `Refused` for an instrument
+    that the bench file does not list, for a certificate that lacks corrections, and for one that is there already.
+    Raises `FileMistakes` if the bench file would have mistakes; the file then stays unchanged.
     """
     if request.into is None or not request.instrument or not request.by:
         raise Refused("accepting a certificate needs --into FILE, --instrument NAME and --by NAME")
@@ -133,9 +133,7 @@ def signed(text: str, name: str, now: datetime) -> str:
 
 
 def _yaml() -> YAML:
-    """Return a YAML reader and writer that treats every plain scalar as text, so that it is written as it was
-    read.
-    """
+    """Return a YAML reader and writer that treats every plain scalar as text, to write it unchanged."""
     from ruamel.yaml import YAML
     from ruamel.yaml.resolver import VersionedResolver
 
@@ -323,9 +321,7 @@ KeyPath = tuple[str, ...]
 
 
 def _blocks(text: str) -> list[tuple[list[str], list[KeyPath]]]:
-    """Return the blocks of comments and empty lines, each with the key paths of the lines after it, nearest
-    first.
-    """
+    """Return the blocks of comments and empty lines, each with the key paths of the next lines, nearest first."""
     lines = text.splitlines()
     aside = [not line.strip() or line.lstrip().startswith("#") for line in lines]
     paths = _paths([line for line, is_aside in zip(lines, aside, strict=True) if not is_aside])

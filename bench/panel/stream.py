@@ -54,8 +54,8 @@ class ResidualPlot:
     """The residuals of a run's readings from their predictions, as `points` for viewers.
 
     A point has the keys `n` (event number), `step`, `installation`, `series`, `pass`, `point`, `angle_deg`,
-    `time_s`; per channel the `residual`, its standard uncertainty `u` (both in `unit`) and `sigma`; and `struck`
-    if the reading was replaced by a repetition. `version` counts changes to earlier points.
+    `time_s`; per channel the `residual`, its standard uncertainty `u` (both in `unit`) and `sigma`; and `struck` if
+    the reading was replaced by a repetition. `version` counts changes to earlier points.
     """
 
     def __init__(self, plan: Plan, bench: BenchFile) -> None:
@@ -270,9 +270,7 @@ def as_event(name: str, data: Any) -> bytes:
 
 
 def as_live(value: bytes) -> bytes:
-    """Return a server-sent event with a live value, as the run's program wrote it; {} if it is missing or
-    damaged.
-    """
+    """Return a server-sent event with the live value from the run's program; {} if it is missing or damaged."""
     try:
         told = from_text(value) if value else {}
     except ValueError:

@@ -482,8 +482,8 @@ def draw_degrees(
 ) -> None:
     """Draw the deviation of each bench or laboratory in each intrinsic number, with bars of ±U (k = 2).
 
-    `nine` has for each number the deviations (w,), their u (w,), and a dark uncertainty, which is drawn as a
-    band. Deviations beyond U are red. `who` (w,) are the names.
+    `nine` has for each number the deviations (w,), their u (w,), and a dark uncertainty, which is drawn as a band.
+    Deviations beyond U are red. `who` (w,) are the names.
     """
     rows = np.arange(len(who))
     grid = figure.subplots(3, 3, sharey=True)

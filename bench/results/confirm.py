@@ -76,9 +76,7 @@ class ConfirmResult(ResultModel):
 
 
 def effect_part(now: EffectNow) -> EffectPart:
-    """Return the part of the result on an effect: its verdict, and its values in the model and in the new
-    readings.
-    """
+    """Return the part of the result on an effect: the verdict, and the values in the model and the new readings."""
     return EffectPart(
         name=now.applied.effect.name,
         either_of=list(now.applied.either_of),

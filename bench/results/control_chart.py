@@ -381,8 +381,8 @@ def _numbers_table(
 ) -> Table:
     """Return a table with a row for each number of a run.
 
-    The columns are the deviation from the centre line, its u, the deviation in units of u, the EWMA in units of
-    its u, and the ratio of the baseline's scatter to the stated u, with the p-value if it is below 0.01.
+    The columns are the deviation from the centre line, its u, the deviation in units of u, the EWMA in units of its
+    u, and the ratio of the baseline's scatter to the stated u, with the p-value if it is below 0.01.
     """
     shown = table(
         run, ">off the centre", ">u", f">in u (≤ {limits.single:.1f})",
@@ -447,9 +447,7 @@ def render_chart(found: CheckBlockChart) -> str:
 
 
 def draw_joint(chart: ControlChart, unit: str, figure: Figure) -> None:
-    """Draw panels of T² of each run, T² of the EWMA and, if known, the short-term standard deviation of a
-    reading.
-    """
+    """Draw panels of T² of each run, T² of the EWMA and, if known, the short-term scatter of a reading."""
     shown = slice(-MOST_SHOWN, None)
     panels = figure.subplots(3 if chart.short is not None else 2, sharex=True, squeeze=False)[:, 0]
     along = np.arange(1.0, len(chart.later) + 1)[shown]

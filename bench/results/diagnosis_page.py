@@ -449,9 +449,8 @@ def overlay(
     """Return a plot of measured and simulated signals, a row per channel; `place` (such as a mounting) is in its
     title.
 
-    The left column has the signals. The right column has both minus the simulation with the given model; this
-    shows what that model lacks, and whether the effects found explain it. `draw_channel` draws a channel into its
-    axes.
+    The left column has the signals. The right column has both minus the simulation with the given model; this shows
+    what that model lacks, and whether the effects found explain it. `draw_channel` draws a channel into its axes.
     """
     whose = message("simulated, with what was found") if found else message("simulated as it was given")
 

@@ -374,9 +374,7 @@ def named_in_words(effect: NamedEffect) -> str:
 
 
 def found_in_words(diagnosis: AnyDiagnosis, nothing: str) -> str:
-    """Return the findings in free positions or in a record as a sentence; `nothing` is the text if there are
-    none.
-    """
+    """Return the findings in free positions or in a record as a sentence; without any, return `nothing`."""
     effects = diagnosis.effects
     return "; ".join(named_in_words(e) if e.in_catalogue else e.words for e in effects) or nothing
 

@@ -35,8 +35,7 @@ class IntrinsicValuePart(CoefficientPart):
 
 
 class IntrinsicPart(ResultModel):
-    """The nine numbers that do not depend on the mounting: sensitivities, angles between the sensing axes,
-    offsets.
+    """The nine numbers that do not depend on the mounting: sensitivities, angles between the sensing axes, offsets.
 
     S_i = ‖row i of K‖, cos θ_ij = row_i·row_j/(S_i S_j), b_i = U0_i/S_i.
     """

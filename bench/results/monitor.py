@@ -1,6 +1,4 @@
-"""The result of `bench monitor`: bias, scale factor and angle from a few positions over days, as JSON, text,
-chart.
-"""
+"""The result of `bench monitor`: bias, scale factor and angle of a few positions over days; JSON, text, chart."""
 
 from __future__ import annotations
 

@@ -413,11 +413,9 @@ def _each(sizes: tuple[float, float, float], unit: str) -> str:
 
 
 def sources(calibration: Calibration) -> dict[str, Any]:
-    """Return the table of error sources that the readings do not show, and the u of gravity; empty without
-    sources.
+    """Return the table of error sources that the readings do not show, and the u of gravity; empty without sources.
 
-    Cells: u of the source, its largest contribution to scale factors, cross-axis terms and biases, and its
-    origin.
+    Cells: u of the source, its largest contribution to scale factors, cross-axis terms and biases, and its origin.
     """
     if not calibration.sources:
         return {}

@@ -178,9 +178,7 @@ def _micro(unit: str) -> str:
 
 
 def _close(view: TumbleView) -> Iterator[tuple[str, str, float]]:
-    """Yield pairs of nonlinear terms of one channel that are hard to separate, with their correlation
-    coefficient.
-    """
+    """Yield pairs of nonlinear terms of one channel that are hard to separate, with their correlation."""
     for channel, own in view.axes.items():
         terms = [f"{channel}.{q.name}" for q in own if q.name in HOMES]
         for n, first in enumerate(terms):

@@ -155,8 +155,7 @@ def checked(**kinds: Kind) -> Callable[[Callable[P, R]], Callable[P, R]]:
 def python_call(request: Callable[P, Asked], act: Callable[[Asked], R], name: str = "") -> Callable[P, R]:
     """Return the public Python function that carries out a request; its parameters are the fields of the request.
 
-    The function's name is `name`, by default the name of `act` without underscores; its docstring is that of
-    `act`.
+    The function's name is `name`, by default the name of `act` without underscores; its docstring is that of `act`.
     """
 
     def call(*args: P.args, **kwargs: P.kwargs) -> R:

@@ -60,9 +60,9 @@ class BenchOrigin(_Part):
 class Origin(_Part):
     """The origin of readings: their run, block, bench file and instruments.
 
-    `unit_under_test` is None, and `procedure` empty, if nobody stated it. `serials` are the serial numbers that
-    the instruments reported; real runs keep them, and so does any run on a bench with certificates. `mended` are
-    the mistakes that were corrected in these readings, which are then a copy of the recorded readings.
+    `unit_under_test` is None, and `procedure` empty, if nobody stated it. `serials` are the serial numbers that the
+    instruments reported; real runs keep them, and so does any run on a bench with certificates. `mended` are the
+    mistakes that were corrected in these readings, which are then a copy of the recorded readings.
     """
 
     simulated: bool
@@ -93,8 +93,8 @@ class Origin(_Part):
     def bench_file(self, readings: Path) -> Path | None:
         """Return the path of the run's bench file for a readings file; None if no unchanged copy is found.
 
-        It is searched for in the run's folder, also relative to the readings file in case both were moved,
-        and at the path from which the run took it.
+        It is searched for in the run's folder, also relative to the readings file in case both were moved, and at
+        the path from which the run took it.
         """
         places = [self.bench.copied_to, self.bench.copied_to_from_here, self.bench.file]
         for path in (readings.parent / place for place in places if place):
@@ -282,9 +282,7 @@ def why_taken(given: str | Path | BenchFile | None) -> str:
 
 
 def find_bench_file(given: str | Path | BenchFile | BenchTaken | None) -> BenchTaken:
-    """Return the bench file to use: `given` (content, path or name), else that in BENCH_FILE, else the shipped
-    one.
-    """
+    """Return the bench file: `given` (content, path, name), else that in BENCH_FILE, else the shipped one."""
     if isinstance(given, BenchTaken):
         return given
     if isinstance(given, BenchFile):

@@ -34,8 +34,8 @@ class Body:
     """Readings that are diagnosed together: the `sources`, and all of them joined as one `source`.
 
     `nominal` (blocks, 3) are the scale factors of the data sheets; it is None for a single kind of block. If all
-    readings are free positions, each source keeps a table of its own; `one_block` then says whether one sensor
-    made all of them.
+    readings are free positions, each source keeps a table of its own; `one_block` then says whether one sensor made
+    all of them.
     """
 
     sources: tuple[Source, ...]
@@ -75,8 +75,8 @@ def single_bodies(request: Diagnose) -> list[Body | Failed]:
 def body_of(sources: list[Source], one_block: bool | None = None) -> Body:
     """Return the sources as one body: of one block (`one_block` True), or each of a different block (False).
 
-    If `one_block` is None, the names of the blocks decide; without names, the diagnosis decides from the
-    readings. Raises `Refused` if the sources were measured on different benches.
+    If `one_block` is None, the names of the blocks decide; without names, the diagnosis decides from the readings.
+    Raises `Refused` if the sources were measured on different benches.
     """
     first = sources[0]
     if len(sources) == 1 or all_free([source.readings for source in sources]):

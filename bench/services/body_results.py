@@ -78,9 +78,9 @@ class BodyResult(ABC):
     def written(self, *, accept_first: bool = False, report: bool = True) -> Self:
         """Write all files of `bench diagnose`; return the result with their paths.
 
-        With `accept_first`, a model is written even if the readings cannot decide between effects; it then has
-        the likeliest one. A file that cannot be written is noted in `not_written`, or raises `OSError` if an
-        output folder was requested.
+        With `accept_first`, a model is written even if the readings cannot decide between effects; it then has the
+        likeliest one. A file that cannot be written is noted in `not_written`, or raises `OSError` if an output
+        folder was requested.
         """
 
     def __repr__(self) -> str:

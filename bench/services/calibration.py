@@ -81,8 +81,7 @@ def read_prior(path: Path) -> Prior:
 def with_prior(
     found: Calibration, source: Source, path: Path
 ) -> tuple[Calibration, PriorPart, tuple[str, ...]]:
-    """Return a calibration combined with the prior for its unit's type, the prior's part of the result, and
-    notes.
+    """Return a calibration combined with the prior for its unit's type, the prior's part of the result, and notes.
 
     If readings and prior contradict each other, the calibration is returned unchanged, with a note. Raises
     `Refused` for a prior of another type or signal unit, for simulated readings with a real prior or the reverse,
@@ -184,9 +183,9 @@ class Coefficient:
 class CalibrationResult:
     """The twelve coefficients of U = K a + U0 with their covariance, and the data behind them.
 
-    a is the specific force in local g (+1 g on an axis that points upward). `calibration` is the complete
-    estimate, `source` the readings with bench and model. `prior` describes the prior file (None if none was
-    given); `of_prior` are notes on the prior.
+    a is the specific force in local g (+1 g on an axis that points upward). `calibration` is the complete estimate,
+    `source` the readings with bench and model. `prior` describes the prior file (None if none was given);
+    `of_prior` are notes on the prior.
     """
 
     source: Source
@@ -491,9 +490,7 @@ def report_page(
 
 
 def _closed_form(source: Source) -> Calibration | None:
-    """Return the calibration by the paper's closed-form estimator; None if that estimator cannot use the
-    readings.
-    """
+    """Return the calibration by the paper's closed-form estimator; None if it cannot use the readings."""
     try:
         return calibration_of(source, CLOSED_FORM).calibration
     except CalibrationError:

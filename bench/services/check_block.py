@@ -480,8 +480,8 @@ IN_CONTROL: Final = "in control"
 
 @dataclass(frozen=True)
 class CheckBefore:
-    """The last check of a bench: `state` is "in control", "out of control", "too old" or "missing"; `sentence`
-    says why.
+    """The last check of a bench: `state` is "in control", "out of control", "too old" or "missing"; `sentence` says
+    why.
 
     `run` is the name of the run of the check block, empty if there is none; `age_s` is its age in s.
     """

@@ -43,8 +43,8 @@ class SignedModel:
     calibration.
 
     The covariance of `same_meters` omits the errors that cancel if the same meters are used again. `sources` are
-    the errors that the readings cannot show. They are equal at all temperatures, so only the terms at the
-    reference temperature contain them.
+    the errors that the readings cannot show. They are equal at all temperatures, so only the terms at the reference
+    temperature contain them.
     """
 
     combined: TemperatureModel

@@ -40,9 +40,8 @@ class Conclusion:
     """The results of a finished run; a missing result is None.
 
     `looks` are remarks of the early warning; `short` says whether the run ended without reaching its goal.
-    `no_calibration` and `no_chart` are the reasons for a missing calibration or chart; `no_chart` is empty
-    for a run that is not of the check block. `chart_unwritten` is the reason why the chart's file was not
-    written.
+    `no_calibration` and `no_chart` are the reasons for a missing calibration or chart; `no_chart` is empty for a
+    run that is not of the check block. `chart_unwritten` is the reason why the chart's file was not written.
     """
 
     run: Run

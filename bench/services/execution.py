@@ -389,8 +389,8 @@ def _on_certificates(
 ) -> Callable[[Mapping[str, str]], Sequence[str]] | None:
     """Return the function that turns serial numbers into remarks on certificates; None if none is needed.
 
-    Simulated instruments without certificates need none. In any simulated run, serial numbers are not compared
-    with the certificates.
+    Simulated instruments without certificates need none. In any simulated run, serial numbers are not compared with
+    the certificates.
     """
     if simulated and all(section.certificate is None for section in bench.instruments.all()):
         return None

@@ -71,9 +71,8 @@ def refuse_contradictions(request: RunRequest) -> None:
 def refuse_unfit(bench: BenchFile, path: Path, request: RunRequest, *, away: bool) -> None:
     """Raise `Refused` for a real run by a program that is not validated, or with expired certificates.
 
-    Expired certificates prevent the run if the bench file says `expired: refuse`. They also do so if it says
-    `ask` and nobody can be asked: there is no terminal, and questions are not answered in the run's folder
-    (`away`).
+    Expired certificates prevent the run if the bench file says `expired: refuse`. They also do so if it says `ask`
+    and nobody can be asked: there is no terminal, and questions are not answered in the run's folder (`away`).
     """
     refuse_unvalidated_run(bench, path, request.laboratory)
     late = expired(bench)

@@ -326,8 +326,8 @@ NOT_VOLTS: Final = "differences between the voltmeters: the signals are in {unit
 def differences_of(sources: Sequence[Source]) -> MeterDifferences | str:
     """Return the learned differences between the voltmeters of a bench, or why these runs do not determine them.
 
-    They are computed from calibrations with the stand's limits from the bench file. These limits hardly affect
-    the lengths of the rows of K.
+    They are computed from calibrations with the stand's limits from the bench file. These limits hardly affect the
+    lengths of the rows of K.
     """
     if sources[0].readings.unit != "V":
         return NOT_VOLTS.format(unit=sources[0].readings.unit)

@@ -1,9 +1,9 @@
 """The persons of a laboratory: names, roles, rights and identities, in one register beside the laboratory file.
 
-The register is a chain: each line adds or changes a person or ends a person's rights, and names the
-administrator. It contains no secret, but only salted hashes of tokens and public keys. Operators, those who issue
-certificates, accept validations and close failures, and those who sign in to the panel are persons of this
-register. Without one, operators are free text, and the laboratory file names those who may authorise.
+The register is a chain: each line adds or changes a person or ends a person's rights, and names the administrator.
+It contains no secret, but only salted hashes of tokens and public keys. Operators, those who issue certificates,
+accept validations and close failures, and those who sign in to the panel are persons of this register. Without one,
+operators are free text, and the laboratory file names those who may authorise.
 """
 
 from __future__ import annotations
@@ -90,9 +90,7 @@ class Persons(Chain):
         return next((one for one in self.everyone.values() if not one.ended and one.has_token(token)), None)
 
     def chosen(self, name: str, right: Right, option: str) -> Person:
-        """Return the person of this name, who must have the right. Raises `Refused`, naming the option,
-        otherwise.
-        """
+        """Return the person of this name, who must have the right. Otherwise, `Refused` names the option."""
         able = {one.name: one for one in self.who_may(right)}
         if name in able:
             return able[name]

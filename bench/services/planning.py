@@ -280,12 +280,12 @@ def _remarks(points: ChosenPoints, bench: BenchFile, *, asked: bool) -> str:
 def budget_of(request: Budget) -> BudgetResult:
     """Return the contribution of each bench error to the coefficients and to any measured acceleration.
 
-    `procedure` states the readings of the calibration. `coefficients` (a result of `bench calibrate --json`)
-    states the block; the default is the block in the bench file. `trials` is the number of Monte Carlo trials
-    that check the linear propagation (0: none). `limit` of Δg in g, `rule` ("simple", "guarded" or "non-binary")
-    and `guard_band` in U replace the values of the bench file. `same_voltmeters` states that the block will be
-    used with the voltmeters of the calibration. `g` is local gravity in m/s². Raises `Refused`,
-    `CalibrationError`, `FileMistakes`.
+    `procedure` states the readings of the calibration. `coefficients` (a result of `bench calibrate --json`) states
+    the block; the default is the block in the bench file. `trials` is the number of Monte Carlo trials that check
+    the linear propagation (0: none). `limit` of Δg in g, `rule` ("simple", "guarded" or "non-binary") and
+    `guard_band` in U replace the values of the bench file. `same_voltmeters` states that the block will be used
+    with the voltmeters of the calibration. `g` is local gravity in m/s². Raises `Refused`, `CalibrationError`,
+    `FileMistakes`.
     """
     check_gravity(request.g)
     estimator = in_a_budget(request.estimator).name
@@ -368,8 +368,7 @@ ACCELERATIONS: Final = frozenset({ACCELERATION_OF, MODULUS_OF})
 
 
 def requirements(request: Require) -> Requirements:
-    """Return the largest size of each bench error for which k u of a quantity stays within the requested
-    accuracy.
+    """Return the largest size of each bench error for which k u of a quantity stays within the requested accuracy.
 
     Raises `Refused` for invalid options, `FileMistakes`, `CalibrationError`.
     """

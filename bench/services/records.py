@@ -193,9 +193,7 @@ def proof_of(run: Run, request: ShowRun) -> tuple[list[str], list[str]]:
 
 
 def _signature(seal: Seal, given: Ed25519PublicKey | None, told: list[str], problems: list[str]) -> bool:
-    """Add sentences on the seal's signature to `told` or `problems`; return whether the given key signed the
-    seal.
-    """
+    """Add sentences on the seal's signature to `told` or `problems`; return whether the given key signed it."""
     if not seal.signature:
         told.append(
             f"sealed at {seal.events} events, not signed: anybody who can write the folder could have "

@@ -242,8 +242,8 @@ def take_learned(
 ) -> LearnedTaken:
     """Return the part of a learned file that is valid for readings of a day in a unit.
 
-    `head` and `hashes` identify the record of the readings. `simulated` says whether the readings are
-    simulated; it is None if this is not stated or there are no readings.
+    `head` and `hashes` identify the record of the readings. `simulated` says whether the readings are simulated; it
+    is None if this is not stated or there are no readings.
     """
     if file is None:
         return NOTHING_LEARNED
@@ -272,8 +272,8 @@ def take_learned(
 def learned_for_run(bench: BenchFile, path: Path, created: str, *, simulated: bool | None) -> LearnedTaken:
     """Return the learned sizes valid for a run that was created at the time `created` (ISO 8601).
 
-    The bench file at `path` names the learned file. If `path` is the run's own copy, later changes of the
-    original files do not affect the result. Raises `FileMistakes`.
+    The bench file at `path` names the learned file. If `path` is the run's own copy, later changes of the original
+    files do not affect the result. Raises `FileMistakes`.
     """
     file = BenchTaken(bench, str(path), "", "").learned()
     return take_learned(file, datetime.datetime.fromisoformat(created).date(), VOLTS, simulated=simulated)

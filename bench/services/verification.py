@@ -293,8 +293,7 @@ def judged(
 
 
 def _of_another_day(taken: Coefficients, source: Source) -> tuple[Floats, tuple[str, ...]]:
-    """Return the covariance of |a| at the points, for coefficients of an earlier calibration, and a sentence on
-    it.
+    """Return the covariance of |a| at the points, for coefficients of an earlier calibration, and a sentence on it.
 
     Errors of meters used on both occasions cancel on the same day. As the time between them grows, less of these
     errors cancels, because the meters drift.

@@ -36,9 +36,7 @@ KINDS: Final = frozenset(
 
 @dataclass
 class FailureRegister(Chain):
-    """The register of failures: `seen` maps numbers to failures, `noted` maps numbers to the notes on the
-    failure.
-    """
+    """The register of failures: `seen` maps numbers to failures, `noted` to the notes on each failure."""
 
     FIRST: ClassVar[str] = first_head("triaxial-bench failures 1\n")
 

@@ -43,8 +43,8 @@ def specific_force(
 ) -> np.ndarray:
     """Return the specific force on the block's axes, g, shape (n, 3): the upward component of each axis.
 
-    The shaft is y. Angles in rad, (n,) or one for all. A right-hand turn about a vector along the shaft would
-    carry x downwards; the head counts the other way.
+    The shaft is y. Angles in rad, (n,) or one for all. A right-hand turn about a vector along the shaft would carry
+    x downwards; the head counts the other way.
     """
 
     def turn(axis: int, angle: np.ndarray | float) -> Rotation:

@@ -81,8 +81,8 @@ def diagnose_case(case: Case) -> dict[str, Any]:
 def _diagnosed(case: Case) -> dict[str, Any]:
     """Return the members of `bench diagnose --json` for the readings of a case, and the coefficients.
 
-    The coefficients are estimated without and with the effects found, each with its covariance. If the effect
-    was named, the result also has the error of the modulus at the verification points, g, with its u.
+    The coefficients are estimated without and with the effects found, each with its covariance. If the effect was
+    named, the result also has the error of the modulus at the verification points, g, with its u.
     """
     bench, model, stand_u, thresholds = _bench()
     thresholds.key = (f"{case.design}{' own' * case.own}", case.reading_noise_v)

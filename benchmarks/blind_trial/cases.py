@@ -72,8 +72,7 @@ NOISES: Final = ("equal", "by channel", "t4", "1/f", "coarse")
 def noise_of(rng: np.random.Generator, kind: str, n: int) -> Floats:
     """Return noise (n, 3) of a kind of `NOISES`, in units of the stated size.
 
-    "by channel" has 9/15, 15/15 and 33/15 of the stated size; "t4" is a t distribution with 4 degrees of
-    freedom.
+    "by channel" has 9/15, 15/15 and 33/15 of the stated size; "t4" is a t distribution with 4 degrees of freedom.
     """
     if kind == "t4":  # of the stated standard deviation
         return np.asarray(rng.standard_t(TAIL_DOF, (n, 3)) * np.sqrt((TAIL_DOF - 2) / TAIL_DOF))
@@ -86,9 +85,7 @@ def noise_of(rng: np.random.Generator, kind: str, n: int) -> Floats:
 
 
 def _slow(rng: np.random.Generator, n: int) -> Floats:
-    """Return 1/f noise (n, 3) over the readings, rms 1 in each channel, cut from a series eight times as
-    long.
-    """
+    """Return 1/f noise (n, 3) over the readings, rms 1 in each channel, cut from a series eight times as long."""
     long = 8 * n
     frequency = np.fft.rfftfreq(long)
     size = np.zeros(len(frequency))
@@ -114,11 +111,11 @@ TRIES: Final = 5
 class Row:
     """A row of the score table: what is hidden, in which design, how visible, at which noise, and how often.
 
-    `kind` is null, single, pair, outside, hidden, equal_k2, mounting_roll, one of `SLIPS`, `KNOWN`,
-    `SUPPLIED` or mistake:NAME, or one of `FREE`, which has its own noise and design. `noise_v` is the noise
-    that the bench file states; the true noise of readings and settings is `noise_factor` times as large.
-    `noise` is its kind (`NOISES`). A case may have several `runs` with the same effect, each with visibility
-    `rho`: of one block, or of a different block each (`blocks`).
+    `kind` is null, single, pair, outside, hidden, equal_k2, mounting_roll, one of `SLIPS`, `KNOWN`, `SUPPLIED` or
+    mistake:NAME, or one of `FREE`, which has its own noise and design. `noise_v` is the noise that the bench file
+    states; the true noise of readings and settings is `noise_factor` times as large. `noise` is its kind
+    (`NOISES`). A case may have several `runs` with the same effect, each with visibility `rho`: of one block, or of
+    a different block each (`blocks`).
     """
 
     kind: str
@@ -148,8 +145,8 @@ class Case:
     """The input of the diagnosis: a table of readings, and the noise that the bench file states (1 σ).
 
     `reading_noise_v` is in V, `setting_noise` in rad. With `own`, the diagnosis also gets user formulas.
-    `stated_psi_deg` is the angle of the verification points that the bench file states, None if it is right.
-    For free positions, `free` are the records. The name does not reveal what is hidden.
+    `stated_psi_deg` is the angle of the verification points that the bench file states, None if it is right. For
+    free positions, `free` are the records. The name does not reveal what is hidden.
     """
 
     id: str
@@ -250,9 +247,7 @@ def _digest(seed: int, row: Row, index: int) -> bytes:
 
 
 def _hide(rng: np.random.Generator, row: Row, index: int) -> tuple[Run, list[Truth], Floats | None]:
-    """Return the run of a case, the hidden effects, and the supply voltages over time if the supply has a
-    part.
-    """
+    """Return the run of a case, the hidden effects, and the supply voltages over time if the supply has a part."""
     run = _run(rng, row)
     if row.kind not in SUPPLIED:
         return run, _truths(rng, row, run, index), None

@@ -1,6 +1,4 @@
-"""The trial's own implementation of effects of stand, block and voltmeter, with the names of `bench
-diagnose`.
-"""
+"""The trial's own implementation of effects of stand, block and voltmeter, with the names of `bench diagnose`."""
 
 from __future__ import annotations
 
@@ -41,9 +39,7 @@ def _per_mount(name: str, arcsec: float, key: str, *, after_remount: bool = Fals
 
 
 def _head_eccentricity(rng: np.random.Generator, run: Run) -> Truth:
-    """Return the effect of an eccentric scale: its centre is off by a fraction e of its radius, at angle
-    `towards`.
-    """
+    """Return the effect of an eccentric scale: its centre is off by e radii, at the angle `towards`."""
     towards = rng.uniform(0, 2 * np.pi)
 
     def shift(r: Run, x: float) -> Shift:
@@ -54,9 +50,7 @@ def _head_eccentricity(rng: np.random.Generator, run: Run) -> Truth:
 
 
 def _head_ellipticity(rng: np.random.Generator, run: Run) -> Truth:
-    """Return the effect of a scale elongated along `along`: tan φ on the ellipse is (1 + e) tan φ on the
-    circle.
-    """
+    """Return the effect of a scale elongated along `along`: tan φ on the ellipse is (1 + e) tan φ on the circle."""
     along = rng.uniform(0, np.pi)
 
     def shift(r: Run, x: float) -> Shift:
@@ -253,9 +247,7 @@ def _lagged_scale(minutes: float) -> Form:
 
 
 def _stops(way: Floats, begins: set[int], half_width: float) -> Floats:
-    """Return the state (m, 3) of a saturating friction element with a play of `half_width`, zero after a
-    remount.
-    """
+    """Return the state (m, 3) of a saturating friction element with a play of `half_width`; 0 after a remount."""
     inside = np.zeros_like(way)
     play = way[0]
     for i, here in enumerate(way):
@@ -287,9 +279,7 @@ def _bouc_wen(way: Floats, begins: set[int]) -> Floats:
 
 @lru_cache
 def _friction(design: str, kind: str) -> Floats:
-    """Return the state (n, 3) of each channel's friction element at the readings of a design; it saturates at
-    1.
-    """
+    """Return the state (n, 3) of each channel's friction element at the readings of a design; it saturates at 1."""
     way, stops, begins = head_path(design)
     element = {"two plays": _prandtl, "Bouc-Wen": _bouc_wen}[kind]
     return element(way, set(begins.tolist()))[stops]
@@ -354,8 +344,7 @@ AUTORANGE_BELOW_V: Final = 1.2
 
 
 def _voltmeter_nonlinearity(rng: np.random.Generator, run: Run) -> Truth:
-    """Return the effect of the same nonlinearity in every channel: a power, or half a period of a cosine or
-    sine.
+    """Return the effect of the same nonlinearity in every channel: a power, or half a period of a cosine or sine.
 
     Real converters have such shapes.
     """
@@ -385,9 +374,7 @@ def _voltmeter_drift(rng: np.random.Generator, run: Run) -> Truth:
 
 
 def _range_offset(rng: np.random.Generator, run: Run) -> Truth:
-    """Return the effect of range offsets: of one autoranging meter for all channels, or of one of three
-    meters.
-    """
+    """Return the effect of range offsets: of one autoranging meter for all channels, or of one of three meters."""
     offset, gain = rng.normal(size=2) * (40 * MICROVOLT, 20 * PPM)
     one = rng.random() < 0.5
     weights = np.eye(3)[rng.integers(3)] if one else np.ones(3)
@@ -406,9 +393,7 @@ def _range_offset(rng: np.random.Generator, run: Run) -> Truth:
 
 
 def _channel_crosstalk(rng: np.random.Generator, run: Run) -> Truth:
-    """Return the effect of an input that has not settled from the previous reading; before the first it is
-    open.
-    """
+    """Return the effect of an input that has not settled from the previous reading; before the first it is open."""
     sign = rng.choice([-1.0, 1.0])
 
     def act(r: Run, volts: Floats, x: float) -> Floats:

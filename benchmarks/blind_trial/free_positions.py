@@ -1,8 +1,7 @@
 """Free positions of the trial: a sensor at rest in all orientations, with its own matrix, zeros and effects.
 
-U = S (a + e) + b with |a| = 1: S is a full matrix, a has no preferred direction, and e is the hidden effect,
-g. Its visibility rho is the size of the part of e that nine coefficients cannot absorb, in units of the noise
-of |a|.
+U = S (a + e) + b with |a| = 1: S is a full matrix, a has no preferred direction, and e is the hidden effect, g. Its
+visibility rho is the size of the part of e that nine coefficients cannot absorb, in units of the noise of |a|.
 """
 
 from __future__ import annotations
@@ -158,9 +157,7 @@ def free_tables(
 
 
 def _rho(of: Positions, added: tuple[Floats, ...]) -> float:
-    """Return the size of an effect on |a| that a matrix and zeros cannot absorb, in units of the noise of
-    |a|.
-    """
+    """Return the size of an effect on |a| that a matrix and zeros cannot absorb, in units of the noise of |a|."""
     a, e = np.concatenate(of.force), np.concatenate(added)
     moved = np.sum(a * e, axis=1)
     columns = np.column_stack([(a[:, :, None] * a[:, None, :]).reshape(len(a), 9), a])

@@ -36,9 +36,7 @@ def _of_passes(rng: np.random.Generator, run: Run, lasting: bool) -> tuple[Rows,
 
 
 def _of_a_visit(rng: np.random.Generator, run: Run, lasting: bool) -> tuple[Rows, str]:
-    """Return the rows affected: a whole mounting after the first or, if `lasting`, possibly all from there
-    on.
-    """
+    """Return the rows affected: a whole mounting after the first or, if `lasting`, possibly all from there on."""
     mount = int(rng.choice(run.calibration_mounts[1:]))
     if lasting and rng.random() < 0.5:
         return run.mount >= mount, f"from mounting {mount + 1} on"
@@ -116,9 +114,9 @@ def _unchanged(signal: Floats) -> Floats:
 class Mistake:
     """One mistake, and the rows that it affects.
 
-    `true_angle` (n,) is the true head angle, None if it is as noted; `edit` changes the signals (n, 3) on
-    their way into the table; `labels` (n,) are the wrong labels in the table, None if they are right.
-    `accepted` are names that are indistinguishable from the true one.
+    `true_angle` (n,) is the true head angle, None if it is as noted; `edit` changes the signals (n, 3) on their way
+    into the table; `labels` (n,) are the wrong labels in the table, None if they are right. `accepted` are names
+    that are indistinguishable from the true one.
     """
 
     name: str

@@ -22,9 +22,7 @@ FORMULAS: Final = Path(__file__).with_name("own-effects.yaml")
 
 
 def _turns(run: Run) -> Floats:
-    """Return the whole turns since the block was mounted, for a head that keeps its direction and never
-    unwinds.
-    """
+    """Return the whole turns since the block was mounted, for a head that keeps its direction and never unwinds."""
     return (run.pass_number - 1) + run.head_angle / (2 * np.pi)
 
 

@@ -113,9 +113,7 @@ def _of_constant(constant: Constant | None, tasks: Sequence[Task]) -> list[list[
 
 
 def perturb(tasks: Sequence[Task], workers: int) -> list[str]:
-    """Return a table with the number of changed verdicts, and of changed verdicts or names, for each
-    constant.
-    """
+    """Return a table with the number of changed verdicts, and of changed verdicts or names, for each constant."""
     every = constants()
     baseline, *others = spread(partial(_of_constant, tasks=tasks), [None, *every], workers)
     lines = [

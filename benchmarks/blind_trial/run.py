@@ -6,9 +6,9 @@
     python -m benchmarks.blind_trial --seed 7 --page --share 0.1      # every row, a tenth of its cases
     python -m benchmarks.blind_trial --seed 7 --page --keep trial.txt # goes on there when called again
 
-Cases are made from the seed, sealed (SHA-256 of the readings and of the answer) and diagnosed. Only then are
-the answers opened and checked against their seals. The score is printed as Markdown, each share with the
-counts and its Wilson 95 % interval. The exit status is 1 if a diagnosis failed with an error.
+Cases are made from the seed, sealed (SHA-256 of the readings and of the answer) and diagnosed. Only then are the
+answers opened and checked against their seals. The score is printed as Markdown, each share with the counts and its
+Wilson 95 % interval. The exit status is 1 if a diagnosis failed with an error.
 """
 
 from __future__ import annotations
@@ -126,9 +126,7 @@ _LIBRARIES: Final = ("numpy", "scipy")
 
 
 def code_sha256(root: Path = ROOT) -> str:
-    """Return the SHA-256 of all that determines a diagnosis: the program, its data files, this trial,
-    libraries.
-    """
+    """Return the SHA-256 of all that determines a diagnosis: the program, its data files, this trial, libraries."""
     whole = hashlib.sha256("".join(f"{name} {version(name)}\0" for name in _LIBRARIES).encode())
     for folder in _CODE:
         for path in sorted([root / folder, *(root / folder).rglob("*")]):

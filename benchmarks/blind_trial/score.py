@@ -83,8 +83,8 @@ MODEL_COUNTS_FROM_C: Final = 20.0
 def coefficients_at(temperature_c: float, seed: int, row: Row, index: int) -> Floats:
     """Return K row by row, V/g, and U0, V, shape (12,), at a temperature.
 
-    The trial's temperature effects are zero at `REFERENCE_TEMPERATURE_C`. A model may refer to another
-    temperature; its coefficients then contain their values there.
+    The trial's temperature effects are zero at `REFERENCE_TEMPERATURE_C`. A model may refer to another temperature;
+    its coefficients then contain their values there.
     """
     run, truths = hidden_in(seed, row, index)
     weather = replace(run.weather, start=run.weather.start + temperature_c - REFERENCE_TEMPERATURE_C)
@@ -162,9 +162,7 @@ def can_tell_by_table(case: Case, answer: Answer) -> bool:
 
 
 def can_tell_by_signature(case: Case, answer: Answer) -> bool:
-    """Return whether every other effect of the trial leaves at least `LEFT_TO_TELL` of the hidden one
-    unexplained.
-    """
+    """Return whether every other effect leaves `LEFT_TO_TELL` or more of the hidden one unexplained."""
     return all(
         effect.rho * np.sqrt(max(0.0, 1 - nearest_rival(answer, which) ** 2)) >= LEFT_TO_TELL
         for which, effect in enumerate(answer.effects)
@@ -174,8 +172,8 @@ def can_tell_by_signature(case: Case, answer: Answer) -> bool:
 def nearest_rival(answer: Answer, which: int = 0) -> float:
     """Return the largest cosine between the residual of a hidden effect and that of any other effect, 0 to 1.
 
-    The other effect may have any weights of its channels and mountings, but one shape at a time. Effects that
-    would have to be implausibly large are no rivals, nor are larger families that contain the effect.
+    The other effect may have any weights of its channels and mountings, but one shape at a time. Effects that would
+    have to be implausibly large are no rivals, nor are larger families that contain the effect.
     """
     row, effect = answer.row, answer.effects[which]
     seen = _seen(row.design, row.noise_v * row.noise_factor, row.noise_factor)
@@ -197,9 +195,7 @@ def _seen(design: str, noise_v: float, factor: float) -> Visibility:
 
 @cache
 def _subspaces(name: str, design: str, noise_v: float, factor: float) -> tuple[Floats, ...]:
-    """Return orthonormal bases of the residuals of an effect, one for each of its shapes, at typical
-    temperatures.
-    """
+    """Return orthonormal bases of the residuals of an effect, one for each shape, at typical temperatures."""
     rng = np.random.default_rng(0)
     run = make_run(design).with_weather(Weather(phase=1.0))
     seen = _seen(design, noise_v, factor)
@@ -250,8 +246,8 @@ class Outcome:
 def run_trial(tasks: Sequence[Task], diagnose: Diagnose, workers: int = 2) -> Iterator[Outcome]:
     """Make and diagnose each case, in order, in `workers` processes.
 
-    `diagnose` must be a function of a module. A worker process lives through the whole trial, and thus keeps
-    what it computed once for a design. An exception in the diagnosis becomes an outcome with its text.
+    `diagnose` must be a function of a module. A worker process lives through the whole trial, and thus keeps what
+    it computed once for a design. An exception in the diagnosis becomes an outcome with its text.
     """
     return spread(partial(_examine, diagnose=diagnose), tasks, workers)
 
@@ -282,9 +278,9 @@ def judge(
 ) -> Marks:
     """Return the marks of a diagnosis, right or wrong, by column of the table.
 
-    Only applicable marks are present: for example, a lone name is judged only if one was given. `likeness`
-    gives the largest cosine of an effect outside the catalogue with a member of it; those above 0.8 are
-    counted separately.
+    Only applicable marks are present: for example, a lone name is judged only if one was given. `likeness` gives
+    the largest cosine of an effect outside the catalogue with a member of it; those above 0.8 are counted
+    separately.
     """
     marks = _judge_kind(case, answer, diagnosis, can_tell, likeness)
     if diagnosis["verdict"] == "named":
@@ -341,8 +337,7 @@ def _judge_kind(
 
 
 def _lone_name(answer: Answer, cosine: float, verdict: str) -> Marks:
-    """Return whether a single name was given, by how much the nearest member of the catalogue leaves
-    unexplained.
+    """Return whether a single name was given, by how much the nearest member of the catalogue leaves unexplained.
 
     The unexplained part is in units of noise.
     """
@@ -358,8 +353,7 @@ MUCH_LEFT: Final = 7.0
 
 
 def _judge_form(case: Case, answer: Answer, diagnosis: Diagnosis) -> Marks:
-    """Return whether an effect with a mean form is found, and whether the form that describes it closes the
-    gap.
+    """Return whether an effect with a mean form is found, and whether the form that describes it closes the gap.
 
     This is judged on held-out readings, in excess of noise, against the true form with refitted size.
     """
@@ -437,10 +431,10 @@ def _judge_single(case: Case, answer: Answer, diagnosis: Diagnosis, can_tell: Ca
 def _judge_gap(answer: Answer, diagnosis: Diagnosis) -> Marks:
     """Return whether the gap is closed on held-out readings, and whether the coefficients are right again.
 
-    If a name was given, also whether it does not make the verification points worse. Coefficients are right
-    if chance exceeds the chi-square of their twelve errors in more than 1 % of cases; they are counted if the
-    true effect was named, alone. With a temperature effect in the model, they refer to the temperature from
-    which it counts.
+    If a name was given, also whether it does not make the verification points worse. Coefficients are right if
+    chance exceeds the chi-square of their twelve errors in more than 1 % of cases; they are counted if the true
+    effect was named, alone. With a temperature effect in the model, they refer to the temperature from which it
+    counts.
     """
     marks: Marks = {}
     p_after = diagnosis.get("gap", {}).get("p_after")

@@ -1,6 +1,4 @@
-"""Signals of the trial's voltmeter: geometry, the paper's block (11), the voltmeter; and the visibility of
-effects.
-"""
+"""Signals of the trial's voltmeter: geometry, the paper's block (11), voltmeter; visibility of effects."""
 
 from __future__ import annotations
 
@@ -37,8 +35,8 @@ def signals(
 ) -> Floats:
     """Return noise-free readings (n, 3), V.
 
-    `stand` (mountings, 3) holds α1, α2, α3, and `setting` α4 for the rows, all in rad; `true_angle` (n,) is
-    the true head angle if it differs from the scale's.
+    `stand` (mountings, 3) holds α1, α2, α3, and `setting` α4 for the rows, all in rad; `true_angle` (n,) is the
+    true head angle if it differs from the scale's.
     """
     errors = np.zeros((int(run.mount.max()) + 1, 3)) if stand is None else stand
     tilt, zero, skew = errors[run.mount].T
@@ -78,8 +76,8 @@ def signature(run: Run, truth: Truth) -> Floats:
 class Visibility:
     """The part of signatures that coefficients and stand errors cannot absorb, in units of the noise.
 
-    `rows` (n,) are the rows used, `whitener` (rows, 3, 3) turns their noise into unit noise. `taken` (3·rows
-    + nuisances, q) is an orthonormal basis of what the 12 coefficients and the stand errors absorb.
+    `rows` (n,) are the rows used, `whitener` (rows, 3, 3) turns their noise into unit noise. `taken` (3·rows +
+    nuisances, q) is an orthonormal basis of what the 12 coefficients and the stand errors absorb.
     """
 
     rows: NDArray[np.bool_]
@@ -116,8 +114,7 @@ def explained(
 ) -> tuple[NDArray[np.bool_], Floats, Floats, Floats]:
     """Return the rows used, their whiteners (rows, 3, 3), and the whitened columns of the fit.
 
-    The columns are (3·rows, q) for the coefficients and the stand errors, and (stand errors, q) for the
-    priors.
+    The columns are (3·rows, q) for the coefficients and the stand errors, and (stand errors, q) for the priors.
     """
     run = make_run(design)
     rows = run.measured if verification else run.fitted
@@ -159,9 +156,7 @@ def _stand_slope(run: Run, mount: int, kind: int) -> Floats:
 
 
 def scaled_to(truth: Truth, run: Run, rho: float, seen: Visibility, most: float = np.inf) -> Truth | None:
-    """Return the effect with the amplitude that gives it ρ; None if this needs more than `most` times its
-    size.
-    """
+    """Return the effect with the amplitude that gives it ρ; None if this needs more than `most` times its size."""
     for _ in range(30):
         got = seen.rho(signature(run, truth))
         if got * most < rho * truth.amplitude:

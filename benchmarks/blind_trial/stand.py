@@ -1,8 +1,8 @@
 """The stand of the trial: its geometry, the runs carried out on it, and the action of effects.
 
-The geometry is exact, in rotations of frames around a fixed vertical. The specific force of a block at rest
-is 1 g upwards; its components are followed through the frames: level ground, shaft, head, platform, bracket,
-block. It agrees with the paper's (3)-(4) to second order in the angles.
+The geometry is exact, in rotations of frames around a fixed vertical. The specific force of a block at rest is 1 g
+upwards; its components are followed through the frames: level ground, shaft, head, platform, bracket, block. It
+agrees with the paper's (3)-(4) to second order in the angles.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ def specific_force(
 ) -> Floats:
     """Return the specific force on the block's axes, g, shape (n, 3).
 
-    `labels` (n,) are keys of `AXES`, `angle` (n,) the true head angle (zero offset and setting error
-    included), `axis_tilt` α1, `mounting_error` α3, `mounting_roll` α5, all in rad, (n,) or one for all.
+    `labels` (n,) are keys of `AXES`, `angle` (n,) the true head angle (zero offset and setting error included),
+    `axis_tilt` α1, `mounting_error` α3, `mounting_roll` α5, all in rad, (n,) or one for all.
     """
     up_y, up_z = np.sin(axis_tilt), np.cos(axis_tilt)
     x, z = up_z * np.sin(angle), up_z * np.cos(angle)
@@ -90,8 +90,8 @@ class Weather:
     def at(self, time_s: Floats, lag_s: float = 0.0) -> Floats:
         """Return the temperature deviation, K, (n,), of a body that follows with the lag `lag_s`.
 
-        Four fifths of the lag are one first-order delay, one fifth is a second one behind it. Initial
-        transients have decayed before the run.
+        Four fifths of the lag are one first-order delay, one fifth is a second one behind it. Initial transients
+        have decayed before the run.
         """
         cycle: NDArray[np.complex128] = CYCLE_K * np.exp(1j * (2 * np.pi * time_s / CYCLE_S + self.phase))
         for part in (0.8 * lag_s, 0.2 * lag_s):
@@ -185,8 +185,8 @@ DESIGNS: Final[dict[str, Design]] = {
 class Run:
     """Columns over the n readings of a design, in the order of measurement; angles in rad, times in s.
 
-    `mount` (n,) counts the mountings from 0; `input_v` (n,) is the voltage at the voltmeter's input in rows S
-    and R, NaN in rows that measure the block. `weather` describes the temperature.
+    `mount` (n,) counts the mountings from 0; `input_v` (n,) is the voltage at the voltmeter's input in rows S and
+    R, NaN in rows that measure the block. `weather` describes the temperature.
     """
 
     design: str
@@ -260,8 +260,8 @@ def head_path(name: str) -> tuple[Floats, NDArray[np.int64], NDArray[np.int64]]:
     """Return the specific force along the path of the head, in steps of at most 3°, without errors.
 
     The result is the force (m, 3), for each row of the run the index of the step at which it is read, and the
-    indices at which a mounting begins. The head arrives in the noted direction: it continues over a full turn
-    if necessary, and where the direction changes it goes 20° past a stop and back.
+    indices at which a mounting begins. The head arrives in the noted direction: it continues over a full turn if
+    necessary, and where the direction changes it goes 20° past a stop and back.
     """
     run = make_run(name)
     angles: list[float] = []
@@ -307,10 +307,9 @@ class Truth:
     """One effect with drawn parameters, ready to act on a run.
 
     `amplitude` is in units of the plausible size (1 σ of `effects.md`). Its action is one of: `shift(run,
-    amplitude)` for the stand: rad (n,) to add to `angle`, `tilt` (α1), `skew` (α3) or `roll` (α5), or
-    `gravity` as a relative change; `act(run, force, amplitude)` for the block: g (n, 3), scaled by K_ii;
-    `act(run, volts, amplitude)` for the voltmeter: V (n, 3). `shape` names the parameters that do not enter
-    linearly.
+    amplitude)` for the stand: rad (n,) to add to `angle`, `tilt` (α1), `skew` (α3) or `roll` (α5), or `gravity` as
+    a relative change; `act(run, force, amplitude)` for the block: g (n, 3), scaled by K_ii; `act(run, volts,
+    amplitude)` for the voltmeter: V (n, 3). `shape` names the parameters that do not enter linearly.
     """
 
     name: str
@@ -345,8 +344,8 @@ def mount_weights(
 ) -> tuple[Floats, tuple[str, ...]]:
     """Draw one or more mountings of the calibration with signed weights of 0.5 to 1.
 
-    With `after_remount`, the first mounting is the reference of the others and has weight zero. Returns the
-    weights for the rows (n,) and the labels of the mountings.
+    With `after_remount`, the first mounting is the reference of the others and has weight zero. Returns the weights
+    for the rows (n,) and the labels of the mountings.
     """
     mounts = run.calibration_mounts[1 if after_remount else 0 :]
     count = int(rng.integers(1, len(mounts) + 1))

@@ -3,9 +3,9 @@
     python -m benchmarks.real_records            # tables of verdicts, names, sizes, gap, twins, and of repeats
     python -m benchmarks.real_records --page     # the same into docs/real-records.md; five minutes
 
-The truth is what the publishers state (`truth.yaml`). It was sealed with the records by hash (`sealed.json`)
-before the first run. A twin is a simulation with the times and temperatures of a record and with the effects
-found in it: its diagnosis must give the same names and sizes.
+The truth is what the publishers state (`truth.yaml`). It was sealed with the records by hash (`sealed.json`) before
+the first run. A twin is a simulation with the times and temperatures of a record and with the effects found in it:
+its diagnosis must give the same names and sizes.
 """
 
 from __future__ import annotations

@@ -27,8 +27,7 @@ SEED: Final = 11
 
 @dataclass(frozen=True)
 class Case:
-    """A record: a log with its columns, or files of free positions; the publisher's statement, and the right
-    names.
+    """A record: a log with its columns, or files of free positions; the publisher's statement, and the right names.
 
     `seen` marks a record that was used while this part of the program was written.
     """
@@ -85,8 +84,8 @@ def require_sealed() -> None:
 
 
 def twin_of(readings: Readings, found: RecordDiagnosis) -> Readings:
-    """Return simulated readings at the same times, with the signal of the effects found and noise of the
-    fitted size.
+    """Return simulated readings at the same times, with the signal of the effects found and noise of the fitted
+    size.
     """
     rng = np.random.default_rng(SEED)
     record = make_record(readings)

@@ -1,6 +1,4 @@
-"""The cases of the third trial: the hidden effect or mistake of each, its noise, and the readings that
-follow.
-"""
+"""The cases of the third trial: the hidden effect or mistake of each, its noise, and the readings that follow."""
 
 from __future__ import annotations
 

@@ -41,11 +41,10 @@ def fade(on: Day, tau_min: float, since: Floats | None = None) -> Floats:
 
 
 def loop(on: Day, widths: Sequence[float], weights: Sequence[float]) -> Floats:
-    """Return the sum of hysteresis plays with these half widths, g, for each channel, (n, 3); it is 1 on the
-    way up.
+    """Return the sum of hysteresis plays with these half widths, g, for each channel, (n, 3); it is 1 on the way
+    up.
 
-    The head rises from point to point in steps of 1°. It approaches the first point of a mounting from 25°
-    below.
+    The head rises from point to point in steps of 1°. It approaches the first point of a mounting from 25° below.
     """
     result, width = np.zeros((len(on), 3)), np.array(widths)[:, None]
     for mount in range(3):
@@ -64,8 +63,8 @@ def loop(on: Day, widths: Sequence[float], weights: Sequence[float]) -> Floats:
 def _families() -> Iterator[tuple[str, Stage, list[Shape]]]:
     """Yield the spaces of additions that a name of the catalogue may have, each for one shape and location.
 
-    Of the block's effects, every third is of the same channel. The shapes are the catalogue's and others: two
-    plays or time constants, other lags and widths.
+    Of the block's effects, every third is of the same channel. The shapes are the catalogue's and others: two plays
+    or time constants, other lags and widths.
     """
 
     def each(*shapes: Shape) -> list[Shape]:
@@ -253,9 +252,7 @@ def signature(form: Form, number: int) -> Floats:
 
 @cache
 def spaces(number: int) -> dict[str, list[Floats]]:
-    """Return for each name orthonormal bases of its possible residuals in the readings of a day, in units of
-    noise.
-    """
+    """Return for each name orthonormal bases of its possible residuals on a day, in units of noise."""
     found: dict[str, list[Floats]] = {name: [] for name in NAMES}
     for name, stage, shapes in FAMILIES:
         forms = [Form(name, stage, partial(lambda s, on, a, _, __: s(on, a), s), 1e-6) for s in shapes]

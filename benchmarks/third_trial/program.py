@@ -102,17 +102,15 @@ def predicted(path: Path, number: int) -> Floats:
 
 
 def closed(form: Form, path: Path, number: int) -> float:
-    """Return the fraction of the gap closed by the true form on another day that the model closes, expected
-    over noise.
+    """Return the fraction of the gap closed by the true form on another day that the model closes, expected over
+    noise.
     """
     true = signature(form, number)
     return 1.0 - (rho(true - predicted(path, number), number) / rho(true, number)) ** 2
 
 
 def _calibrated(case: Case, form: Form, path: Path, number: int) -> dict[str, list[float]]:
-    """Return the errors of the coefficients on another day without and with the model, in units of u without
-    it.
-    """
+    """Return the errors of the coefficients on another day without and with the model, in units of u without it."""
     rng = np.random.default_rng([case.seed, 7, case.number])
     frame = table(day(number), read(day(number), "normal", rng, [form]))
     both = {"before": bench.calibrate(frame), "after": bench.calibrate(frame, model=path)}

@@ -5,11 +5,11 @@
     python -m benchmarks.third_trial --far --mistakes --forms   # other kinds of trial
     python -m benchmarks.third_trial --output new --against old # each case beside that of another run
 
-Readings are made by the geometry, effects and noise of this package alone; the program receives them as
-tables through its Python functions. Each case is a line of JSON in the output folder, from which a later call
-continues. The tables have shares with counts and Wilson 95 % intervals, followed by each bound with the
-measured value. The closed fraction of a gap is an expectation over the noise of a new day of the same design,
-with another temperature. The exit status is 1 if a bound is missed.
+Readings are made by the geometry, effects and noise of this package alone; the program receives them as tables
+through its Python functions. Each case is a line of JSON in the output folder, from which a later call continues.
+The tables have shares with counts and Wilson 95 % intervals, followed by each bound with the measured value. The
+closed fraction of a gap is an expectation over the noise of a new day of the same design, with another temperature.
+The exit status is 1 if a bound is missed.
 """
 
 from __future__ import annotations

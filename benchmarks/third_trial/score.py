@@ -46,9 +46,9 @@ def in_set(one: Record) -> set[str]:
 def true_name(one: Record) -> str:
     """Return the true name of a finding, `UNNAMED` for a form without a name, and nothing for a null case.
 
-    Alternative names of one finding exclude each other, so that at most one is true. A form outside the
-    catalogue has the first name that leaves less than a unit of noise unexplained. A name that this trial
-    does not know is judged by how far it closes the gap.
+    Alternative names of one finding exclude each other, so that at most one is true. A form outside the catalogue
+    has the first name that leaves less than a unit of noise unexplained. A name that this trial does not know is
+    judged by how far it closes the gap.
     """
     if one["group"] != "outside":
         return str(one["name"])
@@ -102,9 +102,7 @@ def far_marks(one: Record) -> Marks:
 
 
 def mistake_marks(one: Record) -> Marks:
-    """Return the marks of a case with a mistake; it counts as corrected within 4.5 u in all twelve
-    coefficients.
-    """
+    """Return the marks of a case with a mistake; it counts as corrected within 4.5 u in all twelve coefficients."""
     after = one.get("off", {}).get("after")
     return {
         "detected": not silent(one),

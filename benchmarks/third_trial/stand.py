@@ -67,9 +67,7 @@ class Day:
         return np.asarray(np.round(self.angle / (np.pi / 4)).astype(int) % 8)
 
     def lagged(self, lag_s: float) -> Floats:
-        """Return the temperature above 20 °C of a body behind two equal lags in series, initially in
-        equilibrium.
-        """
+        """Return the temperature above 20 °C of a body behind two equal lags, initially in equilibrium."""
         if lag_s == 0.0:
             return self.warmth
         fine = np.arange(0.0, self.time_s[-1] + 10.0, 10.0)
@@ -114,8 +112,8 @@ Act = Callable[[Day, Floats, Rng, Rng], Floats]
 class Form:
     """A hidden effect: its size times `act` is the addition at a `stage` of the signal.
 
-    The stage "stand" has the head's angle, the tilt of its axis, the mounting error and the mounting roll,
-    (n, 4), rad; the stage "block" the output in g, (n, 3); the stage "meter" the signal in V, (n, 3).
+    The stage "stand" has the head's angle, the tilt of its axis, the mounting error and the mounting roll, (n, 4),
+    rad; the stage "block" the output in g, (n, 3); the stage "meter" the signal in V, (n, 3).
     """
 
     name: str
@@ -210,9 +208,9 @@ def table(on: Day, signal: Floats) -> pd.DataFrame:
 def sight(number: int) -> Floats:
     """Return the matrix that maps signals (3n,) of a day to their visible part, in units of normal noise.
 
-    The three readings of each setting are whitened by their covariance; a verification point is visible only
-    by its modulus. The part that the twelve coefficients can absorb is removed, and also the part that stand
-    errors within their sizes can. The norm of the visible part is rho.
+    The three readings of each setting are whitened by their covariance; a verification point is visible only by its
+    modulus. The part that the twelve coefficients can absorb is removed, and also the part that stand errors within
+    their sizes can. The norm of the visible part is rho.
     """
     on, inverse = day(number), np.linalg.inv(K)
     plain, step = volts(on), 1e-6

@@ -197,8 +197,7 @@ def _others(
 ) -> DocumentReading:
     """Return the coefficients in another program's list as a result with K in V/g.
 
-    Raises `Refused` if gravity or noise are not given, or if the units or uncertainties in the list do not
-    suffice.
+    Raises `Refused` if gravity or noise are not given, or if the units or uncertainties in the list do not suffice.
     """
     wanting = [] if g_m_s2 is not None else ["--g, the local gravity for which K is to be stated (m/s²)"]
     wanting += [] if noise_v is not None else ["--noise, the noise of a reading (V), which a check needs"]
@@ -386,8 +385,8 @@ class NotRead(ValueError):
 class RealList:
     """A list of quantities in a document, with values (n,) converted to SI units.
 
-    `dimensions` (n) maps SI bases to exponents. `covariance` (n, n) and `u` (n,) are None if the document does
-    not state them. `roles` are the words in the attribute refType of the list and of its enclosing elements.
+    `dimensions` (n) maps SI bases to exponents. `covariance` (n, n) and `u` (n,) are None if the document does not
+    state them. `roles` are the words in the attribute refType of the list and of its enclosing elements.
     """
 
     line: int

@@ -39,8 +39,8 @@ MOVES: Final = {"up": -1, "down": 1}
 class QueueRow:
     """An item with its state in words: "to do", a stage of its check, or the state of its run.
 
-    `run` is the row of the item's run. `beginnable` and `returnable` say whether a person may begin the item or
-    put it back into the queue.
+    `run` is the row of the item's run. `beginnable` and `returnable` say whether a person may begin the item or put
+    it back into the queue.
     """
 
     item: QueueItem
@@ -251,8 +251,8 @@ def _check_block(bench: BenchFile, runs: Sequence[RunRow]) -> list[str]:
 async def changed(request: Request) -> Response:
     """Carry out an action on the queue.
 
-    It adds units, removes finished ones, notes who is on duty or that a bench is switched on, or puts damaged
-    files aside.
+    It adds units, removes finished ones, notes who is on duty or that a bench is switched on, or puts damaged files
+    aside.
     """
     person, sent = await acting(request, Role.OPERATOR)
     await run_in_threadpool(_changed, panel_of(request), person, sent)
