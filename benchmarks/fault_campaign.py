@@ -320,7 +320,7 @@ def judged(outcome: Outcome, step: Mapping[str, Any]) -> list[str]:
 
 
 def slack_v(stand: BenchFile) -> float:
-    """Return an upper bound of the 1/f noise (twenty sines) and of the loading of the high impedance, V."""
+    """Return the largest deviation of a reading due to 1/f noise (twenty sines) and loading of the input, V."""
     flaws = stand.simulation.voltmeter
     return 20.0 * math.sqrt(0.5) * flaws.flicker + flaws.source_ohm / 10e9 * 2.5
 

@@ -338,7 +338,7 @@ def _answers(rng: random.Random) -> list[tuple[str, str]]:
 
 @contextlib.contextmanager
 def own_folder(parent: Path) -> Iterator[None]:
-    """Work in an empty folder without any settings within the context."""
+    """Work in an empty folder, without settings in the environment, within the context."""
     folder = parent / "work"
     folder.mkdir()
     kept = {name: os.environ.pop(name, None) for name in ("BENCH_FILE", "BENCH_RUNS", "BENCH_DEVICES")}
@@ -408,7 +408,7 @@ def campaign(which: Sequence[tuple[str, int]], seed: int, workers: int) -> list[
 
 
 def told(violation: Violation) -> str:
-    """Return a violation as it is printed."""
+    """Return a violation as a line of text."""
     return f"--- {violation.kind}:{violation.number} {violation.what}\n{violation.how.rstrip()}"
 
 

@@ -107,7 +107,7 @@ def pairs(seed: int, numbers: range) -> Floats:
 
 
 def show_pairs(parts: list[Floats]) -> list[str]:
-    """Print the shares found, by number; return the broken promises."""
+    """Print the share of changes found, for each changed number; return the broken promises."""
     found = np.concatenate(parts)
     shares = found.mean(axis=0)
     print(

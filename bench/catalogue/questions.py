@@ -106,7 +106,9 @@ def _like(column: ColumnElement[Any], value: str) -> Condition:
 
 
 def _signed(operator: str, condition: Condition) -> Condition:
-    """Return the condition for `=`, its negation for `!=`. Raises `ValueError` for any other operator."""
+    """Return `condition` for the operator `=`, and its negation for `!=`. Raises `ValueError` for any other
+    operator.
+    """
     if operator == "=":
         return condition
     if operator == "!=":

@@ -349,7 +349,7 @@ def _mark_odd(connection: Connection, odd: dict[str, str]) -> None:
 
 
 def _write_registers(connection: Connection, registers: Sequence[str], done: Synced) -> None:
-    """Replace the rows of registers. A damaged one is reported as a problem, and its old rows stay."""
+    """Replace the rows of registers; a damaged register is reported as a problem, and keeps its old rows."""
     for folder in registers:
         try:
             rows = issued_in(folder)

@@ -56,7 +56,9 @@ class RunFit:
     unit: str
 
     def noise(self) -> Floats | None:
-        """Return the variances (4,) of x, y, z and the setting from the run's repeats; None for too few."""
+        """Return the noise variances (4,) of x, y, z and of the setting error from the run's repeats; None
+        for too few.
+        """
         if self.scatter.settings < LEAST_SETTINGS:
             return None
         own = self.scatter
@@ -295,7 +297,8 @@ def _beyond_repeats(run: RunFit, gram: Floats, variances: Floats, angles: int) -
 
 
 def pooled_noise(runs: Sequence[RunFit], floor: float) -> Floats:
-    """Return the variances (4,) of x, y, z and the setting, estimated from the repeats of all runs.
+    """Return the noise variances (4,) of channels x, y, z and of the setting error, from the repeats of all
+    runs.
 
     `floor` is the lowest credible noise. Raises `CalibrationError` for too few repeats.
     """

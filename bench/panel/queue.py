@@ -97,7 +97,7 @@ class DayQueue:
                 )
 
     def move(self, item_id: str, by: int) -> None:
-        """Move an item up (`by` −1) or down (1); at the end of the queue it stays. Raises `Refusal` (409)."""
+        """Move an item up (`by` −1) or down (1) by one place, if there is one. Raises `Refusal` (409)."""
         with self._changed() as items:
             at = _index(items, item_id)
             items.insert(max(at + by, 0), items.pop(at))

@@ -317,7 +317,7 @@ def gap_bars(gap: Gap) -> str:
 
 
 def ranking_bars(rows: Sequence[Rival], named: str, number: int) -> str:
-    """Return a bar chart of the ln odds of an effect and its rivals; a bracket joins those that are tied."""
+    """Return a bar chart of the ln odds of an effect and its rivals; a bracket joins tied ones."""
     ordered = sorted(rows, key=lambda rival: rival.evidence)
     places = np.arange(len(ordered), dtype=float)
     alike = [i for i, rival in enumerate(ordered) if rival.family == named or rival.tied]

@@ -109,7 +109,7 @@ def drifts_of(seen: Sequence[tuple[str, str, Literal["calibration", "monitor"], 
 
 
 def drift_words(drift: DriftPart, unit: str) -> str:
-    """Return a change in words: where, its largest number in units of u, and the p-value."""
+    """Return a change of the block in words: its stops, its largest component in units of u, and its p-value."""
     name, worst = max(drift.changes.items(), key=lambda item: abs(item[1].value) / item[1].u)
     size, small = small_unit(name, worst.u, unit)
     where = f"at {drift.first}" if drift.first == drift.last else f"from {drift.first} to {drift.last}"

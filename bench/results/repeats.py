@@ -92,7 +92,7 @@ class HeldOutByRecord(ResultModel):
 
 
 class BetweenRecordsPart(ResultModel):
-    """The changes of the zeros between records, each record fitted by itself."""
+    """The changes of the zeros between records, with each record fitted alone."""
 
     ratio: Real = Field(description="scatter of the zeros over their stated u")
     repeats: RepeatsPart

@@ -178,9 +178,9 @@ def _temperature(data: Any) -> str:
 
 
 def require_temperature(results: Sequence[BlockResult], *, without: bool) -> None:
-    """Raise `Refused` if a result was corrected for temperature, which no other form can hold.
+    """Raise `Refused` if a result was corrected for temperature, unless `without` accepts the loss.
 
-    With `without`, the user accepts this loss, and nothing is raised.
+    The forms in which it would be written cannot state such a correction.
     """
     for result in results:
         if result.temperature and not without:

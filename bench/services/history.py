@@ -218,7 +218,8 @@ learn = python_call(Learn, learning_of, "learn")
 
 
 def _until(expires: datetime.date | str | None, made: datetime.date) -> datetime.date:
-    """Return the last valid day of a learned file: the date `expires`, or that number of days after `made`.
+    """Return the last valid day of a learned file: the date `expires`, or `expires` days after `made` if it
+    is a number.
 
     Without `expires` it is `USUAL_DAYS` after `made`. Raises `Refused` for a day that is not after `made`.
     """

@@ -218,7 +218,7 @@ def pdf_of(result: ValidationResult, moment: int) -> bytes:
 
 
 def _shown(told: Any, *, plain: bool = False) -> Any:
-    """Return data whose texts have control characters made visible; with `plain`, all characters but ASCII."""
+    """Return data whose texts show control characters (with `plain`, all characters beyond ASCII) as escapes."""
     if isinstance(told, str):
         return visible(told.encode("ascii", "backslashreplace").decode() if plain else told)
     if isinstance(told, dict):

@@ -393,7 +393,10 @@ def _range_offset(rng: np.random.Generator, run: Run) -> Truth:
 
 
 def _channel_crosstalk(rng: np.random.Generator, run: Run) -> Truth:
-    """Return the effect of an input that has not settled from the previous reading; before the first it is open."""
+    """Return the effect of an input that has not settled from the channel read before it.
+
+    The first channel of a reading follows an open input.
+    """
     sign = rng.choice([-1.0, 1.0])
 
     def act(r: Run, volts: Floats, x: float) -> Floats:

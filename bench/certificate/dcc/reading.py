@@ -344,7 +344,7 @@ def _tables(root: Node) -> Iterator[tuple[RealList, RealList]]:
 def _rows(
     key: str, unit: str, small: str, axis: RealList, error: RealList, per: float, per_small: float
 ) -> Iterator[dict[str, str]]:
-    """Yield a row for each error; the correction is its negative, and U has k = 2.
+    """Yield a row for each error in a table: the correction is the negative error, and U is for k = 2.
 
     `per` and `per_small` convert SI values to `unit` (axis) and `small` (error).
     """
