@@ -15,10 +15,9 @@ printed beside.
 
 The second command tests power. Each pair is two calibrations of one block by the same meters, with every error of a
 bench drawn, including the rolls of both mountings; with `--case roll`, stand, noise and roll only. Each of the nine
-in turn changes by 6 u of the difference of the pair. Promised: the joint test of the nine finds 98 % of the changes.
-Beside it are the shares found by the twelve, whose u includes the roll of both mountings: jointly, and by any of
-them alone (Holm). The third command is on pairs of calibrations of turned blocks. The exit status is 1 if a promise
-is broken.
+in turn changes by 6 u of the difference of the pair. Promised: the joint test of the nine finds 98 % of them. Beside
+it are the shares found by the twelve, whose u includes the roll of both mountings: jointly, and by any of them alone
+(Holm). The third command is on pairs of calibrations of turned blocks. The exit status is 1 if a promise is broken.
 """
 
 from __future__ import annotations

@@ -40,9 +40,12 @@ def table(*headings: str, no_wrap: bool = False) -> Table:
     made = _Rows(box=None, pad_edge=False)
     for heading in headings:
         right = heading.startswith(">")
-        side = "right" if right else "left"
-        # a path or value is folded, never cut
-        made.add_column(heading.removeprefix(">"), justify=side, no_wrap=no_wrap, overflow="fold")
+        made.add_column(
+            heading.removeprefix(">"),
+            justify="right" if right else "left",
+            no_wrap=no_wrap,
+            overflow="fold",  # a path is never cut
+        )
     return made
 
 
