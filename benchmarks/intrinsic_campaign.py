@@ -13,11 +13,12 @@ of (estimate - truth)/u, and coverage of k = 2 (promised: 0.93 to 0.97, within b
 95 % ellipsoid contains all nine, and all twelve (promised: at least 0.93). The change of the twelve by the turns is
 printed beside.
 
-The second command tests power. Each pair is two calibrations of one block by the same meters, with every error of a
-bench drawn, including the rolls of both mountings; with `--case roll`, stand, noise and roll only. Each of the nine
-in turn changes by 6 u of the difference of the pair. Promised: the joint test of the nine finds 98 % of them. Beside
-it are the shares found by the twelve, whose u includes the roll of both mountings: jointly, and by any of them alone
-(Holm). The third command is on pairs of calibrations of turned blocks. The exit status is 1 if a promise is broken.
+The second command tests power. Each pair is two calibrations of one block by the same meters, with every error
+of a bench drawn, including the rolls of both mountings; with `--case roll`, stand, noise and roll only. Each of
+the nine in turn changes by 6 u of the difference of the pair. Promised: the joint test of the nine finds 98 %
+of them. Beside it are the shares found by the twelve, whose u includes the roll of both mountings: jointly, and
+by any of them alone (Holm). The third command is on pairs of calibrations of turned blocks. The exit status is
+1 if a promise is broken.
 """
 
 from __future__ import annotations
