@@ -20,7 +20,7 @@ from bench.base.languages import message
 from bench.diagnosis.candidates import Candidates, replace_columns
 from bench.diagnosis.evidence import Data, Threshold, Whitened
 from bench.diagnosis.levels import BY_CHANCE as BY_CHANCE  # noqa: PLC0414 - also taken from here
-from bench.diagnosis.levels import MOSTLY, OFTEN
+from bench.diagnosis.levels import INSEPARABLE, MOSTLY, OFTEN
 from bench.diagnosis.linear import MODULUS, LinearSystem, Rows
 from bench.diagnosis.naming import ALIAS, Naming, name
 from bench.diagnosis.noise_grid import RATIOS, coupled, make_noise_grid, make_whitener
@@ -215,10 +215,6 @@ def rms(parts: Sequence[Floats]) -> float:
 
 LEAST_FREEDOM: Final = 3
 """Readings beyond the number of coefficients from which there is a scatter to compare anything with."""
-DETERMINED: Final = 1e-6
-"""Smallest singular value over the largest of the coefficients' columns, scaled, from which they are determined."""
-
-THIRDS: Final = 3
 HELD_OUT: Final = message("readings held out in turn")
 
 
@@ -253,10 +249,10 @@ def thirds_of(linear: LinearSystem) -> Iterator[tuple[str, Mask]]:
         i = int(reading[row])
         if i != last:
             key = (str(readings.installation[i]), int(readings.series[i]), int(readings.pass_number[i]))
-            now = next_third.setdefault(key, len(next_third)) % THIRDS
+            now = next_third.setdefault(key, len(next_third)) % 3
             next_third[key], last = now + 1, i
         third[row] = now
-    for number in range(THIRDS):
+    for number in range(3):
         yield message(f"every third setting, set {number + 1}"), third == number
 
 
@@ -342,7 +338,7 @@ def _left_by_forms(
     gram = seen.T @ (seen / np.maximum(size, 1e-300)) / np.maximum(size, 1e-300)[:, None]
     explained = [
         gram[0, 1 + form]
-        @ np.linalg.pinv(gram[np.ix_(1 + form, 1 + form)], DETERMINED, hermitian=True)
+        @ np.linalg.pinv(gram[np.ix_(1 + form, 1 + form)], INSEPARABLE, hermitian=True)
         @ gram[0, 1 + form]
         for form in forms
     ]
@@ -359,7 +355,7 @@ def determined(linear: LinearSystem, rows: Mask) -> bool:
     if any(len(part) < part.shape[1] for part in parts):
         return False
     sizes = np.concatenate([np.linalg.svd(part, compute_uv=False) for part in parts])
-    return bool(sizes.min() > DETERMINED * sizes.max())
+    return bool(sizes.min() > INSEPARABLE * sizes.max())
 
 
 def _fold(

@@ -20,6 +20,7 @@ from bench.diagnosis.evidence import (
     Threshold,
     Whitened,
 )
+from bench.diagnosis.levels import INSEPARABLE
 from bench.model.effects import CATALOGUE
 
 MOST_EFFECTS: Final = 5
@@ -31,8 +32,6 @@ ALIAS: Final = 1.0
 """An effect that leaves at most this part of another's signature, in units of noise, is its alias for any prior."""
 ABSURD: Final = 60.0
 """A candidate is no alias if it would have to be more than this many plausible sizes large."""
-SAME: Final = 1e-6
-"""Two effects count as the same in these readings if their signatures differ by at most this part (squared)."""
 
 
 @dataclass(frozen=True)
@@ -298,7 +297,9 @@ def in_place(scored: Scored, one: FoundEffect, among: Among | None = None) -> Fo
     ties = [f for f in likely if f != family]
     ties += [f for f in ranked if f in aliases and f not in plainer and f not in ties]
     shape = scored.likeliest(family)
-    same = _aliases(scored, shape, (1.0 - SAME) * scored.explained(shape), most=math.inf) if ties else {}
+    same = (
+        _aliases(scored, shape, (1.0 - INSEPARABLE) * scored.explained(shape), most=math.inf) if ties else {}
+    )
     return replace(
         one,
         evidence=evidence[family],

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Final
 
 import numpy as np
 
@@ -23,7 +22,7 @@ from bench.diagnosis.candidates import (
 )
 from bench.diagnosis.evidence import Threshold, ThresholdCache, Whitened
 from bench.diagnosis.gap import Gap, measure_gap, near_ratios
-from bench.diagnosis.levels import BY_CHANCE
+from bench.diagnosis.levels import BY_CHANCE, LISTED, LISTED_IN_SENTENCE
 from bench.diagnosis.mistakes.search import Mistake, MistakesLeaveTooLittle
 from bench.diagnosis.multi_run_system import find_mistakes_in_each, search_runs, with_blocks
 from bench.diagnosis.naming import SET, FamilyOdds, FoundEffect, Naming, Scored, name, same_signature
@@ -113,7 +112,7 @@ def diagnose(
     columns = prepared.candidates.columns[:, list(naming.columns)]
     far = far_readings(prepared.linear, columns, estimated.noise)
     if any(one.p < BY_CHANCE for one in far) and all(e.in_catalogue for e in effects):
-        effects = (*effects, _apart(far[0].p, "; ".join(one.words for one in far[:LISTED_FAR])))
+        effects = (*effects, _apart(far[0].p, "; ".join(one.words for one in far[:LISTED_IN_SENTENCE])))
     if gap.shrinks is False:  # what held-out readings do not confirm excuses no reading
         far = far_readings(prepared.linear, columns[:, :0], estimated.noise)
     form = _form(prepared, naming, estimated, gap, setting_rad)
@@ -273,9 +272,6 @@ def verdict_of(effects: tuple[NamedEffect, ...], findings: tuple[NoiseFinding, .
     return "named" if effects else "agrees"
 
 
-LISTED_FAR: Final = 4
-
-
 def _apart(p: float, words: str) -> NamedEffect:
     return NamedEffect("single_reading", (), (), (), (), (), p, p, None, words)
 
@@ -379,10 +375,6 @@ def values_of(applied: tuple[AppliedEffect, ...]) -> Iterator[EffectValue]:
 
 
 # --- a diagnosis with all that follows ------------------------------------------------------------
-
-
-LISTED: Final = 8
-"""Families that a ranking shows, the most plausible first."""
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,7 @@ from bench.base.arrays import CHANNELS, HOUR, MINUTE, Floats, Ints, Mask, least_
 from bench.calibration.result import CalibrationError
 from bench.diagnosis.evidence import LOG_SIZE_WEIGHTS, SIZES
 from bench.diagnosis.levels import FAR, NEGLIGIBLE
+from bench.diagnosis.noise_kinds import LARGER
 from bench.model.conditions import Conditions
 from bench.model.effects import CATALOGUE, AppliedEffect, Effect, Parameter, Seen
 from bench.model.geometry import Block
@@ -190,18 +191,19 @@ def _robust_means(deviation: Floats, groups: Sequence[Ints]) -> tuple[Floats, Fl
 
 SMOOTHED: Final = 41
 """Means over which the size of the noise is smoothed."""
-LIKE: Final = 2.0
-"""The noise counts as even where its size varies by less than this factor, and varies by its square at most."""
 
 
 def _relative(spread: Floats) -> Floats:
-    """Return the relative size (n,) of the noise from the scatter (n, c) of the readings in each mean."""
+    """Return the relative size (n,) of the noise from the scatter (n, c) of the readings in each mean.
+
+    The noise counts as even where its size varies by less than `LARGER`; it varies by the square of this at most.
+    """
     middle = np.median(spread, axis=0)
     if np.any(middle == 0.0):
         return np.ones(len(spread))
     size = ndimage.median_filter(np.mean(spread / middle, axis=1), SMOOTHED, mode="reflect")
-    size = np.clip(size / np.median(size), LIKE**-2, LIKE**2)
-    return np.ones(len(size)) if size.max() < LIKE * size.min() else np.asarray(size)
+    size = np.clip(size / np.median(size), LARGER**-2, LARGER**2)
+    return np.ones(len(size)) if size.max() < LARGER * size.min() else np.asarray(size)
 
 
 def _rails(readings: Readings) -> Iterator[Floats]:

@@ -13,7 +13,7 @@ from scipy import special
 from bench.base.arrays import CHANNELS
 from bench.diagnosis.candidates import Candidates
 from bench.diagnosis.gap import Gap
-from bench.diagnosis.levels import MOSTLY, OFTEN
+from bench.diagnosis.levels import LISTED_IN_SENTENCE, MOSTLY, OFTEN
 from bench.diagnosis.linear import LinearSystem
 from bench.diagnosis.naming import Naming
 from bench.diagnosis.noise_grid import Repeats
@@ -172,8 +172,4 @@ def _terms(
             candidates, replace(variant, shape=shape), fitted.amplitudes[mine], u[mine], effect=effect
         )
         rho, p = fitted.significance(mine)
-        yield FormTerm(applied, variant.family, one.ties[:MOST_ALIKE], rho, p)
-
-
-MOST_ALIKE: Final = 4
-"""Families listed of those that explain a term as well."""
+        yield FormTerm(applied, variant.family, one.ties[:LISTED_IN_SENTENCE], rho, p)
