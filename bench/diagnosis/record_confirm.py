@@ -12,7 +12,7 @@ from bench.calibration.design import make_problem
 from bench.diagnosis.confirm import Confirmation, EstimatedEffects, Model, judged, parameter_of
 from bench.diagnosis.evidence import KNOWN_SIZE
 from bench.diagnosis.record_diagnosis import diagnose_record
-from bench.diagnosis.record_model import Course, Record, course_of, make_record
+from bench.diagnosis.record_model import courses_of, make_record, shape_of
 from bench.diagnosis.record_search import RecordWork
 from bench.model.effects import AppliedEffect
 from bench.model.forward import ForwardModel
@@ -26,9 +26,11 @@ def confirm_record(readings: Readings, effects: Sequence[AppliedEffect]) -> Conf
     be evaluated, or could not show any of the effects.
     """
     record = make_record(readings)
-    work = RecordWork.of(record)
+    forms = [(one.effect, shape_of(one.effect, one.complete_values())) for one in effects]
+    work = RecordWork.of(record, courses_of(record, forms))
     left = work.less(record.added_by(effects))
-    courses = [_course(record, applied) for applied in effects]
+    there = {(course.family, course.shape): course for course in work.candidates.variants}
+    courses = [there.get((effect.name, shape)) for effect, shape in forms]
     noises = work.noises([course for course in courses if course is not None])
     expected = float(np.sqrt(np.mean([noise.variance * (1.0 + noise.ratio) for noise in noises])))
     freedom = len(work.parts) * (len(record) - record.trend.shape[1])
@@ -59,10 +61,3 @@ def confirm_record(readings: Readings, effects: Sequence[AppliedEffect]) -> Conf
     return Confirmation(
         before, after, p_after, judged(model, unknowns, of), diagnose_record(readings, effects), "V"
     )
-
-
-def _course(record: Record, applied: AppliedEffect) -> Course | None:
-    """Return the course of an effect in its shape, or None if the record does not show it."""
-    values = applied.complete_values()
-    shape = {p.name: float(values[p.name]) for p in applied.effect.parameters if p.is_shape}
-    return course_of(record, applied.effect.name, shape)
