@@ -16,12 +16,12 @@ from typing import Literal
 import numpy as np
 from scipy import special
 
-from bench.base.arrays import CHANNELS, Floats
+from bench.base.arrays import CHANNELS, Floats, rms
 from bench.calibration import CalibrationError
 from bench.calibration.design import EffectUnknown
 from bench.diagnosis.evidence import KNOWN_SIZE, ThresholdCache
 from bench.diagnosis.free_records import FreeDiagnosis
-from bench.diagnosis.gap import part_closed, rms
+from bench.diagnosis.gap import part_closed
 from bench.diagnosis.levels import BY_CHANCE, MOSTLY, OFTEN
 from bench.diagnosis.linear import LinearSystem, make_linear
 from bench.diagnosis.pipeline import diagnose
@@ -164,7 +164,7 @@ def _left(linear: LinearSystem, noise: NoiseSize) -> tuple[Model, float]:
     variance = (noise.reading * linear.relative) ** 2 + (noise.setting_rad * linear.slope) ** 2
     variance -= np.einsum("ni,ij,nj->n", design, fitted.covariance, design)
     expected = np.sqrt(np.maximum(variance, 0.0))[of_g] * linear.g_per_signal[of_g]
-    return Model(chi2 / (len(linear) - linear.fixed.shape[1]), rms([error]), rms([expected])), chi2
+    return Model(chi2 / (len(linear) - linear.fixed.shape[1]), rms(error), rms(expected)), chi2
 
 
 def _chi2(linear: LinearSystem, noise: NoiseSize) -> float:
@@ -185,13 +185,11 @@ def _now(linear: LinearSystem, diagnosis: Diagnosis | FreeDiagnosis) -> tuple[Ef
     whole = [not isinstance(model.effects[one.effect].effect, InPart) for one in linear.problem.effects]
     unknowns = list(compress(linear.problem.effects, whole))
     places = np.arange(linear.own.start, linear.own.stop)[np.array(whole, dtype=bool)]
-    plausible = np.array([parameter_of(model, unknown).plausible for unknown in unknowns])
-    found = np.array([unknown.prior_mean for unknown in unknowns]) / plausible
-    u = np.array([unknown.prior_u if unknown.stated else 0.0 for unknown in unknowns]) / plausible
-    own = linear.random[:, places] * (plausible / [unknown.prior_u for unknown in unknowns])
+    of = EstimatedEffects.unchanged(model, unknowns)
+    own = linear.random[:, places] * (of.plausible / [unknown.prior_u for unknown in unknowns])
     free = replace(linear, random=np.delete(linear.random, places, axis=1))
-    estimated = _estimated(free, own, found, diagnosis)
-    return judged(model, unknowns, EstimatedEffects(plausible, found, u, *estimated))
+    change, covariance = _estimated(free, own, of.found, diagnosis)
+    return judged(model, unknowns, replace(of, change=change, covariance=covariance))
 
 
 @dataclass(frozen=True)
@@ -209,6 +207,14 @@ class EstimatedEffects:
     u: Floats
     change: Floats
     covariance: Floats
+
+    @classmethod
+    def unchanged(cls, model: ForwardModel, unknowns: Sequence[EffectUnknown]) -> EstimatedEffects:
+        """Return the values in the model before new readings are used: no change, and a wide prior."""
+        plausible = np.array([parameter_of(model, unknown).plausible for unknown in unknowns])
+        found = np.array([unknown.prior_mean for unknown in unknowns]) / plausible
+        u = np.array([unknown.prior_u if unknown.stated else 0.0 for unknown in unknowns]) / plausible
+        return cls(plausible, found, u, np.zeros(len(found)), KNOWN_SIZE**2 * np.eye(len(found)))
 
 
 def judged(

@@ -18,7 +18,7 @@ from bench.diagnosis.candidates import Candidates
 from bench.diagnosis.gap import Gap
 from bench.diagnosis.levels import MOSTLY, STEPS
 from bench.diagnosis.linear import MODULUS, LinearSystem, Rows, View, own_column
-from bench.diagnosis.multi_run_system import OTHER_SCALE, OTHER_ZERO_G
+from bench.diagnosis.multi_run_system import OTHER_BLOCK
 from bench.diagnosis.naming import Naming
 from bench.diagnosis.posterior import NoiseSize
 from bench.diagnosis.result import NamedEffect, Verdict
@@ -33,7 +33,7 @@ from bench.stats.repeats import Repeats, compare_repeats
 SAME_TIME_S: Final = 1.0
 """Two tables whose times agree within this belong to sensors measured side by side."""
 ANOTHER: Final = 2.0
-"""A distance beyond this is another sensor, in units of the largest changes between runs (`OTHER_SCALE`).
+"""A distance beyond this is another sensor, in units of the largest changes between runs (`OTHER_BLOCK`).
 
 In nine records of each of four real sensors those of one are at most 1.0 apart, those of two at least 2.2.
 """
@@ -297,9 +297,9 @@ def _sensors(tables: Sequence[Readings], records: Sequence[int], one_sensor: boo
 
 
 def _feature(table: Readings) -> Floats:
-    block = fit_sensor(table.signal)
+    block, (own, _, zero) = fit_sensor(table.signal), OTHER_BLOCK
     scale = np.diag(block.K)
-    return np.concatenate([np.log(np.abs(scale)) / OTHER_SCALE, block.U0 / scale / OTHER_ZERO_G])
+    return np.concatenate([np.log(np.abs(scale)) / own, block.U0 / scale / zero])
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 from scipy import special
 
-from bench.base.arrays import Floats, Ints, Mask
+from bench.base.arrays import Floats, Ints, Mask, rms
 from bench.base.computing import tracked
 from bench.base.languages import message
 from bench.diagnosis.candidates import Candidates, replace_columns
@@ -123,30 +123,33 @@ class Gap:
     def _chance(self, reduced: float) -> float:
         return float(special.fdtrc(self.count, self.freedom, reduced)) if self.count else float("nan")
 
+    def _rms(self, of: Callable[[Fold], Floats]) -> float:
+        return rms(np.concatenate([np.zeros(0), *map(of, self.folds)]))
+
     @property
     def before_rms(self) -> float:
         """Root mean square of measured minus predicted by the given model, unit of the signal."""
-        return rms([f.before.error for f in self.folds])
+        return self._rms(lambda fold: fold.before.error)
 
     @property
     def after_rms(self) -> float:
         """Root mean square of measured minus predicted with the effects found, unit of the signal."""
-        return rms([f.after.error for f in self.folds])
+        return self._rms(lambda fold: fold.after.error)
 
     @property
     def before_rms_g(self) -> float:
         """The same as `before_rms`, in g."""
-        return rms([f.before.error_g for f in self.folds])
+        return self._rms(lambda fold: fold.before.error_g)
 
     @property
     def after_rms_g(self) -> float:
         """The same as `after_rms`, in g."""
-        return rms([f.after.error_g for f in self.folds])
+        return self._rms(lambda fold: fold.after.error_g)
 
     @property
     def expected_rms_g(self) -> float:
         """The value that `after_rms_g` is expected to have if the model with the effects lacks nothing."""
-        return rms([f.after.expected_g for f in self.folds])
+        return self._rms(lambda fold: fold.after.expected_g)
 
     @property
     def unconfirmed(self) -> tuple[str, ...]:
@@ -204,13 +207,6 @@ def part_closed(before: float, after: float) -> float | None:
     `before` and `after` are the reduced chi-squares of two models of the same readings.
     """
     return (before - after) / (before - FLOOR) if before > FLOOR else None
-
-
-def rms(parts: Sequence[Floats]) -> float:
-    """Return the root mean square of the numbers of all arrays together; NaN without any array."""
-    if not parts:
-        return float("nan")
-    return float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
 
 
 LEAST_FREEDOM: Final = 3

@@ -258,12 +258,12 @@ def _form(
     return describe(linear, candidates, found, noise, form_gap, prepared.repeats, instead)
 
 
-def verdict_of(effects: tuple[NamedEffect, ...], findings: tuple[NoiseFinding, ...], gap: Gap) -> Verdict:
+def verdict_of(effects: Sequence[NamedEffect], findings: Sequence[NoiseFinding | str], gap: Gap) -> Verdict:
     """Return the verdict on readings without mistakes: the first of these that applies.
 
-    "unknown": noise is larger than stated, or something found is not in the catalogue. "confounded": an
-    effect has ties, or held-out readings do not confirm the effects. "named": effects were found. "agrees":
-    nothing was.
+    "unknown": `findings` (noise larger than stated, or readings far off), or an effect that is not in the
+    catalogue. "confounded": an effect has ties, or held-out readings do not confirm the effects. "named":
+    effects were found. "agrees": nothing was.
     """
     if findings or any(not e.in_catalogue for e in effects):
         return "unknown"

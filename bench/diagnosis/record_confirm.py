@@ -9,8 +9,7 @@ from scipy import special
 
 from bench.base.arrays import rms
 from bench.calibration.design import make_problem
-from bench.diagnosis.confirm import Confirmation, EstimatedEffects, Model, judged, parameter_of
-from bench.diagnosis.evidence import KNOWN_SIZE
+from bench.diagnosis.confirm import Confirmation, EstimatedEffects, Model, judged
 from bench.diagnosis.record_diagnosis import diagnose_record
 from bench.diagnosis.record_model import courses_of, make_record, shape_of
 from bench.diagnosis.record_search import RecordWork
@@ -45,18 +44,14 @@ def confirm_record(readings: Readings, effects: Sequence[AppliedEffect]) -> Conf
         for one in make_problem(model, record.conditions, {}).effects
         if one.channel is None or one.channel in record.channels
     ]
-    plausible = np.array([parameter_of(model, one).plausible for one in unknowns])
-    found = np.array([one.prior_mean for one in unknowns]) / plausible
-    u = np.array([one.prior_u if one.stated else 0.0 for one in unknowns]) / plausible
-    now, known = found.copy(), np.full(len(found), KNOWN_SIZE)
+    of = EstimatedEffects.unchanged(model, unknowns)
     for number, (applied, course) in enumerate(zip(effects, courses, strict=True)):
         mine = [i for i, one in enumerate(unknowns) if one.effect == number]
         if course is not None and mine:
             # each effect as the record alone gives it, the others at the model's values
             size, u_size = left.less(-record.added(applied)).sizes([course])
             at = [0 if (c := unknowns[i].channel) is None else record.channels.index(c) for i in mine]
-            now[mine], known[mine] = size[at], u_size[at]
-    of = EstimatedEffects(plausible, found, u, now - found, np.diag(known**2))
+            of.change[mine], of.covariance[mine, mine] = size[at] - of.found[mine], u_size[at] ** 2
     p_after = float(special.chdtrc(freedom, after.reduced * freedom))
     return Confirmation(
         before, after, p_after, judged(model, unknowns, of), diagnose_record(readings, effects), "V"

@@ -14,6 +14,7 @@ from bench.diagnosis.evidence import Threshold
 from bench.diagnosis.gap import Gap
 from bench.diagnosis.levels import BY_CHANCE, FAR
 from bench.diagnosis.naming import FoundEffect
+from bench.diagnosis.pipeline import verdict_of
 from bench.diagnosis.record_folds import Rival, measure_record_gap, why_unconfirmed
 from bench.diagnosis.record_model import FOLLOWS, Noise, Record, make_courses, make_record
 from bench.diagnosis.record_search import ChannelFit, RecordWork
@@ -99,7 +100,7 @@ def diagnose_record(readings: Readings, effects: Sequence[AppliedEffect] = ()) -
     return RecordDiagnosis(
         source=readings.source,
         record=work.record,
-        verdict=_verdict(named, far),
+        verdict=verdict_of(named, () if named else far, gap),
         where=tuple(_places(work.record)),
         effects=named,
         fits=tuple(work.fits(courses, noises)),
@@ -111,14 +112,6 @@ def diagnose_record(readings: Readings, effects: Sequence[AppliedEffect] = ()) -
         hidden=tuple(name for name in FOLLOWS if name not in work.candidates.families),
         notes=record.notes,
     )
-
-
-def _verdict(effects: Sequence[NamedEffect], far: Sequence[str]) -> Verdict:
-    if any(not one.in_catalogue for one in effects) or (far and not effects):
-        return "unknown"
-    if any(one.cannot_tell_from for one in effects):
-        return "confounded"
-    return "named" if effects else "agrees"
 
 
 def _places(record: Record) -> Iterator[ResidualPattern]:

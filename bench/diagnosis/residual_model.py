@@ -10,7 +10,6 @@ from typing import Final
 import numpy as np
 from scipy import special
 
-from bench.base.arrays import CHANNELS
 from bench.diagnosis.candidates import Candidates
 from bench.diagnosis.gap import Gap
 from bench.diagnosis.levels import LISTED_IN_SENTENCE, MOSTLY, OFTEN
@@ -85,23 +84,6 @@ class FormTerm:
         """The term as an effect that is defined by a formula."""
         assert isinstance(self.applied.effect, FormulaEffect)  # noqa: S101 - made so
         return self.applied.effect
-
-    def sizes(self) -> list[tuple[str, str, float, float, str]]:
-        """Return each size as its parameter, channel ("" for all), value, u and unit.
-
-        Value and u are in this unit.
-        """
-        told = []
-        for p in self.effect.parameters:
-            if p.is_shape:
-                continue
-            value, u = self.applied.values[p.name], self.applied.u[p.name]
-            for channel in self.applied.channels if p.per_channel else ("",):
-                at = CHANNELS.index(channel) if channel else ()
-                told.append(
-                    (p.name, channel, float(value[at] / p.si_per_unit), float(u[at] / p.si_per_unit), p.unit)
-                )
-        return told
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from bench.diagnosis.gap import Gap
 from bench.diagnosis.levels import BY_CHANCE, LISTED_IN_SENTENCE
 from bench.diagnosis.mistakes.search import Mistake
 from bench.diagnosis.next_measurement import Proposal
-from bench.diagnosis.pipeline import FullDiagnosis, Rival
+from bench.diagnosis.pipeline import FullDiagnosis, Rival, values_of
 from bench.diagnosis.residual_model import FormTerm, FreeForm, UnexplainedScatter
 from bench.diagnosis.result import UNNAMED_WORDS, Diagnosis, EffectValue, NamedEffect
 from bench.diagnosis.show import CoefficientChange, ModelComparison, label
@@ -500,11 +500,7 @@ def term_in_words(term: FormTerm) -> str:
     """Return a line on a term: "unnamed_1: A * (time > t), added at the block output; A of y = 70 ± 4 µg (u)"."""
     effect = term.effect
     added = f" to {effect.adds_to}" if effect.adds_to else ""
-    sizes = [
-        f"{name}{f' of {channel}' if channel else ''} = "
-        f"{with_unit(f'{rounded(value, u)} ± {uncertainty(u)}', unit)} (u)"
-        for name, channel, value, u, unit in term.sizes()
-    ]
+    sizes = [parameter_in_words(size, "") for size in values_of((term.applied,)) if size.u is not None]
     constants = [
         f"{p.name} = {with_unit(format(p.default / p.si_per_unit, 'g'), p.unit)}"
         for p in effect.parameters

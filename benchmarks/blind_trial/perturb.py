@@ -26,8 +26,8 @@ from benchmarks.campaign import spread
 
 PART: Final = 0.3
 ROOM: Final = "bench.diagnosis"
-NO_SIZE: Final = {"MODULUS", "SUBSETS", "ZEROS", "SCALES", "SEED"}
-"""Numbers of channels and columns, and seeds: with another value they are not larger or smaller, but wrong."""
+NO_SIZE: Final = {"MODULUS", "SUBSETS", "ZEROS", "SCALES", "SEED", "FLOOR", "OF_MEDIAN"}
+"""Numbers of channels and columns, seeds, and expectations: another value is not larger or smaller, but wrong."""
 
 
 @dataclass(frozen=True)
