@@ -404,8 +404,9 @@ def _phase(readings: Readings) -> Floats:
 
 
 ALONE: Final = FALSE_ALARMS / 3
+"""Probability of a false alarm in the searches of single runs, all runs together."""
 TOGETHER: Final = FALSE_ALARMS - ALONE
-"""Probability of a false alarm in the searches of single runs, all runs together, and in the joint search."""
+"""Probability of a false alarm in the joint search."""
 
 
 @dataclass(frozen=True)

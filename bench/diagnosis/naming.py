@@ -24,6 +24,7 @@ from bench.diagnosis.levels import INSEPARABLE
 from bench.model.effects import CATALOGUE
 
 MOST_EFFECTS: Final = 5
+"""Effects that one search finds at most."""
 ALONE: Final = 0.95
 """Posterior probability from which a find has a single name."""
 SET: Final = 0.99

@@ -21,6 +21,7 @@ from bench.diagnosis.record_model import Noise, NoiseTrials, Record, courses_of,
 from bench.diagnosis.result import NamedEffect
 
 NULLS: Final = 200
+"""Simulated data sets behind a threshold: fewer than for runs, as each is scored with more noises."""
 
 
 @dataclass(frozen=True)
@@ -186,8 +187,7 @@ class RecordWork:
             means.append([e[0][i] for e, i in zip(estimates, at, strict=True)])
             variances.append([e[1][i, i] for e, i in zip(estimates, at, strict=True)])
             chi2.append(sum(e[2] for e in estimates))
-        weight = np.exp(-0.5 * (np.array(chi2) - min(chi2)))
-        weight /= weight.sum()
+        weight = special.softmax(-0.5 * np.array(chi2))
         mean = weight @ np.array(means)
         variance = weight @ (np.array(variances) + (np.array(means) - mean) ** 2)
         if not self.of_channels(course):
