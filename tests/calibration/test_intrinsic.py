@@ -155,7 +155,7 @@ def test_turned_blocks_and_drawn_stands_scatter_as_stated():
 @pytest.mark.slow
 def test_a_change_of_any_of_the_nine_is_found_and_none_is_not():
     """Seed 1, 2 pairs of `python -m benchmarks.intrinsic_campaign --pairs 300`, which finds 98 % or more."""
-    found = pairs(1, range(2))
+    found = pairs(1, "all", range(2))
     assert found.shape == (2, 10, 3)
     assert found[:, :9, 0].mean() > 0.9
     assert not found[:, 9].any()
