@@ -30,7 +30,7 @@ def hand_set(seed, tilt_deg, *, each_trial, trials=3, scale=K, zero=U0):
 @pytest.mark.parametrize("each_trial", [True, False])
 @pytest.mark.parametrize("nominal", [NOMINAL, None])
 def test_positions_that_tilt_by_up_to_degrees_are_no_mistake(each_trial, nominal):
-    for seed, tilt_deg in enumerate([0.2, 0.5, 1.0, 3.0]):
+    for seed, tilt_deg in enumerate([0.5, 3.0]):
         readings = hand_set([71, seed], tilt_deg, each_trial=each_trial)
         found = find_mistakes(readings, MODEL, STAND_U, nominal)
         assert found.mistakes == (), tilt_deg
