@@ -89,7 +89,7 @@ def channels(order, signs=(1, 1, 1)):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("noise_v", "runs"), [(1e-4, 40), (2e-5, 20)])
+@pytest.mark.parametrize(("noise_v", "runs"), [(1e-4, 20), (2e-5, 10)])
 def test_good_runs_are_silent(noise_v, runs):
     """No more alarms than 1 % of runs would give but once in a thousand times."""
     alarms = sum(bool(watch(run_of([7, k], noise_v))) for k in range(runs))
