@@ -21,10 +21,15 @@ def scaled(readings, rows, channels, factor):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("factor", FACTORS)
-@pytest.mark.parametrize("scope", ["run", "installation", "pass"])
-def test_a_channel_in_another_unit_is_named_with_its_rows_and_put_right(factor, scope):
-    """The odds are e^(6.9 per reading) and more: of 15 kinds none may be missed."""
+@pytest.mark.parametrize(
+    ("scope", "factor"),
+    [
+        *(("run", factor) for factor in FACTORS),
+        *((part, factor) for part in ("installation", "pass") for factor in (1e3, 0.1)),
+    ],
+)
+def test_a_channel_in_another_unit_is_named_with_its_rows_and_put_right(scope, factor):
+    """The odds are e^(6.9 per reading) and more: of 9 kinds none may be missed."""
     seed = FACTORS.index(factor)
     rng = np.random.default_rng([91, seed])
     good = run([92, seed])
