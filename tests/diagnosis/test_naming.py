@@ -245,9 +245,7 @@ def in_pass(readings, mount, *numbers):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("axis", "degrees"), [((0, 1, 0), 0.9), ((0, 0, 1), 1.0), ((0, 1, 0), 0.02)]
-)
+@pytest.mark.parametrize(("axis", "degrees"), [((0, 1, 0), 0.9), ((0, 0, 1), 1.0), ((0, 1, 0), 0.02)])
 def test_a_slip_is_in_the_set_and_the_noise_stays_what_it_is(axis, degrees):
     """From pass 2 on, up to a degree, where second order is ten times the noise.
 

@@ -149,6 +149,7 @@ def test_a_wrong_installation_is_named(stated, actual, by):
     assert signs[by].causes == (f"the block sits in installation {actual}, not in {stated}",)
 
 
+@pytest.mark.slow
 def test_a_mount_that_slips_between_passes_is_seen_at_once_and_told_until_it_is_mended():
     installation, pass_number, _, _ = plan()
     slipped = np.array([i == "1" and p >= 2 for i, p in zip(installation, pass_number, strict=True)])

@@ -109,6 +109,7 @@ def test_a_gross_mistake_is_found_named_placed_and_put_right(name, scope):
     np.testing.assert_array_equal(corrected.installation, good.installation)
 
 
+@pytest.mark.slow
 def test_signs_and_order_of_channels_are_put_right_in_free_and_input_rows_too():
     good = run(3)
     labels = good.installation.copy()
@@ -179,6 +180,7 @@ def test_an_outlier_is_found_and_its_reading_left_out():
             assert len(result.corrected.skipped) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size_ug", [20, 60, 180])
 def test_hysteresis_that_is_off_in_a_first_reading_is_no_outlier(size_ug):
     def friction(labels, numbers, _phi, force, _slope):
@@ -302,6 +304,7 @@ def test_two_mistakes_are_found(pair):
     assert result.mistakes[-1].evidence.after < 1.25
 
 
+@pytest.mark.slow
 def test_a_single_pass_shows_gross_mistakes_and_large_slips():
     good = run(51, passes=1)
     everything = np.ones(len(good), dtype=bool)
@@ -349,6 +352,7 @@ def test_a_reading_that_is_no_number_is_refused_with_its_place():
         find(bad)
 
 
+@pytest.mark.slow
 def test_words_name_place_and_correction():
     (slip,) = find(run(63, off=(13, np.radians(1 / 6)))).mistakes
     assert slip.words.startswith("installation 1, pass 2, point 5: ")

@@ -62,6 +62,7 @@ def test_a_wrong_unit_is_found_beside_another_mistake_of_the_same_run():
     assert [mistake.name for mistake in find(mixed).mistakes] == ["wrong_unit", "outlier"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("effect", EFFECTS)
 def test_a_perfect_block_with_an_effect_is_in_its_unit(effect):
     """Without biases and cross-axis terms a channel that hardly moves fits any factor: no odds may come of that."""
